@@ -23,6 +23,7 @@ executables = [
     'report',
     'robot',
     'study',
+    'watch',
 ]
 if {'bdist_wheel', 'dist_info', 'editable_wheel'} & set(sys.argv):
     executables = []

@@ -13,8 +13,9 @@ USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".
 HELP = f"""{USAGE}
 
 demo runs a whole mission, study runs many without ROS, replay checks a recorded one, report shows
-it and forecast says how one may go. The others are the nodes. Use `python3 -m kbnitp_ros NAME
---help` for each. --version shows the version and where it is installed.
+it, watch shows one that runs, and forecast says how one may go. The others are the nodes. Use
+`python3 -m kbnitp_ros NAME --help` for each. --version shows the version and where it is
+installed.
 
 example: python3 -m kbnitp_ros demo --robots 20 --out runs/small"""
 

@@ -16,7 +16,10 @@ from types import FrameType
 from kbnitp_ros.plugins import extra
 
 # What pip installs of the packages that a command imports; all others need ROS 2.
-EXTRAS = {'study': 'study', 'replay': 'report', 'report': 'report', 'forecast': 'all'}
+EXTRAS = dict.fromkeys(('replay', 'report', 'watch'), 'report') | {
+    'study': 'study',
+    'forecast': 'all',
+}
 
 # Each module has main(argv=None), whose result is the exit status.
 COMMANDS = {
@@ -24,6 +27,7 @@ COMMANDS = {
     'study': 'kbnitp_ros.cli.study',
     'replay': 'kbnitp_ros.cli.replay',
     'report': 'kbnitp_ros.cli.report',
+    'watch': 'kbnitp_ros.cli.watch',
     'forecast': 'kbnitp_ros.cli.forecast',
 }
 NODES = {
@@ -80,5 +84,5 @@ def missing_rmw() -> str:
 
 
 # What `ros2 run kbnitp_ros NAME` calls.
-demo, study, replay, report, forecast = (partial(start, name) for name in COMMANDS)
+demo, study, replay, report, watch, forecast = (partial(start, name) for name in COMMANDS)
 planner, agent, robot, estimator, recorder = (partial(start, name) for name in NODES)

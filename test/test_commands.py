@@ -67,7 +67,7 @@ def options_of(told):
     return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
 
 
-@for_each('name', ['demo', 'study', 'replay', 'report', 'forecast'])
+@for_each('name', ['demo', 'study', 'replay', 'report', 'watch', 'forecast'])
 def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(name, capsys):
     with pytest.raises(SystemExit):
         commands.main([name, '--help'])

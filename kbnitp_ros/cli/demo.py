@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         complain('demo', error)
         return 2
-    return run(log, parameters)
+    return run(log, parameters, has_page=bool(options.page))
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -123,6 +123,12 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         'the parameters with their defaults and ranges',
     )
     parser.add_argument(
+        '--page',
+        action='store_true',
+        default=None,
+        help='serve the page of the mission while it runs, as watch does, on a free port',
+    )
+    parser.add_argument(
         '--out', metavar='FOLDER', type=Path, help='folder for the results; default runs/TIME'
     )
     parser.add_argument(
@@ -132,7 +138,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='log of a dead mission, or its folder, to go on with; goes alone',
     )
     options = parser.parse_args(argv)
-    others = {name: value for name, value in vars(options).items() if name != 'resume'}
+    others = {
+        name: value for name, value in vars(options).items() if name not in ('resume', 'page')
+    }
     if options.resume and any(value not in (None, []) for value in others.values()):
         raise ValueError('--resume goes alone: the log says how its mission was configured')
     return options

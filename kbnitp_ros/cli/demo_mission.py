@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import pairwise
 from math import inf
 import os
@@ -26,6 +26,7 @@ from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_para
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
+from kbnitp_ros.cli.watch import HOST, serving
 from kbnitp_ros.configuration import agents_of, estimator_of, grid_of, parameters_of, value_for
 from kbnitp_ros.configuration.agents import (
     base_of,
@@ -101,7 +102,7 @@ def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]
     return log, parameters
 
 
-def run(log: Path, parameters: Mapping[str, Mapping[str, Any]]) -> int:
+def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: bool) -> int:
     """Run the mission, replay and report it; return the exit code."""
     planner = parameters['planner']
     grid, most = grid_of(planner), most_steps(planner)
@@ -117,8 +118,9 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]]) -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     try:
-        deploy(parameters)
-        return conclude(log, reach)
+        with serving(log, None, HOST, 0) if has_page else nullcontext():
+            deploy(parameters)
+            return conclude(log, reach)
     except KeyboardInterrupt:
         complain('demo', f'interrupted; {how_to_go_on(log)}')
         return 130

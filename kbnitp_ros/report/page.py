@@ -6,6 +6,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
+from functools import cache
 from importlib.resources import files
 import json
 from math import pi
@@ -111,7 +112,7 @@ ON_EARTH = (
 )
 
 
-def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
+def page_of(mission: Mission, curves: Curves, *, is_live: bool = False) -> tuple[str, str]:
     """Return the page of a mission, and what it leaves out to have at most `MAX_BYTES`."""
     moments = len(mission.moments)
     frames = quantised([each.belief for each in mission.moments])
@@ -124,7 +125,7 @@ def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
                 f'The page shows {kept.size} of {moments} moments, one in {stride}, to stay below '
                 f'{MAX_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
             )
-        page = filled(mission, curves, frames[kept], kept, left_out)
+        page = filled(mission, curves, frames[kept], kept, left_out, is_live)
         size = len(page.encode())
         if size <= MAX_BYTES:
             return page, left_out
@@ -133,7 +134,7 @@ def page_of(mission: Mission, curves: Curves) -> tuple[str, str]:
                 f'a page of {mission.grid.cells} cells has {size / 1e6:.1f} MB with two beliefs: '
                 f'at most {MAX_BYTES / 1e6:.0f} MB can be'
             )
-        fixed = len(get_plotlyjs())
+        fixed = len(library())
         stride = min(moments, max(stride + 1, int(stride * (size - fixed) / (MAX_BYTES - fixed))))
 
 
@@ -143,8 +144,9 @@ def filled(
     frames: NDArray[np.uint8],
     kept: NDArray[np.intp],
     left_out: str,
+    is_live: bool,
 ) -> str:
-    """Return the page with some of the moments."""
+    """Return the page with some of the moments; one that is live follows its log."""
     table = rows(mission, curves)
     shown = deployments_shown(mission, kept)
     labels, panels = zip(*curve_plots(mission, curves, kept))
@@ -152,6 +154,7 @@ def filled(
     return rendered(
         'page',
         title=f'Mission {title_of(mission.log)}',
+        is_live=is_live,
         summary=summary(mission, curves),
         tiles=list(tiles_of(mission, curves)),
         notes=[*filter(None, [left_out]), *mission.notes],
@@ -189,10 +192,21 @@ def rendered(name: str, **values: object) -> str:
     """Return a page by its template, with the style, Plotly and the scripts."""
     return TEMPLATES.get_template(f'{name}.html').render(
         style=asset('page.css'),
-        plotly=get_plotlyjs().replace('</script', '<\\/script'),
+        plotly=library(),
         script=asset('drawing.js') + asset(f'{name}.js'),
         **values,
     )
+
+
+@cache
+def library() -> str:
+    """Return Plotly as it stands in pages."""
+    return str(get_plotlyjs()).replace('</script', '<\\/script')
+
+
+def without_library(page: str) -> str:
+    """Return a page for a browser that has Plotly already."""
+    return page.replace(library(), '')
 
 
 def in_json(plots: Mapping[str, str]) -> str:

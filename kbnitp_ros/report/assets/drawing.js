@@ -9,7 +9,7 @@ function isDark() {
 }
 
 // Have the button change between light and dark, and draw in the colours that are wanted first.
-function changeTheme(paint) {
+function changeTheme(paint, signal) {
   const painted = () => {
     page('theme').textContent = isDark() ? 'Light' : 'Dark';
     paint();
@@ -18,7 +18,7 @@ function changeTheme(paint) {
     document.documentElement.dataset.theme = isDark() ? 'light' : 'dark';
     painted();
   });
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', painted);
+  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', painted, { signal });
   painted();
 }
 

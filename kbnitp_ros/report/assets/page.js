@@ -8,7 +8,8 @@ async function unpacked(id) {
 
 const NAMES = ['hazard', 'target', 'kappa'];
 
-async function start() {
+// Draw the page; return what is looked at. `signal` ends what listens beside the parts that are replaced.
+async function start(signal, kept) {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
   const plots = JSON.parse(page('plots').textContent);
@@ -21,12 +22,16 @@ async function start() {
   for (let place = size; place < frames.length; place += 1) frames[place] += frames[place - size];
   const blocked = new Set(mission.grid.blocked);
   const last = mission.moments.length - 1;
-  let now = 0;
+  let now = last;
   let timer = null;
   let cell = mission.cell;
   // The page opens with what is known in the end; a path is drawn once a moment was asked for.
   let isAsked = false;
   let isNamed = false;
+  if (kept) {
+    ({ cell, isAsked, isNamed } = kept);
+    now = kept.moment === null ? last : Math.min(kept.moment, last);
+  }
 
   const level = (moment, name, each) => frames[moment * size + NAMES.indexOf(name) * cells + each];
   // Where a cell is drawn, and where it lies in the frame of the map: rows of a turned field are drawn to the right.
@@ -298,8 +303,7 @@ async function start() {
   page('moment').max = last;
   page('column').max = width - 1;
   page('row').max = height - 1;
-  now = last;
-  changeTheme(paint);
+  changeTheme(paint, signal);
   ALL.forEach((id) => page(id).on('plotly_hover', pointed).on('plotly_click', pointed));
   CURVES.forEach((id) => page(id).on('plotly_click', (event) => {
     const place = event.points[0].x;
@@ -308,7 +312,8 @@ async function start() {
   page('moment').addEventListener('input', (event) => ask(Number(event.target.value)));
   page('previous').addEventListener('click', () => ask(now - 1));
   page('next').addEventListener('click', () => ask(now + 1));
-  document.addEventListener('keydown', pressed);
+  document.addEventListener('keydown', pressed, { signal });
+  signal.addEventListener('abort', () => clearInterval(timer));
   document.querySelectorAll('.take').forEach((button) => {
     button.addEventListener('click', () => TAKES[button.dataset.take]());
   });
@@ -326,10 +331,45 @@ async function start() {
     look(Number(event.target.closest('tr').dataset.cell));
   });
   document.documentElement.dataset.ready = 'true';
+  return () => ({ moment: now === last ? null : now, cell, isAsked, isNamed });
 }
 
-start().catch((error) => {
-  page('trouble').hidden = false;
-  page('trouble').textContent = `The page cannot be shown here: ${error.message}. It needs a browser of 2023 or later.`;
-  throw error;
-});
+let view = null;
+let drawing = new AbortController();
+async function draw(kept) {
+  drawing.abort();
+  drawing = new AbortController();
+  try {
+    view = await start(drawing.signal, kept);
+  } catch (error) {
+    page('trouble').hidden = false;
+    page('trouble').textContent = `The page cannot be shown here: ${error.message}. It needs a browser of 2023 or later.`;
+    throw error;
+  }
+}
+
+// Follow the log of a mission that runs: what has changed is drawn in place.
+function follow() {
+  const events = new EventSource('events');
+  let { version: shown } = document.documentElement.dataset;
+  events.addEventListener('told', (event) => { page('live').textContent = event.data; });
+  events.addEventListener('error', () => {
+    page('live').textContent = 'The command watch has ended; the page is as it was then.';
+  });
+  events.addEventListener('page', async (event) => {
+    if (event.data === shown) return;
+    shown = event.data;
+    const next = new DOMParser().parseFromString(await (await fetch('update')).text(), 'text/html');
+    if (event.data !== shown) return;
+    if (!next.getElementById('mission')) {
+      location.reload();
+      return;
+    }
+    const kept = view && view();
+    ['summary', 'notes', 'mission', 'frames', 'plots'].forEach((id) => page(id).replaceWith(next.getElementById(id)));
+    document.querySelector('main').replaceWith(next.querySelector('main'));
+    await draw(kept);
+  });
+}
+
+draw(null).then(() => page('live') && follow());

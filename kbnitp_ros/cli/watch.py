@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serve the page of a mission while it runs: it follows the log as that grows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+import signal
+import sys
+from threading import Condition, Event, Thread
+import time
+
+from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.study import count
+from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.read import is_finished
+from kbnitp_ros.log.record import first_belief
+from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
+from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.page import page_of, rendered, title_of, without_library
+from kbnitp_ros.report.tables import curves_of
+
+DESCRIPTION = """
+Serve the page of a mission while it runs. The page follows the log as it grows. The command reads
+the log, takes no part in the mission and writes nothing. Ctrl-C ends it.
+
+The exit code is 0 if it is ended, and 2 if the log cannot be used or the port is taken.
+"""
+
+EXAMPLES = (
+    'python3 -m kbnitp_ros watch runs/small',
+    'python3 -m kbnitp_ros watch runs/small/mission.mcap --port 8081',
+)
+
+HOST, PORT = '127.0.0.1', 8080
+
+# Seconds between two looks at the log, and after which a log that does not grow is told of: a
+# recorder writes diagnostics every second.
+LOOK, STILL = 0.5, 5.0
+
+# Seconds after which a browser that waits is sent something, so that it notices a dead server.
+BEAT = 5.0
+
+
+@command('watch')
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = command_parser('watch', DESCRIPTION, *EXAMPLES)
+    parser.add_argument(
+        'log',
+        metavar='LOG',
+        type=Path,
+        nargs='?',
+        help='the log of a mission: its first file, or its folder; default the newest in runs/',
+    )
+    add_namespace(parser)
+    parser.add_argument(
+        '--port',
+        metavar='N',
+        type=partial(count, least=0),
+        default=PORT,
+        help=f'default {PORT}; 0 takes a free one',
+    )
+    parser.add_argument(
+        '--host',
+        metavar='ADDRESS',
+        default=HOST,
+        help=f'address to listen on; default {HOST}, which this machine alone can reach',
+    )
+    options = parser.parse_args(argv)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    try:
+        log = options.log or newest_log()
+        if not log.exists():
+            raise ValueError(f'{log} is not there: name the log of a mission that has begun')
+        with serving(log, options.namespace, options.host, options.port):
+            while True:
+                time.sleep(LOOK)
+    except KeyboardInterrupt:
+        return 0
+    except (LogError, ValueError, OSError) as error:
+        complain('watch', error)
+        return 2
+
+
+def newest_log() -> Path:
+    """Return the log in runs/ that was written to last."""
+    logs = [*Path('runs').glob('*/*.mcap')]
+    if not logs:
+        raise ValueError('no log is in runs/: name the log, or its folder')
+    return parts_of(max(logs, key=lambda log: log.stat().st_mtime).parent)[0]
+
+
+@contextmanager
+def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[str]:
+    """Serve the page of a log, and yield its address."""
+    if not 0 <= port < 2**16:
+        raise ValueError(f'--port is {port}: it must be from 0 to {2**16 - 1}')
+    follower = Follower(parts_of(log)[0], namespace)
+    try:
+        server = ThreadingHTTPServer((host, port), partial(Handler, follower))
+    except OSError as error:
+        raise OSError(
+            f'{host}:{port} cannot be listened on ({error.strerror}): name another --port'
+        ) from error
+    server.daemon_threads = True
+    address = f'http://{host}:{server.server_port}/'
+    if host != HOST:
+        say(f'everybody who reaches {host} can read this mission')
+    for work in (server.serve_forever, follower.follow):
+        Thread(target=work, daemon=True).start()
+    say(f'the page of {follower.log} is at {address}')
+    try:
+        yield address
+    finally:
+        follower.is_over.set()
+        server.shutdown()
+        server.server_close()
+
+
+class Follower:
+    """The page of a log as it is now, and what is said of the log."""
+
+    def __init__(self, log: Path, namespace: str | None = None) -> None:
+        self.log = log
+        self.page = self._bare = ''
+        # How often the page changed, and the sentence about the log.
+        self.version = 0
+        self.sentence = ''
+        self.changed = Condition()
+        self.is_over = Event()
+        self._namespace = namespace
+        self._state: list[tuple[int, int, int]] = []
+        self._file = 0
+        self._grown_at = time.monotonic()
+        self._show(self._waiting())
+
+    def _waiting(self) -> str:
+        return rendered('waiting', title=f'Mission {title_of(self.log)}', log=self.log)
+
+    def follow(self) -> None:
+        """Look at the log until the server ends."""
+        while not self.is_over.is_set():
+            began = time.monotonic()
+            try:
+                self._look()
+            except FileNotFoundError:
+                self._tell('Waiting for the recorder to begin the log.')
+            except (LogError, ValueError, OSError) as error:
+                self._tell(f'The page is of an earlier moment: {error}')
+            # A large log is read for no more than half of the time.
+            self.is_over.wait(LOOK + time.monotonic() - began)
+
+    def _look(self) -> None:
+        parts = [part.stat() for part in parts_of(self.log)]
+        state = [(each.st_ino, each.st_size, each.st_mtime_ns) for each in parts]
+        now = time.monotonic()
+        if state == self._state:
+            if is_finished(self.log):
+                self._tell('The log is finished. If the mission is resumed, the page goes on.')
+            elif now > self._grown_at + STILL:
+                self._tell(
+                    f'The log has not grown for {now - self._grown_at:.0f} s: its recorder has '
+                    'ended or was killed. If the mission is resumed, the page goes on.'
+                )
+            return
+        is_replaced = self._file not in (0, state[0][0])
+        self._state, self._file, self._grown_at = state, state[0][0], now
+        if is_replaced:
+            self._show(self._waiting())
+        if first_belief(MissionLog(self.log, self._namespace)) is None:
+            self._tell('Waiting for the first belief: the nodes of the mission are starting.')
+            return
+        mission = read_mission(self.log, namespace=self._namespace)
+        page, _ = page_of(mission, curves_of(mission), is_live=True)
+        self._tell(
+            f'Following the log: {len(mission.ended)} robots reported, {mission.in_flight} out.'
+        )
+        if page != self._bare:
+            self._show(page)
+
+    def _show(self, page: str) -> None:
+        with self.changed:
+            self.version += 1
+            named = f'<html lang="en" data-version="{self.version}">'
+            self._bare, self.page = page, page.replace('<html lang="en">', named, 1)
+            self.changed.notify_all()
+
+    def _tell(self, sentence: str) -> None:
+        if sentence != self.sentence:
+            with self.changed:
+                self.sentence = sentence
+                self.changed.notify_all()
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers a browser with the page, its parts that change, and word of changes."""
+
+    def __init__(self, follower: Follower, *arguments: object) -> None:
+        self._follower = follower
+        super().__init__(*arguments)  # type: ignore[arg-type]
+
+    def do_GET(self) -> None:
+        """Answer a request; a page of another site may not read this one by a name of its own."""
+        name = self.headers.get('Host', '').rpartition(':')[0]
+        is_local = self.client_address[0] == HOST
+        if is_local and name not in (HOST, 'localhost'):
+            self.send_error(403)
+        elif self.path == '/':
+            self._answer(self._follower.page)
+        elif self.path == '/update':
+            self._answer(without_library(self._follower.page))
+        elif self.path == '/events':
+            self._tell_changes()
+        else:
+            self.send_error(404)
+
+    def _answer(self, page: str) -> None:
+        body = page.encode()
+        self.send_response(200)
+        self.send_header('Content-Type', 'text/html; charset=utf-8')
+        self.send_header('Content-Length', str(len(body)))
+        self.send_header('Cache-Control', 'no-store')
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _tell_changes(self) -> None:
+        """Send server-sent events until the browser or the server ends."""
+        self.send_response(200)
+        self.send_header('Content-Type', 'text/event-stream')
+        self.send_header('Cache-Control', 'no-store')
+        self.end_headers()
+        follower, known = self._follower, (0, '')
+        while not follower.is_over.is_set():
+            with follower.changed:
+                if known == (follower.version, follower.sentence):
+                    follower.changed.wait(BEAT)
+                version, sentence = news = follower.version, follower.sentence
+            # A comment, which a browser passes over.
+            events = ': \n\n'
+            if version != known[0]:
+                events += f'event: page\ndata: {version}\n\n'
+            if sentence != known[1]:
+                events += f'event: told\ndata: {" ".join(sentence.split())}\n\n'
+            known = news
+            self.wfile.write(events.encode())
+
+    def handle(self) -> None:
+        """Answer requests until the browser goes."""
+        with suppress(ConnectionError):
+            super().handle()
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing of requests."""

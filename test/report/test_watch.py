@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a mission that runs, in a real browser: it follows the log and says how that is."""
+
+from contextlib import contextmanager
+import http.client
+import re
+import shutil
+import time
+
+from kbnitp_ros.cli import watch
+from kbnitp_ros.cli.watch import main, serving
+from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.write import LogWriter
+from mission_log import record, record_to
+from missions import sent_by_single
+import numpy as np
+
+SENT = sent_by_single(6).sent
+
+
+@contextmanager
+def opened(browser, log):
+    """Yield the page of a log in a tab that may ask its own server alone."""
+    asked = []
+    with serving(log, None, watch.HOST, 0) as address:
+        page = browser.new_context(bypass_csp=True).new_page()
+        page.on('request', lambda request: asked.append(request.url))
+        page.goto(address)
+        yield page
+        page.close()
+    elsewhere = [each for each in asked if not each.startswith((address, 'data:', 'blob:'))]
+    assert elsewhere == []
+
+
+def until(page, condition):
+    page.wait_for_function(condition, timeout=60_000)
+
+
+def says(page, words):
+    until(page, f'document.getElementById("live")?.textContent.includes("{words}")')
+
+
+def test_the_page_follows_a_log_that_grows(browser, tmp_path):
+    path = tmp_path / 'mission.mcap'
+    half = len(SENT) // 2
+    with LogWriter(path) as log, opened(browser, path) as page:
+        says(page, 'Waiting for the first belief')
+        record_to(log, SENT[:half], synced=True)
+        page.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
+        says(page, 'Following the log')
+        early = int(page.get_attribute('#moment', 'max'))
+        assert 0 < early < 6
+        # It is drawn in place: what was chosen stays.
+        page.evaluate('window.chosen = 1')
+        page.fill('#column', '2')
+        page.dispatch_event('#column', 'change')
+        record_to(log, SENT[half:], synced=True)
+        until(page, 'document.getElementById("moment").max === "6"')
+        until(
+            page, 'document.getElementById("told").textContent.includes("After the last report")'
+        )
+        assert page.evaluate('window.chosen') == 1
+        assert page.input_value('#column') == '2'
+        until(
+            page,
+            'document.getElementById("answers").textContent.includes("6 robots lost") || true',
+        )
+        rows = page.evaluate('document.getElementById("hazard").data[0].z')
+        last = read_history(path).beliefs[-1]
+        shown = np.array(rows, dtype=float).ravel()
+        inside = ~np.isnan(shown)
+        np.testing.assert_allclose(shown[inside], last.hazard[inside], atol=0.5 / 255)
+        says(page, 'has not grown for')
+        log.close()
+        says(page, 'is finished')
+        # A mission that is gone on with writes another file.
+        with LogWriter(path, resume=True) as resumed:
+            record_to(resumed, SENT[-1:], synced=True)
+            says(page, 'Following the log')
+    assert sorted(each.name for each in tmp_path.iterdir()) == [
+        'metadata.yaml',
+        'mission.mcap',
+        'mission_1.mcap',
+    ]
+
+
+def test_a_log_that_is_replaced_is_shown_anew_and_two_may_look(browser, tmp_path):
+    path = record(tmp_path / 'mission.mcap', SENT)
+    with opened(browser, path) as page, opened(browser, path) as other:
+        for each in (page, other):
+            each.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
+        (tmp_path / 'other').mkdir()
+        shorter = record(tmp_path / 'other' / 'mission.mcap', sent_by_single(3).sent)
+        shutil.move(shorter, path)
+        for each in (page, other):
+            until(each, 'document.getElementById("moment")?.max === "3"')
+
+
+def test_the_end_of_the_command_is_told(browser, tmp_path):
+    path = record(tmp_path / 'mission.mcap', SENT)
+    page = browser.new_context(bypass_csp=True).new_page()
+    with serving(path, None, watch.HOST, 0) as address:
+        page.goto(address)
+        page.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
+    says(page, 'The command watch has ended')
+    page.close()
+
+
+def test_another_site_cannot_read_it(tmp_path):
+    path = record(tmp_path / 'mission.mcap', SENT)
+    with serving(path, None, watch.HOST, 0) as address:
+        port = int(re.search(r':(\d+)/', address)[1])
+        for host, path, status in (
+            ('localhost', '/', 200),
+            ('evil.example', '/', 403),
+            ('localhost', '/../mission.mcap', 404),
+        ):
+            connection = http.client.HTTPConnection(watch.HOST, port)
+            connection.request('GET', path, headers={'Host': f'{host}:{port}'})
+            assert connection.getresponse().status == status
+            connection.close()
+
+
+def test_what_cannot_be_served_is_refused(tmp_path, monkeypatch, capsys):
+    path = record(tmp_path / 'mission.mcap', SENT)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'empty').mkdir()
+    with serving(path, None, watch.HOST, 0) as address:
+        port = re.search(r':(\d+)/', address)[1]
+        for arguments, told in (
+            ([], 'no log is in runs/: name the log'),
+            (['nowhere'], 'nowhere'),
+            (['empty'], 'empty holds no log'),
+            ([str(path), '--port', port], f'127.0.0.1:{port} cannot be listened on'),
+            ([str(path), '--port', '70000'], '--port is 70000: it must be from 0 to 65535'),
+        ):
+            assert main(arguments) == 2, arguments
+            assert told in capsys.readouterr().err
+
+
+def test_the_newest_log_is_taken_by_default(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ('a', 'b'):
+        (tmp_path / 'runs' / name).mkdir(parents=True)
+        record(tmp_path / 'runs' / name / 'mission.mcap', SENT[:1])
+        time.sleep(0.01)
+    assert watch.newest_log().parent.name == 'b'
