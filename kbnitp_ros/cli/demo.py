@@ -9,37 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from kbnitp_ros.cli.output import command, complain
+from kbnitp_ros.cli.parameters import DEFAULTS, NODES, OPTIONS, OWN
 from kbnitp_ros.configuration.known import parameters_of
 from kbnitp_ros.configuration.table import MOST_AGENTS
 from kbnitp_ros.nodes.runtime.command_line import command_parser
-
-NODES = ('recorder', 'estimator', 'agent', 'planner')
-
-# How long after its expected return a silent robot is given up, in seconds: those of the demo
-# need no time for their way, but their processes may be kept waiting by others.
-RETURN_DEADLINE = 1.0
-
-# What the demo sets by itself unless told otherwise. Methods that can learn neither the lethality
-# nor the hazard density are told both; a lethality learnt under a wrong density is wrong, since
-# fewer hazards that are more lethal destroy as many robots.
-LEARNT = ('lethality', 'hazard_density')
-DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
-
-# Options that set one parameter of that name in every node that has it.
-OPTIONS = {
-    'robots': 'robots',
-    'lethality': 'sensor.lethality',
-    'max_steps': 'max_steps',
-    'method': 'method',
-    'planner': 'planner',
-    'allocation': 'allocation',
-    'silent_loss': 'silent_loss',
-    'seed': 'seed',
-}
-
-# What the demo always sets, so that a mission can be gone on with and shown beside the truth.
-HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
-OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 
 DESCRIPTION = """
 Run a whole mission with real nodes, each a process of its own: deploy the robots, record the

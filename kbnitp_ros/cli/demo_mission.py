@@ -20,9 +20,19 @@ from typing import Any
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
 from kbnitp_ros.base.checks import check_reach, reach_note
-from kbnitp_ros.cli.demo import DEFAULTS, HELD, LEARNT, NODES, OPTIONS, OWN
 from kbnitp_ros.cli.output import complain, say
-from kbnitp_ros.cli.parameters import asked_on_record, recorded_values, set_parameter, values_of
+from kbnitp_ros.cli.parameters import (
+    asked_on_record,
+    DEFAULTS,
+    HELD,
+    LEARNT,
+    NODES,
+    OPTIONS,
+    OWN,
+    recorded_values,
+    set_parameter,
+    values_of,
+)
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report

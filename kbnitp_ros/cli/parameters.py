@@ -16,6 +16,35 @@ from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.replayed import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
 
+# The nodes of the demo.
+NODES = ('recorder', 'estimator', 'agent', 'planner')
+
+# How long after its expected return a silent robot is given up, in seconds: those of the demo
+# need no time for their way, but their processes may be kept waiting by others.
+RETURN_DEADLINE = 1.0
+
+# What the demo sets by itself unless told otherwise. Methods that can learn neither the lethality
+# nor the hazard density are told both; a lethality learnt under a wrong density is wrong, since
+# fewer hazards that are more lethal destroy as many robots.
+LEARNT = ('lethality', 'hazard_density')
+DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
+
+# Options that set one parameter of that name in every node that has it.
+OPTIONS = {
+    'robots': 'robots',
+    'lethality': 'sensor.lethality',
+    'max_steps': 'max_steps',
+    'method': 'method',
+    'planner': 'planner',
+    'allocation': 'allocation',
+    'silent_loss': 'silent_loss',
+    'seed': 'seed',
+}
+
+# What the demo always sets, so that a mission can be gone on with and shown beside the truth.
+HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
+OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
+
 
 def values_of(
     sections: Sections,

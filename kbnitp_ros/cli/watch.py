@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar='N',
         type=partial(count, least=0),
         default=PORT,
-        help=f'default {PORT}; 0 takes a free one',
+        help=f'port to listen on, from 0 to 65535; default {PORT}, and 0 takes a free one',
     )
     parser.add_argument(
         '--host',

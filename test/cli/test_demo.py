@@ -15,13 +15,14 @@ import time
 from demo_mission import demo_mission
 from kbnitp_msgs.msg import BeliefMaps, Progress
 from kbnitp_ros.cli import demo_mission as demo_mission_module
-from kbnitp_ros.cli.demo import main, NODES, parse
+from kbnitp_ros.cli.demo import main, parse
 from kbnitp_ros.cli.demo_mission import (
     chosen_parameters,
     observed,
     recorded_parameters,
 )
-from kbnitp_ros.cli.processes import free_domain, Processes
+from kbnitp_ros.cli.parameters import NODES
+from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import (
@@ -406,6 +407,18 @@ def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
     known = true_numbers(parameters['agent'], parameters['estimator'])
     assert known['lethality'] == pytest.approx(0.5 * 0.76 / 0.95)
     assert 'kappa' not in known
+
+
+def test_the_domain_that_is_named_is_taken(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '79')
+    with given_domain() as domain:
+        assert domain == 79
+    monkeypatch.setenv('ROS_DOMAIN_ID', '300')
+    with pytest.raises(OSError, match="ROS_DOMAIN_ID is '300': it must be from 0 to 232"):
+        given_domain().__enter__()
+    monkeypatch.delenv('ROS_DOMAIN_ID')
+    with given_domain() as domain:
+        assert 1 <= domain <= 101
 
 
 def test_a_simulated_clock_is_refused(tmp_path, capsys):
