@@ -198,20 +198,13 @@ def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
     distance = np.full(belief.cells, np.inf)
     for rounding in product((np.floor, np.ceil), repeat=3):
         tried = np.stack([each(values) for each, values in zip(rounding, exact)])
-        off = np.where(is_belief(tried), np.abs(tried - exact).max(axis=0), np.inf)
+        hazard, target, kappa = tried
+        both = kappa * hazard
+        fits = (both <= WHITE * target) & (WHITE * target <= both + WHITE * (WHITE - hazard))
+        off = np.where(fits, np.abs(tried - exact).max(axis=0), np.inf)
         best = np.where(off < distance, tried, best)
         distance = np.minimum(off, distance)
     return dict(zip(('hazard', 'target', 'kappa'), best.astype(np.uint8)))
-
-
-def is_belief(levels: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return where hazard, target and kappa, in whole steps, have a joint distribution."""
-    hazard, target, kappa = levels
-    both = kappa * hazard
-    result: NDArray[np.bool_] = (both <= WHITE * target) & (
-        WHITE * target <= both + WHITE * (WHITE - hazard)
-    )
-    return result
 
 
 # More pixels a side than that are nothing to see in a page.

@@ -11,7 +11,6 @@ from typing import Literal
 from kbnitp_ros.figures import SERIES, Style, WIDTH
 from kbnitp_ros.study.results import (
     after_rounds,
-    learnt_numbers,
     LOG_LOSS,
     MEAN,
     mean_of,
@@ -169,16 +168,6 @@ BAND = 0.15
 LOG_LOSS_LABEL = 'log loss of hazard and target (nats)'
 
 
-def entropy_chart(results: Results) -> Figure:
-    """Draw the mean entropy after each deployment, a panel a lethality: the paper's figure."""
-    return means_chart(results, ('entropy',), 'deployment', 'entropy H(Z) + H(X) (nats)')
-
-
-def log_loss_chart(results: Results) -> Figure:
-    """Draw the mean log loss after each deployment against the truth, a panel a lethality."""
-    return means_chart(results, LOG_LOSS, 'deployment', LOG_LOSS_LABEL, 'log')
-
-
 def means_chart(
     results: Results,
     measures: Sequence[str],
@@ -303,7 +292,7 @@ def loss_cost_chart(results: Results) -> Figure:
 
 def numbers_chart(results: Results) -> Figure:
     """Draw how well each number is known after each deployment, a panel a number and lethality."""
-    scenario, names = results.scenario, learnt_numbers(results)
+    scenario, names = results.scenario, list(results.scenario.learn.priors)
     shown_in = list(product(names, scenario.lethalities))
     # A row a number, unless there is but one panel of each.
     are_rows = len(scenario.lethalities) > 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 import json
 from operator import attrgetter
 from pathlib import Path
@@ -14,9 +15,9 @@ from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.files import naming
 from kbnitp_ros.study.charts import (
     decision_chart,
-    entropy_chart,
-    log_loss_chart,
+    LOG_LOSS_LABEL,
     loss_cost_chart,
+    means_chart,
     numbers_chart,
     reliability_chart,
     teams_chart,
@@ -513,8 +514,13 @@ COMPARISONS = (
 
 def figures_of(results: Results) -> dict[str, Figure]:
     """Return the figures of a study, by the names of their files."""
-    charts = {'entropy': entropy_chart, 'log_loss': log_loss_chart}
-    charts['reliability'] = reliability_chart
+    means = partial(means_chart, results, across='deployment')
+    charts: dict[str, Callable[[Results], Figure]] = {
+        # The paper's figure.
+        'entropy': lambda _: means(('entropy',), up='entropy H(Z) + H(X) (nats)'),
+        'log_loss': lambda _: means(LOG_LOSS, up=LOG_LOSS_LABEL, scale='log'),
+        'reliability': reliability_chart,
+    }
     if differ_in_size(results.scenario):
         charts['by_round'] = teams_chart
     if differ_only_in(results.scenario, 'loss_cost') or differ_in_objective(results.scenario):

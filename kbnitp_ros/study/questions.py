@@ -12,7 +12,6 @@ from kbnitp_ros.study.results import (
     after_rounds,
     HIGH,
     interval,
-    learnt_numbers,
     LOG_LOSS,
     LOW,
     MEAN,
@@ -135,7 +134,7 @@ ROBOTS = (10, 25, 50, 100, 200)
 
 def number_rows(results: Results) -> Iterator[Row]:
     """Yield how well numbers are known at the end, one row for each lethality and number."""
-    for lethality, name in product(results.scenario.lethalities, learnt_numbers(results)):
+    for lethality, name in product(results.scenario.lethalities, results.scenario.learn.priors):
         known, truth = of_number(results, lethality, name)
         first, last = known[:, 0], known[:, -1]
         is_within = (last[:, LOW] <= truth[:, 0]) & (truth[:, 0] <= last[:, HIGH])

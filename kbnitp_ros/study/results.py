@@ -330,11 +330,6 @@ def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
 MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95))
 
 
-def learnt_numbers(results: Results) -> list[str]:
-    """Return the names of the numbers that were learnt."""
-    return list(results.scenario.learn.priors)
-
-
 def of_number(
     results: Results, lethality: float | None, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -66,11 +66,6 @@ def check_cells(belief: Belief, observation: Observation) -> None:
         )
 
 
-def survived_log_likelihood(model: SensorModel, visits: Visits) -> NDArray[np.float64]:
-    """Return log P(survived | Z = z) of visited cells, shape (n, 2) (:eq:`loss-contact`)."""
-    return times_log(visits.counts[:, None], model.log_survival)
-
-
 def read_log_likelihood(
     model: SensorModel, visits: Visits, readings: NDArray[np.bool_] | NDArray[np.int8]
 ) -> NDArray[np.float64]:
@@ -444,12 +439,12 @@ class OnePass:
             belief = Belief(joint)
         if observation.readings is not None:
             visits = Visits.of(observation.path)
-            survived = survived_log_likelihood(model, visits)
+            survived = times_log(visits.counts[:, None], model.log_survival)
             read = read_log_likelihood(model, visits, observation.readings)
             return given(belief, visits.cells, survived[:, :, None] + read[:, None, :])
         if observation.steps_survived:
             known = Visits.of(observation.path[: observation.steps_survived + 1])
-            survived = survived_log_likelihood(model, known)
+            survived = times_log(known.counts[:, None], model.log_survival)
             belief = given(belief, known.cells, survived[:, :, None])
         steps, lost_at = observation.steps_survived, observation.lost_at
         visits = Visits.of(observation.path[steps:])

@@ -283,15 +283,6 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
     return np.array(entropy, dtype=np.float64).reshape(p.shape)
 
 
-class Weights(NamedTuple):
-    """Of the powers that the entropy of an outcome is a sum of, each shape (powers,)."""
-
-    # With these it is h(p).
-    entropy: NDArray[np.float64]
-    # With these it is h(p) + (1 - p) ln(1 - p), what a label search does not add by itself.
-    rest: NDArray[np.float64]
-
-
 def powers_of(alpha: float, outcomes: int) -> int:
     """Return how many powers the labels of a search carry that may have so many outcomes."""
     return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
@@ -301,20 +292,22 @@ def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.floa
     """Return the weights with which the powers of a label make the entropy left in its outcome."""
     if alpha == SHANNON:
         return WEIGHTS
-    weights = weights_of(alpha)
-    return np.concatenate([weights.entropy, *(-each * weights.rest for each in chance)])
+    entropy, rest = weights_of(alpha)
+    return np.concatenate([entropy, *(-each * rest for each in chance)])
 
 
 @lru_cache(maxsize=16)
-def weights_of(alpha: float) -> Weights:
+def weights_of(alpha: float) -> NDArray[np.float64]:
     """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
+    # With the first ones it is h(p); with the others h(p) + (1 - p) ln(1 - p), what a label search
+    # does not add by itself.
     ends = np.geomspace(1e-8, 1e-2, 300)
     survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
     powers = survival[:, None] ** BEHAVIORAL_EXPONENTS
     entropy = behavioral_entropy(survival, alpha)
     targets = np.stack([entropy, entropy - surprisal(1.0 - survival)], axis=1)
     found, *_ = np.linalg.lstsq(powers, targets, rcond=1e-10)
-    return Weights(*np.ascontiguousarray(found.T))
+    return np.ascontiguousarray(found.T)
 
 
 @dataclass(frozen=True, eq=False)

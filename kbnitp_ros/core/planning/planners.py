@@ -30,27 +30,11 @@ from kbnitp_ros.core.planning.options import PLANNERS, SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# What of the steps to each cell, shape (cells,), makes one come before another: lower is first.
-Order = Callable[[NDArray[np.intp]], NDArray[np.intp]]
 
-
-def boustrophedon(grid: Grid) -> Order:
-    """Return the order of a field that is ploughed: row after row, every second one backwards."""
-    row, col = np.divmod(np.arange(grid.cells), grid.width)
-    place = row * grid.width + np.where(row % 2, grid.width - 1 - col, col)
-    return lambda _: place
-
-
-def nearest(steps: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the order in which the nearest cell comes first."""
-    return steps
-
-
-def tour(
-    grid: Grid, options: SearchOptions, visited: NDArray[np.intp], order: Order
-) -> NDArray[np.intp]:
-    """Return a closed path through cells that were visited least, each by the shortest way."""
-    max_steps, max_visits = options.max_steps, options.max_visits
+def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+    """Return a closed path through cells visited least, in an order or the nearest first."""
+    grid, visited = finder.grid, finder.visited
+    max_steps, max_visits = finder.options.max_steps, finder.options.max_visits
     wanted: NDArray[np.bool_] = grid.in_reach(max_steps)
     wanted[grid.base] = False
     if wanted.any():
@@ -66,7 +50,7 @@ def tour(
         )
         if not candidates.size:
             break
-        target = int(candidates[np.argmin(order(steps)[candidates])])
+        target = int(candidates[np.argmin((steps if order is None else order)[candidates])])
         leg = way(grid, steps, target)
         after = entered + np.bincount(leg, minlength=grid.cells)
         back = grid.steps_from(target, is_open(grid, after, max_visits, home=True))
@@ -331,18 +315,16 @@ def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 def coverage(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Plough the field, where earlier paths left off."""
-    return toured(finder, objective, boustrophedon(finder.grid))
+    grid = finder.grid
+    row, col = np.divmod(np.arange(grid.cells), grid.width)
+    # Row after row, every second one backwards.
+    order = row * grid.width + np.where(row % 2, grid.width - 1 - col, col)
+    return [Candidate.along(tour(finder, order), objective)]
 
 
 def shortest_unvisited(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Go to the nearest of the cells that were visited least, and on to the next."""
-    return toured(finder, objective, nearest)
-
-
-def toured(finder: PathFinder, objective: Objective, order: Order) -> list[Candidate]:
-    """Return the tour in an order."""
-    path = tour(finder.grid, finder.options, finder.visited, order)
-    return [Candidate.along(path, objective)]
+    return [Candidate.along(tour(finder), objective)]
 
 
 PLANNERS.fill(
