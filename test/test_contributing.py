@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lists of CONTRIBUTING.md are followed on a copy of the package: what they name is enough."""
+"""The lists of CONTRIBUTING.md are enough, and newcomers are held to what holds of all."""
 
 import gzip
+from importlib import import_module
 import os
+from pathlib import Path
 from shutil import copytree
 import subprocess
 import sys
 
 from documented import ROOT
 import pytest
+from strangers import install
 
 LISTS = ROOT.joinpath('CONTRIBUTING.md').read_text().split('## Steps of frequent changes')[1]
 
@@ -123,3 +126,151 @@ def test_a_list_names_all_that_a_change_needs(tmp_path, change, edits, script):
         text=True,
     )
     assert told.returncode == 0, told.stderr
+
+
+# A method, planner or allocation of another package is held to what holds of all.
+
+
+NAME = 'newcomer'
+SOURCE = """
+from kbnitp_ros.core import update
+from kbnitp_ros.core import KnownModel
+from kbnitp_ros.core.planning.planners import beam
+
+
+class Returns(KnownModel):
+    def assimilate(self, observation, robot_type):
+        after = update(self.belief, robot_type.model(self.model), observation)
+        if observation.survived:
+            self.belief = after
+
+
+def worst(finder, objective):
+    return beam(finder, objective)[-1:]
+
+
+def allocate(robots):
+    first, *others = ([each.path for each in r.finder.candidates(r.objective)] for r in robots)
+    return [first[0], *(paths[-1] for paths in others)]
+"""
+ADDED = {
+    'methods': {NAME: 'Returns'},
+    'planners': {NAME: 'worst'},
+    'allocations': {NAME: 'allocate'},
+}
+
+# The tests that take names from the registries or have names of their own, those of them that
+# tell most in little time, and those with laws that hold of all methods or planners.
+CONCERNED = [
+    'test/core',
+    'test/messages',
+    'test/log/test_replay.py',
+    'test/study',
+    'test/nodes/test_parameters.py',
+    'test/nodes/test_given.py',
+]
+QUICK = [
+    'test/core/inference/test_methods.py',
+    'test/core/inference/test_ledger.py',
+    'test/core/planning/test_planning.py',
+    'test/messages/test_beliefs.py',
+    'test/study/test_scenario.py',
+    'test/study/test_page.py',
+    'test/nodes/test_parameters.py',
+]
+LAWS = [
+    'test/core/inference/test_ledger.py'
+    '::test_a_return_that_makes_later_ones_impossible_is_refused',
+    'test/core/test_laws.py::test_planners_keep_their_laws',
+    'test/messages/test_beliefs.py::test_a_belief_comes_back_bit_for_bit',
+]
+
+
+@pytest.fixture(scope='module')
+def environment(tmp_path_factory):
+    """Return the environment of a machine on which the newcomers are installed."""
+    return install(tmp_path_factory.mktemp('newcomers'), 'newcomers', SOURCE, ADDED)
+
+
+def check(environment, *runs):
+    """See that runs of tests hold where the newcomers are installed; return what pytest prints."""
+    common = ['-q', '-p', 'no:cacheprovider']
+    code = f'import pytest, sys; sys.exit(any(pytest.main({common} + each) for each in {[*runs]}))'
+    command = [sys.executable, '-c', code]
+    tested = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert tested.returncode == 0, tested.stdout[-5000:]
+    return tested.stdout
+
+
+@pytest.mark.processes
+def test_newcomers_are_held_to_what_holds_of_all_and_disturb_nobody(environment):
+    told = check(
+        environment,
+        ['-vv', '--case', NAME, *LAWS],
+        ['-k', 'known or refused or shipped or page', *QUICK],
+    )
+    # A law without a case of theirs is skipped.
+    assert [law for law in LAWS if f'{law} PASSED' in told] == LAWS, told
+
+
+@pytest.mark.processes
+@pytest.mark.full
+def test_quick_tests_hold_with_newcomers(environment):
+    check(environment, QUICK)
+
+
+@pytest.mark.processes
+@pytest.mark.full
+@pytest.mark.campaign
+def test_every_test_holds_with_newcomers(environment):
+    check(environment, CONCERNED)
+
+
+# The benchmarks measure what they say, and write it down.
+
+
+FOLDER = Path(__file__).parents[1] / 'benchmarks'
+
+
+@pytest.fixture
+def load(monkeypatch):
+    """Return a function that imports a file of benchmarks/ as the command does."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    before = set(sys.modules)
+    yield import_module
+    for name in set(sys.modules) - before:
+        if Path(getattr(sys.modules[name], '__file__', None) or '').parent == FOLDER:
+            del sys.modules[name]
+
+
+def test_all_are_listed_and_told_apart(load):
+    command = load('run')
+    titles = [each.title for each in command.BENCHMARKS]
+    assert len(set(titles)) == len(titles) >= 8
+    assert all(len(each.cases) > 1 for each in command.BENCHMARKS)
+
+
+def test_ratios_are_to_the_first_case(load, monkeypatch, tmp_path, capsys):
+    command, cases = load('run'), load('cases')
+    seconds = iter([0.002, 0.5, 3e-6, 2.0])
+    few = [
+        cases.Benchmark(title, 'All alike.', dict.fromkeys(names, lambda: next(seconds)))
+        for title, names in (('A plan', ('small', 'large')), ('An update', ('early', 'late')))
+    ]
+    monkeypatch.setattr(command, 'BENCHMARKS', few)
+    monkeypatch.setattr(command, 'PAGE', tmp_path / 'performance.md')
+    assert command.main() == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[2:] == [
+        '| A plan | small | 2 ms | 1 |',
+        '| A plan | large | 500 ms | 250 |',
+        '| An update | early | 3 µs | 1 |',
+        '| An update | late | 2 s | 6.67e+05 |',
+    ]
+    page = (tmp_path / 'performance.md').read_text()
+    assert '## A plan\n\nAll alike.\n\n| | takes | ratio |\n|---|---|---|\n| small' in page
+
+
+def test_peers_get_the_same_posterior(load):
+    peers = load('peers')
+    assert peers.by_enumeration() == pytest.approx(peers.by_update(), rel=0, abs=peers.TOLERANCE)

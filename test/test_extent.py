@@ -135,13 +135,6 @@ def small(seed, ran):
     assert seed < 3, 'too large'
 
 
-def test_all_cases_run_in_order_as_one_item():
-    ran = []
-    for_each('a, b', [(1, 'x'), (2, 'y')])(lambda a, b, to: to.append((a, b)))(to=ran)
-    for_each('seed', range(3))(small)(ran=ran)
-    assert ran == [(1, 'x'), (2, 'y'), 0, 1, 2]
-
-
 def test_of_several_all_combinations_run_and_each_runs_alone(monkeypatch):
     ran = []
 
@@ -156,20 +149,6 @@ def test_of_several_all_combinations_run_and_each_runs_alone(monkeypatch):
     monkeypatch.setattr(laws, 'alone', 'seed=1, name=a, size=1')
     law(to=ran)
     assert ran[4:] == [(1, 'a', 1)]
-
-
-@pytest.mark.parametrize('fails', [ValueError, pytest.fail.Exception, AssertionError])
-def test_the_first_case_that_fails_is_named(fails):
-    ran = []
-
-    def law(seed):
-        ran.append(seed)
-        if seed == 2:
-            raise fails('no good')
-
-    with pytest.raises(AssertionError, match='case seed=2: no good\nalone: --case seed=2'):
-        for_each('seed', range(5))(law)()
-    assert ran == [0, 1, 2]
 
 
 def test_each_case_has_a_folder_of_its_own(tmp_path):

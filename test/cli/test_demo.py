@@ -16,15 +16,10 @@ from demo_mission import demo_mission
 from kbnitp_msgs.msg import BeliefMaps, Progress
 from kbnitp_ros.cli import demo_mission as demo_mission_module
 from kbnitp_ros.cli.demo import main, parse
-from kbnitp_ros.cli.demo_mission import (
-    chosen_parameters,
-    observed,
-    recorded_parameters,
-)
+from kbnitp_ros.cli.demo_mission import chosen_parameters, observed, recorded_parameters
 from kbnitp_ros.cli.parameters import NODES
 from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
-from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import (
     Belief,
     Beta,
@@ -35,8 +30,6 @@ from kbnitp_ros.core import (
     run_mission,
     SearchOptions,
     SensorModel,
-    Team,
-    Truth,
     Unknowns,
     World,
 )
@@ -233,21 +226,6 @@ def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(whole, tmp_path):
     assert read_history(log).world is not None
 
 
-@pytest.mark.processes
-@pytest.mark.full
-def test_a_team_that_loses_robots_in_silence(tmp_path):
-    options = ['--agents', '3', '--allocation', 'voronoi', '--silent-loss', '--robots', '8']
-    known = ['--set', 'learn.numbers=[]']
-    small = ['--size', '4', '--max-steps', '6', '--planner', 'relaxed', '--lethality', '0.9']
-    done = run_demo(*options, *small, *known, '--out', tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    history = read_history(tmp_path)
-    options = SearchOptions('relaxed', max_steps=6)
-    _, expected = mission_of(8, Grid(4, 4), 0.9, 0, options, team=Team(3, 'voronoi'))
-    assert 0 < sum(d.observation.survived for d in expected) < 8
-    assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
-
-
 MINE = """
 /**:
   ros__parameters:
@@ -271,9 +249,7 @@ MINE = """
 HIDDEN = "hazard: ['.x..', '....', '....']\ntarget: ['.x.x', '....', '..x.']\n"
 
 
-@pytest.fixture
-def everything(tmp_path):
-    """Return options of which each counts for more than a file, and where the world stands."""
+def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(tmp_path):
     world_file = tmp_path / 'hidden.yaml'
     world_file.write_text(HIDDEN)
     mine = tmp_path / 'mine.yaml'
@@ -283,11 +259,6 @@ def everything(tmp_path):
         '--set', 'sensor.false_positive=0.1', '--set', 'agent:sensor.lethality=0.7',
         '--method', 'kappa_bnitp', '--out', str(tmp_path / 'out'),
     ]  # fmt: skip
-    return options, world_file
-
-
-def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(everything):
-    options, world_file = everything
     plain, given = (chosen_parameters(parse(each)) for each in ([], options))
     field = {'grid.width': 4, 'grid.height': 3, 'grid.base': 5, 'grid.blocked': [0, 7]}
     sensor = {'malfunction': 0.02, 'false_negative': 0.1, 'true_positive': 0.9}
@@ -309,30 +280,6 @@ def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(ev
         }
         # The demo records, whatever the file says.
         assert given[node].get('recorded', True)
-
-
-@pytest.mark.processes
-@pytest.mark.full
-def test_everything_can_be_given(everything, tmp_path):
-    options, world_file = everything
-    done = run_demo(*options)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-    grid = Grid(4, 3, base=5, blocked=(0, 7))
-    believed = SensorModel(0.3, 0.02, 0.1, 0.9, 0.1)
-    world = read_world(world_file, grid)
-    rng = np.random.default_rng(11)
-    expected = run_mission(
-        grid, Belief.prior(grid, 0.3, 0.4, 0.7), believed, world, 5, rng, 'kappa_bnitp',
-        SearchOptions(max_steps=6, width=2, max_visits=2, loss_cost=0.5),
-        truth=Truth(SensorModel(0.7, 0.02, 0.1, 0.9, 0.1)), learning=learning(11),
-    )  # fmt: skip
-    history = read_history(tmp_path / 'out')
-    assert [o.path.tolist() for o in history.observations] == [
-        each.observation.path.tolist() for each in expected
-    ]
-    assert np.array_equal(history.beliefs[-1].joint, expected[-1].belief.joint)
-    assert np.array_equal(history.world.target, world.target)
 
 
 @for_each('node', NODES)
@@ -458,17 +405,6 @@ def on_a_map(tmp_path):
         'occupied_thresh: 0.65\nfree_thresh: 0.25\n'
     )
     return ['--set', f'map={tmp_path / "field.yaml"}', '--set', 'max_steps=8', '--robots', '3']
-
-
-@pytest.mark.processes
-@pytest.mark.full
-def test_a_mission_on_a_map(on_a_map, tmp_path):
-    at = ['--set', 'grid.base_position=[3.7, -0.9]']
-    done = run_demo(*on_a_map, *at, '--out', tmp_path / 'out')
-    assert done.returncode == 0, done.stdout + done.stderr
-    history = read_history(tmp_path / 'out' / 'mission.mcap')
-    assert history.evidence.grid == Grid(4, 3, 3, 0.2, (3.0, -1.0), (5, 6), through_corners=False)
-    assert len(history.observations) == 3
 
 
 def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, tmp_path, capsys):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of rounds, asked for in one line."""
+"""Plans of rounds, asked for in one line, and methods of which more is known than of all."""
 
 from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team
 from kbnitp_ros.core.planning.plans import divided, TeamMember
@@ -32,3 +32,16 @@ def regions_of_team(grid, belief, model, max_steps, agents, types=()):
     finder = PathFinder(grid, SearchOptions('relaxed', max_steps))
     members = {each: TeamMember.of(each, finder, belief, model) for each in types or (ORDINARY,)}
     return divided([members[each] for each in types or (ORDINARY,) * agents])
+
+
+# Methods of which more is known than what holds of all.
+
+
+# They condition on a loss, so they notice one that cannot be.
+LEARN_FROM_LOSSES = (
+    'relaxed_itp',
+    'relaxed_bnitp',
+    'kappa_bnitp_published',
+    'kappa_bnitp',
+    'kappa_bnitp_sampled',
+)

@@ -4,13 +4,11 @@ Run missions under random faults and count what was done to them and what they l
 
     python3 test/faults/campaign.py --missions 200 --seed 1
     python3 test/faults/campaign.py --robots --missions 200 --seed 1
-    python3 test/faults/campaign.py --apart --missions 100 --seed 1
     python3 test/faults/campaign.py --forged --missions 100 --seed 1
 
 With `--robots` the robots refuse orders and crash as well, before they depart, at the gate, in the
-field and at home. With `--apart`, for which it must run as root, they are on networks of their own
-as well, and every other robot that crashes comes up without a link. With `--forged` nobody is
-struck; each mission is sent forged messages of every kind instead, and floods of them.
+field and at home. With `--forged` nobody is struck; each mission is sent forged messages of every
+kind instead, and floods of them.
 
 A mission is fixed by its seed, but for the moments at which the machine gets round to it: mission
 k of a campaign has the seed of the campaign plus k, so that `--missions 1 --seed N` runs it again.
@@ -31,18 +29,14 @@ import tempfile
 import time
 from typing import Any
 
-from departing import DepartingMission, MOST_AGENTS
-from fickle_robot import CRASHED, UNPLUGGED
-from forged import run_forged
-from forger import FORGERIES
+from departing import DepartingMission
+from fickle_robot import CRASHED
+from forger import FORGERIES, run_forged
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.nodes.robot import NEW_LINKS
 from mission import full_name, Mission, StuckError
-from networks import ENVIRONMENT, networks
 import numpy as np
-from schedule import draw_faults, KINDS, NODES
 from tqdm import tqdm
-from unbroken import draw_parameters
+from unbroken import draw_faults, draw_parameters, KINDS, NODES
 
 # What can be found, and how a table calls it.
 FINDINGS = {
@@ -52,14 +46,6 @@ FINDINGS = {
     'replay': 'logs that do not replay', 'log': 'logs that cannot be read',
     'exit': 'nodes that ended badly',
 }  # fmt: skip
-
-# What the exit codes of robots mean.
-CRASHES = {
-    CRASHED: 'robots that crashed',
-    UNPLUGGED: 'robots that crashed and came up without a link',
-    NEW_LINKS: 'robots started again for their links',
-}
-
 
 Run = Callable[[tuple[int, str, Path]], 'Outcome']
 
@@ -87,7 +73,6 @@ def run_mission(
     job: tuple[int, str, Path],
     processes: type[Processes] = Processes,
     has_robots: bool = False,
-    is_apart: bool = False,
 ) -> Outcome:
     """Run the mission of a seed with faults of a kind, perhaps with robots that crash."""
     seed, kind, folder = job
@@ -96,14 +81,10 @@ def run_mission(
     outcome = Outcome(seed, kind, folder / f'{kind}-{seed}')
     begun = time.monotonic()
     with ExitStack() as stack:
-        made = stack.enter_context(networks(MOST_AGENTS)) if is_apart else None
         domain = stack.enter_context(free_domain())
         os.environ |= environment(domain) | {'ROS_LOG_DIR': str(outcome.folder / 'ros_log')}
-        if made is not None:
-            made.join()
-            os.environ |= ENVIRONMENT
         mission: Any = stack.enter_context(
-            DepartingMission(domain, outcome.folder, seed, made)
+            DepartingMission(domain, outcome.folder, seed)
             if has_robots
             else Mission(domain, outcome.folder, parameters, processes=processes)
         )
@@ -157,7 +138,7 @@ def table(outcomes: list[Outcome]) -> str:
         kills = sum(strikes[kind, node] for kind in ('kill', 'two', 'all'))
         rows.append((f'SIGKILLs of the {node}', kills))
     rows += [(f'SIGSTOPs of the {node}', strikes['stop', node]) for node in NODES]
-    rows += [(what, crashes[code]) for code, what in CRASHES.items()]
+    rows += [('robots that crashed', crashes[CRASHED])]
     rows += [('two nodes killed at once', faults['two'])]
     rows += [('all nodes killed at once', faults['all'])]
     rows += [('faults in a pause of the operator', faults['held'])]
@@ -203,7 +184,6 @@ def main() -> int:
     parser.add_argument('--kind', choices=KINDS, default='mixed', help='of faults; default mixed')
     parser.add_argument('--parallel', type=int, default=2, help='how many at a time; default 2')
     parser.add_argument('--robots', action='store_true', help='have robots refuse and crash, too')
-    parser.add_argument('--apart', action='store_true', help='and to lose their links; as root')
     parser.add_argument('--forged', action='store_true', help='send forged messages instead')
     parser.add_argument(
         '--scale', type=float, default=1.0, help='of the number of forged messages; default 1'
@@ -215,8 +195,8 @@ def main() -> int:
     seeds = range(options.seed, options.seed + options.missions)
     begun = time.monotonic()
     run = run_mission
-    if options.robots or options.apart:
-        run = partial(run_mission, has_robots=True, is_apart=options.apart)
+    if options.robots:
+        run = partial(run_mission, has_robots=True)
     jobs = [(seed, options.kind, folder) for seed in seeds]
     outcomes = run_missions(jobs, options.parallel, run)
     print(table(outcomes))

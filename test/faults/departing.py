@@ -1,22 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission with robots that refuse and crash, under a base whose nodes are killed as well."""
 
-from collections import Counter
 import json
 import subprocess
 import sys
 import time
 
-from fickle_robot import CRASHED, UNPLUGGED, WITHOUT_LINK
+from fickle_robot import CRASHED
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.nodes.robot import NEW_LINKS
 from mission import Mission, NAMESPACE, StuckError
-from networks import ENVIRONMENT
 import numpy as np
-from schedule import draw_faults
-from unbroken import folded
+from unbroken import draw_faults, folded
 
 BASE = ('recorder', 'estimator', 'planner')
 SILENT = {
@@ -28,33 +24,24 @@ SILENT = {
 # The most agents of a mission.
 MOST_AGENTS = 3
 
-# How long robots may take to be heard again, in seconds, and how long those that came up without a
-# link have none, at most.
-HEARD_AGAIN, LINK_BACK = 120.0, 4.0
+# How long robots may take to be heard again, in seconds.
+HEARD_AGAIN = 120.0
 
 
 class DepartingMission(Mission):
     """A base, and robots in processes that are started again when they crash."""
 
-    def __init__(self, domain, folder, seed, networks=None):
+    def __init__(self, domain, folder, seed):
         self._rng = np.random.default_rng(seed)
-        self._networks = networks
         agents = [
             f'scout_{number + 1}' for number in range(self._rng.integers(1, MOST_AGENTS + 1))
         ]
         self._own = {**SILENT, 'agents': agents, 'rolling': bool(self._rng.random() < 0.5)}
         awaited = {'estimator': ['planner', 'recorder'], 'planner': ['estimator', 'recorder']}
         super().__init__(domain, folder, self._own, awaited=awaited)
-        if networks is not None:
-            # Nodes are started for this machine alone otherwise.
-            self.processes._environment |= ENVIRONMENT
         self._field = folder / 'field.json'
-        is_apart = networks is not None
-        self._field.write_text(json.dumps({'size': [5, 5], 'seed': seed, 'apart': is_apart}))
+        self._field.write_text(json.dumps({'size': [5, 5], 'seed': seed}))
         self._robots = {}
-        # Until when robots have no link, by agent; None as long as they are not up again.
-        self._unplugged = {}
-        self._crashes_without_link = Counter()
 
     def __exit__(self, *exception):
         """End all nodes and robots."""
@@ -70,9 +57,6 @@ class DepartingMission(Mission):
 
     def _start_robot(self, agent):
         command = [sys.executable, __file__.replace('departing', 'fickle_robot'), agent]
-        if self._networks is not None:
-            network = self._networks.robots[self._own['agents'].index(agent)]
-            command = ['ip', 'netns', 'exec', network, *command]
         with self._said(agent).open('ab') as output:
             self._robots[agent] = subprocess.Popen(
                 [*command, NAMESPACE, self._field, self._journal(agent)], stderr=output
@@ -82,28 +66,10 @@ class DepartingMission(Mission):
         super()._check_alive()
         for agent, robot in list(self._robots.items()):
             if (code := robot.poll()) is not None:
-                if code not in (CRASHED, UNPLUGGED, NEW_LINKS):
+                if code != CRASHED:
                     raise StuckError(f'{agent} ended with {code}')
                 self.ended[code] += 1
-                if code == UNPLUGGED:
-                    self._switch(agent, 'down')
-                    self._unplugged[agent] = None
-                    self._crashes_without_link[agent] += 1
                 self._start_robot(agent)
-        for agent, until in list(self._unplugged.items()):
-            if until is None and self._has_come_up(agent):
-                self._unplugged[agent] = time.monotonic() + self._rng.uniform(0.0, LINK_BACK)
-            elif until is not None and time.monotonic() > until:
-                del self._unplugged[agent]
-                self._switch(agent, 'up')
-
-    def _has_come_up(self, agent):
-        """Say whether a robot has come up after each of its crashes that took its link."""
-        said = self._said(agent).read_text().count(WITHOUT_LINK)
-        return said == self._crashes_without_link[agent]
-
-    def _switch(self, agent, state):
-        self._networks.switch(self._own['agents'].index(agent) + 1, state)
 
     def live(self, _):
         """Run the mission with faults of the base, and return these."""

@@ -5,8 +5,7 @@ A robot written by the contract alone, which refuses orders and crashes wherever
     python3 fickle_robot.py AGENT NAMESPACE FIELD.json JOURNAL
 
 What becomes of an order is drawn from its stamp. After a crash the next life goes on with the
-journal: the robot of a field that destroyed one is another, and says the same of its orders. Where
-its link can be taken down, every other crash is one after which it comes up without.
+journal: the robot of a field that destroyed one is another, and says the same of its orders.
 """
 
 import json
@@ -19,8 +18,6 @@ from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, from_stamp
-from kbnitp_ros.nodes.driver import Links
-from kbnitp_ros.nodes.robot import NEW_LINKS
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage
 import numpy as np
@@ -32,11 +29,8 @@ FATES = {
     'home': 0.3, 'late': 0.1, 'refuse': 0.15, 'crash before': 0.1, 'crash before and refuse': 0.05,
     'crash at the gate': 0.1, 'crash in the field': 0.1, 'crash at home': 0.1,
 }  # fmt: skip
-# Exit codes of crashes.
-CRASHED, UNPLUGGED = 9, 10
-
-# What a robot says that comes up without a link.
-WITHOUT_LINK = 'without a link'
+# The exit code of crashes.
+CRASHED = 9
 
 # How long a late robot is away, in seconds: it has been given up by then.
 LATE = 3.0
@@ -46,11 +40,7 @@ class Robot:
     """An agent and its robots; its journal has a line for each thing that it cannot take back."""
 
     def __init__(self, agent, namespace, field, journal):
-        self._links = Links()
-        if self._links.are_missing:
-            print(WITHOUT_LINK, file=sys.stderr, flush=True)
         self._agent, self._journal = agent, Path(journal)
-        self._is_apart = field['apart']
         self._grid = Grid(*field['size'])
         self._seed = field['seed']
         self._orders = {}
@@ -112,8 +102,6 @@ class Robot:
     def go_on(self):
         """Hear what comes, and obey what may be obeyed."""
         self._listen()
-        if self._is_apart and self._links.news:
-            os._exit(NEW_LINKS)
         for stamp, (cells, content) in list(self._waiting.items()):
             if (stamp, content) in self._recorded and not self._held:
                 del self._waiting[stamp]
@@ -123,11 +111,10 @@ class Robot:
         """Do with an order what its stamp says; a crash is like a loss of power."""
         rng = np.random.default_rng((self._seed, stamp % 2**63, len(self._agent)))
         fate = str(rng.choice([*FATES], p=[*FATES.values()]))
-        crash_code = UNPLUGGED if self._is_apart and rng.random() < 0.5 else CRASHED
         self._say(stamp, OrderState.ACCEPTED, stamp)
         if fate.startswith('crash before') and 'lived' not in self._orders.get(stamp, {}):
             self._write(stamp, 'lived', True)
-            os._exit(crash_code)
+            os._exit(CRASHED)
         if 'refuse' in fate:
             self._write(stamp, 'time', stamp)
             self._write(stamp, 'refused', fate)
@@ -138,12 +125,12 @@ class Robot:
         if fate == 'crash at the gate':
             # With or without that on the base's disk.
             time.sleep(rng.uniform(0.0, 0.1))
-            os._exit(crash_code)
+            os._exit(CRASHED)
         while (stamp, content) not in self._recorded:
             self._listen()
         if fate == 'crash in the field':
             self._write(stamp, 'lost', True)
-            os._exit(crash_code)
+            os._exit(CRASHED)
         if fate == 'late':
             end = time.monotonic() + LATE
             while time.monotonic() < end:
@@ -151,7 +138,7 @@ class Robot:
         readings = rng.integers(0, 2, len(cells) - 1).tolist()
         self._write(stamp, 'home', [cells, readings])
         if fate == 'crash at home':
-            os._exit(crash_code)
+            os._exit(CRASHED)
         self._report(stamp)
 
     def _listen(self):

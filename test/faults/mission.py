@@ -22,9 +22,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from schedule import NODES
 from std_srvs.srv import SetBool, Trigger
-from unbroken import core_mission, folded, true_values, with_defaults
+from unbroken import core_mission, folded, NODES, true_values, with_defaults
 
 # How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
 PATIENCE = 180.0
@@ -77,9 +76,7 @@ class Mission:
         with ExitStack() as stack:
             context = rclpy.Context()
             rclpy.init(
-                context=context,
-                domain_id=domain,
-                signal_handler_options=SignalHandlerOptions.NO,
+                context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO
             )
             stack.callback(context.try_shutdown)
             self.node = rclpy.create_node('onlooker', context=context)

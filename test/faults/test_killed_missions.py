@@ -19,8 +19,7 @@ from kbnitp_ros.messages.beliefs import read_belief_maps
 import numpy as np
 from PIL import Image
 import pytest
-from schedule import NODES
-from unbroken import core_mission, with_defaults
+from unbroken import core_mission, NODES, with_defaults
 
 SMALL = {
     'grid.width': 5, 'grid.height': 4, 'max_steps': 8, 'planner': 'relaxed', 'robots': 16,

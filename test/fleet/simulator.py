@@ -330,8 +330,7 @@ class Robot:
         transform = TransformStamped(
             child_frame_id=child,
             transform=Transform(
-                translation=Vector3(x=x, y=y),
-                rotation=Quaternion(z=sin(yaw / 2), w=cos(yaw / 2)),
+                translation=Vector3(x=x, y=y), rotation=Quaternion(z=sin(yaw / 2), w=cos(yaw / 2))
             ),
         )
         transform.header.frame_id = parent

@@ -4,7 +4,7 @@ Logs that replay for ever.
 
 Those named after a method are of `demo --robots 8 --size 5x4 --max-steps 8 --seed 3 --method
 METHOD` by the first version with these messages; that of `kappa_bnitp_sampled` learns two numbers.
-Those of kinds of hazards are by `kinds_of_hazards.py`, `late_return` is by `late_return.py`.
+Those of kinds of hazards and `late_return` are by `recorded_logs.py`.
 Whoever changes what a method computes gives it a new version and keeps the one that these are
 replayed by.
 """
@@ -22,10 +22,10 @@ from kbnitp_ros.log.record import read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
-from kinds_of_hazards import KINDS
 from laws import for_each
 import numpy as np
 import pytest
+from recorded_logs import KINDS
 
 RECORDED = Path(__file__).with_name('recorded')
 NAMES = sorted(path.name.partition('.')[0] for path in RECORDED.glob('*.mcap.gz'))

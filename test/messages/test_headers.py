@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stamps, frames, names and hashes of messages."""
+"""Stamps, frames, names, hashes and grids of messages."""
 
+from array import array
 from copy import deepcopy
+from math import inf, nan, pi
 
 from builtin_interfaces.msg import Time
 from hypothesis import given
@@ -10,6 +12,12 @@ from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.schema import describe, ENCODING
 from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.grids import (
+    occupancy_grid,
+    read_map_metadata,
+    read_occupancy_grid,
+    rounded_yaw,
+)
 from kbnitp_ros.messages.headers import (
     check_frame,
     content_hash,
@@ -26,8 +34,10 @@ from laws import for_each
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import MapMetaData, Path
+import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from samples import over_the_wire
 
 LAST = 2**31 * 10**9 - 1
 
@@ -160,3 +170,136 @@ def test_it_is_the_same_for_ever():
     """Logs hold these values."""
     assert content_hash(PATH) == 16047722710692970341
     assert content_hash(REPORT.readings[0]) == 9597802225463275365
+
+
+# What a grid message means.
+
+
+@st.composite
+def grids(draw):
+    """Draw a grid of up to 12 x 12 cells with any base and some blocked cells."""
+    width, height = draw(st.integers(1, 12)), draw(st.integers(1, 12))
+    base = draw(st.integers(0, width * height - 1))
+    blocked = draw(st.sets(st.integers(0, width * height - 1), max_size=5)) - {base}
+    return Grid(
+        width,
+        height,
+        base,
+        resolution=draw(st.sampled_from([0.05, 0.1, 0.3, 0.7, 1.0, 2.5, 1 / 3, 12.3])),
+        origin=(draw(st.floats(-1e6, 1e6)), draw(st.floats(-1e6, 1e6))),
+        blocked=blocked,
+        yaw=rounded_yaw(draw(st.floats(-10.0, 10.0) | st.sampled_from([pi, -pi, pi / 2, 0.0]))),
+    )
+
+
+def test_rows_go_up_from_the_origin():
+    grid = Grid(3, 2, resolution=0.5, origin=(10.0, 20.0), blocked=(4,))
+    message = occupancy_grid(grid, [0.0, 0.1, 0.2, 0.3, 0.4, 1.0], stamp=5_000_000_006)
+
+    assert list(message.data) == [0, 10, 20, 30, -1, 100]
+    assert (message.info.width, message.info.height, message.info.resolution) == (3, 2, 0.5)
+    origin = message.info.origin
+    assert (origin.position.x, origin.position.y, origin.position.z) == (10.0, 20.0, 0.0)
+    orientation = origin.orientation
+    assert (orientation.x, orientation.y, orientation.z, orientation.w) == (0.0, 0.0, 0.0, 1.0)
+    assert message.header.frame_id == 'map'
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (5, 6)
+
+
+def map_metadata(grid):
+    """Return the geometry in the message of a map."""
+    return occupancy_grid(grid, np.zeros(grid.cells), 0).info
+
+
+@given(grids())
+def test_a_value_is_shown_where_its_cell_lies(grid):
+    """A viewer draws value i of the data at (column, row) times the resolution from the origin."""
+    info = over_the_wire(map_metadata(grid))
+    row, column = np.divmod(np.arange(grid.cells), info.width)
+    turn = info.origin.orientation
+    along = complex(turn.w, turn.z) ** 2 * (column + 0.5 + 1j * (row + 0.5)) * info.resolution
+    at = complex(info.origin.position.x, info.origin.position.y) + along
+    assert grid.cells_at(np.stack([at.real, at.imag], axis=1)).tolist() == list(range(grid.cells))
+
+
+@given(grids(), st.integers(0, 2**32 - 1))
+def test_probabilities_come_back_to_half_a_percent(grid, seed):
+    probabilities = np.random.default_rng(seed).random(grid.cells)
+    shown = read_occupancy_grid(over_the_wire(occupancy_grid(grid, probabilities, stamp=0)))
+    assert (np.isnan(shown) == ~grid.free).all()
+    assert np.abs(shown - probabilities)[grid.free].max() <= 0.005 + 1e-12
+
+
+@given(grids())
+def test_a_grid_comes_back(grid):
+    told = over_the_wire(map_metadata(grid))
+    same = read_map_metadata(told, base=grid.base, blocked=grid.blocked)
+    assert (same.width, same.height, same.base, same.blocked, same.origin, same.yaw) == (
+        grid.width,
+        grid.height,
+        grid.base,
+        grid.blocked,
+        grid.origin,
+        grid.yaw,
+    )
+    assert same.resolution == pytest.approx(grid.resolution, rel=1e-7)
+
+
+@given(st.floats(-1e3, 1e3))
+def test_an_angle_is_told_to_a_part_of_a_million_million(yaw):
+    told = rounded_yaw(yaw)
+    assert -pi < told < pi + 1e-11
+    assert abs(np.exp(1j * told) - np.exp(1j * yaw)) < 1e-11
+    assert rounded_yaw(told) == told
+
+
+def test_an_orientation_that_nobody_set_is_no_turn():
+    info = MapMetaData(resolution=1.0, width=1, height=1)
+    info.origin.orientation.w = 0.0
+    assert read_map_metadata(info) == Grid(1, 1)
+
+
+@for_each('resolution', [0.05, 0.1, 0.3, 1.0, 2.5, 0.0254])
+def test_a_resolution_as_people_write_it_comes_back_exactly(resolution):
+    info = over_the_wire(map_metadata(Grid(2, 2, resolution=resolution)))
+    assert info.resolution != resolution or resolution in (1.0, 2.5)
+    assert read_map_metadata(info).resolution == resolution
+
+
+def readable():
+    """Return a map of 2 x 2 cells that can be read."""
+    return occupancy_grid(Grid(2, 2), [0.0, 0.2, 0.4, 0.6], stamp=0)
+
+
+def spoil(message, field, value):
+    """Set a field that is named with dots."""
+    *parents, last = field.split('.')
+    for name in parents:
+        message = getattr(message, name)
+    setattr(message, last, value)
+
+
+@for_each('field, value, error', [
+    ('header.frame_id', '', "header.frame_id is '': it must name the frame"),
+    ('info.resolution', nan, 'info.resolution is nan: it must be finite'),
+    ('info.resolution', inf, 'info.resolution is inf: it must be finite'),
+    ('info.resolution', 0.0, 'resolution is 0.0: it must be positive'),
+    ('info.resolution', -1.0, 'resolution is -1.0: it must be positive'),
+    ('info.origin.position.x', nan, 'info.origin.position.x is nan: it must be finite'),
+    ('info.origin.position.y', -inf, 'info.origin.position.y is -inf: it must be finite'),
+    ('info.origin.orientation.z', 0.7, 'info.origin.orientation has x, y, z, w = .* 0.7, 1.0'),
+    ('info.origin.orientation.z', nan, 'info.origin.orientation has x, y, z, w = .*nan'),
+    ('info.origin.orientation.y', 0.1, 'info.origin.orientation.*a turn about the z axis'),
+    ('info.origin.orientation.x', nan, 'info.origin.orientation has x, y, z, w = .*nan'),
+    ('info.width', 0, 'grid width is 0: it must be a whole number at least 1'),
+    ('info.width', 3, r'data has 4 values: it must have width \* height = 3 \* 2 = 6'),
+    ('info.height', 1, r'data has 4 values: it must have width \* height = 2 \* 1 = 2'),
+    ('data', array('b', [0, 0, 101, 0]), 'data of cell 2 is 101: it must be -1 or 0 to 100'),
+    ('data', array('b', [0, -2, 0, 0]), 'data of cell 1 is -2: it must be -1 or 0 to 100'),
+    ('data', array('b'), 'data has 0 values'),
+])  # fmt: skip
+def test_a_bad_map_is_refused(field, value, error):
+    message = readable()
+    spoil(message, field, value)
+    with pytest.raises(ValueError, match=error):
+        read_occupancy_grid(message)

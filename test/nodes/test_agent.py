@@ -134,12 +134,7 @@ def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_hav
     log = field.folder / 'mission.mcap'
     tours = [HOME, [0, 4, 8, 4, 0], HOME, [0, 1, 2, 3, 2, 1, 0]]
     # Nobody is lost, and what a robot reads is as good as drawn.
-    model = {
-        'lethality': 0.0,
-        'malfunction': 0.0,
-        'true_positive': 0.5,
-        'false_positive': 0.5,
-    }
+    model = {'lethality': 0.0, 'malfunction': 0.0, 'true_positive': 0.5, 'false_positive': 0.5}
     expected = list(expected_reports(None, SensorModel(**model), PARAMETERS['seed'], tours))
     assert all(report.survived for report in expected)
     back, *given_up = (

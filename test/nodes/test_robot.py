@@ -132,11 +132,7 @@ def fail(fleet, how, when):
         ('follow_waypoints', ['reject', 'abort']),
         pytest.param('follow_path', ['silent', 'lie', 'die'], marks=pytest.mark.full),
         *(
-            pytest.param(
-                driver,
-                ['reject', 'abort', 'silent', 'lie', 'die'],
-                marks=LONG,
-            )
+            pytest.param(driver, ['reject', 'abort', 'silent', 'lie', 'die'], marks=LONG)
             for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
         ),
     ],

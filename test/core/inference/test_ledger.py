@@ -20,10 +20,10 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
-from known_methods import LEARN_FROM_LOSSES
 from laws import for_each
 import numpy as np
 import pytest
+from rounds import LEARN_FROM_LOSSES
 
 GRID = Grid(3, 3, base=4)
 MODEL = SensorModel(0.5)

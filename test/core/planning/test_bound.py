@@ -109,18 +109,6 @@ def test_no_path_has_a_higher_value_than_the_bound(chunk):
         assert found.gap >= 0.0
 
 
-@pytest.mark.slow
-def test_the_problems_cover_what_they_claim():
-    problems = [random_problem(seed) for seed in range(PER_CHUNK * CHUNKS)]
-    models = [problem[4] for problem in problems]
-    for extreme in (0.0, 1.0):
-        assert sum(model.lethality == extreme for model in models) > 500
-        assert sum(model.malfunction == extreme for model in models) > 500
-    assert sum(problem[5] > 0.0 for problem in problems) > 1000
-    assert sum((every_path(*problem[:3]) > 1).any() for problem in problems[:10]) > 5
-    assert sum((problem[3].hazard == 1.0).any() for problem in problems) > 500
-
-
 def test_the_parabola_touches_from_above():
     rng = np.random.default_rng(0)
     for _ in range(1000):

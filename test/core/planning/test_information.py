@@ -43,14 +43,6 @@ def test_path_information_is_the_joint_information(seed):
     assert path_information(Belief(joint), model, path) == pytest.approx(expected, rel=0, abs=1e-9)
 
 
-def test_the_cases_cover_what_they_claim():
-    paths = [random_case(seed)[2] for seed in range(400)]
-    assert sum(len(set(path[1:])) < len(path) - 1 for path in paths) > 100
-    assert sum((np.diff(path) == 0).any() for path in paths) > 100
-    assert sum(len(set(path)) >= 4 for path in paths) > 50
-    assert sum(len(path) == 8 for path in paths) > 20
-
-
 @for_each('seed', range(50))
 def test_the_count_of_exposures_tells_all_there_is(seed):
     """The fast search used in the planning tests is right too."""

@@ -217,9 +217,3 @@ def test_options_are_restated_nowhere_else():
         for line in restated(path.read_text())
     ]
     assert found == []
-
-
-def test_a_restatement_is_found():
-    assert list(restated('def f(width, *, alpha, planner): ...')) == [1]
-    assert list(restated('f(width=1, alpha=1.0, max_steps=3)')) == [1]
-    assert list(restated('SearchOptions(width=1, alpha=1.0, max_steps=3)')) == []
