@@ -386,8 +386,9 @@ TABLE = (
     Parameter(
         'objective',
         'information',
-        'What paths are sought for: the information expected, or with behavioral a fall of '
-        'behavioral entropies, for the planners beam and relaxed.',
+        'What paths are sought for: the information expected, with behavioral a fall of '
+        'behavioral entropies, or with information_per_loss the most information for each robot '
+        'that is expected to be lost; the last two for the planners beam and relaxed.',
         ('planner',),
         choices=OBJECTIVES,
         read_only=False,

@@ -187,6 +187,11 @@ def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None
             f'max_distance is {options.max_distance:.6g} m, which paths for the goal {goal.name} '
             'do not keep: choose the goal map, or leave max_distance at 0'
         )
+    if goal is not None and options.objective == 'information_per_loss':
+        raise ValueError(
+            f'objective is {options.objective}, which paths for the goal {goal.name} do not seek: '
+            'choose the goal map, or the objective information'
+        )
     if goal is not None and bound:
         raise ValueError(
             f'bound is true, which is for the most information, and the goal is {goal.name}: '

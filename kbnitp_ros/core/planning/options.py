@@ -14,7 +14,7 @@ from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.plugins import Registry, takes
 
 # What is sought.
-OBJECTIVES = ('information', 'behavioral')
+OBJECTIVES = ('information', 'behavioral', 'information_per_loss')
 
 
 # The package's own are in planners.py.
@@ -56,7 +56,8 @@ class SearchOptions:
     max_visits : int
         How often a path may enter a cell, at least 1.
     objective : str
-        What is sought: 'information', or 'behavioral', `behavioral_information` in its place.
+        What is sought: 'information'; 'behavioral', `behavioral_information` in its place; or
+        'information_per_loss', the most information for each robot that is expected to be lost.
     alpha : float
         Of the Prelec weight of the behavioral objective, from 0.2 to 5; with 1 it is the
         information.
@@ -101,10 +102,15 @@ class SearchOptions:
         low, high = ALPHAS
         if not low <= self.alpha <= high:
             raise ValueError(f'alpha is {self.alpha}: it must be in [{low}, {high}]')
-        if self.objective == 'information' and self.alpha != SHANNON:
+        if self.objective != 'behavioral' and self.alpha != SHANNON:
             raise ValueError(
-                f'alpha is {self.alpha}, which the objective information does not have: choose '
-                'objective behavioral, or leave alpha at 1'
+                f'alpha is {self.alpha}, which the objective {self.objective} does not have: '
+                'choose objective behavioral, or leave alpha at 1'
+            )
+        if self.objective == 'information_per_loss' and self.loss_cost:
+            raise ValueError(
+                f'loss_cost is {self.loss_cost}, and the objective information_per_loss finds it '
+                'by itself: leave loss_cost at 0, or choose objective information'
             )
         object.__setattr__(self, 'alpha', float(self.alpha))
 

@@ -13,7 +13,12 @@ from kbnitp_ros.core.field.check import frozen, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.bound import check_bound, upper_bound
-from kbnitp_ros.core.planning.information import DECIMALS, path_information, path_log_survival
+from kbnitp_ros.core.planning.information import (
+    DECIMALS,
+    path_information,
+    path_log_survival,
+    team_information,
+)
 from kbnitp_ros.core.planning.labels import reach_of
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
@@ -121,6 +126,10 @@ def plan(
 
     """
     search = SearchOptions(planner, max_steps, **options)
+    if search.objective == 'information_per_loss':
+        given = Team(1), search
+        (found,) = plan_team(grid, belief, model, *given, visited=visited, bound=bound)
+        return found
     finder = PathFinder(grid, search, np.asarray(visited))
     check_distance(grid, search)
     if bound:
@@ -401,18 +410,54 @@ def plan_team(
     for path, robot_type in in_flight:
         cells = grid.at(robot_type.base).check_path(path)
         outcomes = after_deployment(outcomes, robot_type.model(model), cells)
-    members = {
-        robot_type: TeamMember.of(robot_type, finder, belief, model).given(outcomes)
-        for robot_type in team.types
-    }
-    if bound:
-        (robot,) = members.values()
-        return [plan_alone(robot.finder, robot.objective, bound)]
-    paths = allocated(team.allocation, [members[each] for each in team.types])
-    return [
-        Plan.along(path, belief, robot_type.model(model))
-        for path, robot_type in zip(paths, team.types)
-    ]
+
+    def find(options: SearchOptions) -> list[Plan]:
+        own = replace(finder, options=options)
+        members = {
+            robot_type: TeamMember.of(robot_type, own, belief, model).given(outcomes)
+            for robot_type in team.types
+        }
+        if bound:
+            (robot,) = members.values()
+            return [plan_alone(robot.finder, robot.objective, bound)]
+        paths = allocated(team.allocation, [members[each] for each in team.types])
+        return [
+            Plan.along(path, belief, robot_type.model(model))
+            for path, robot_type in zip(paths, team.types)
+        ]
+
+    if options.objective != 'information_per_loss':
+        return find(options)
+
+    def information(plans: Sequence[Plan]) -> float:
+        paths = [each.path for each in plans]
+        return team_information(belief, model, paths, outcomes, team.types)
+
+    return most_per_loss(options, find, information)
+
+
+# A search for each, of which three or four change the plans.
+MAX_SEARCHES = 10
+
+
+def most_per_loss(
+    options: SearchOptions,
+    find: Callable[[SearchOptions], list[Plan]],
+    information: Callable[[Sequence[Plan]], float],
+) -> list[Plan]:
+    """Return the plans with the most information per expected loss (:eq:`per-loss`)."""
+    best, cost = find(replace(options, objective='information')), 0.0
+    for _ in range(MAX_SEARCHES):
+        lost = sum(1.0 - plan.survival for plan in best)
+        if lost <= 0.0:
+            break
+        # Dinkelbach: at this cost the plans found are worth nothing, and only better ones more.
+        cost = information(best) / lost
+        plans = find(replace(options, objective='information', loss_cost=cost))
+        if information(plans) <= cost * sum(1.0 - plan.survival for plan in plans):
+            break
+        best = plans
+    return best
 
 
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:

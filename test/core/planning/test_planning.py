@@ -9,6 +9,7 @@ from itertools import product
 
 import brute_force
 from documented import ROOT
+from extent import FULL
 from kbnitp_ros.configuration import parameters_of
 from kbnitp_ros.configuration.mission import search_options
 from kbnitp_ros.core import (
@@ -16,10 +17,13 @@ from kbnitp_ros.core import (
     Grid,
     OBJECTIVES,
     plan,
+    plan_team,
     PLANNERS,
     RobotType,
     SearchOptions,
     SensorModel,
+    Team,
+    team_information,
 )
 from laws import for_each
 import numpy as np
@@ -115,6 +119,52 @@ def test_beam_comes_close_to_the_best_of_all_paths_when_losses_have_a_cost(seed,
     found = plan(grid, belief, model, 7, loss_cost=loss_cost)
     reached = found.information - loss_cost * (1 - found.survival)
     assert worth.max() - 0.01 <= reached <= worth.max() + 1e-9
+
+
+def test_the_most_information_per_expected_loss_is_found():
+    """Equation :eq:`per-loss`, by all closed paths of small fields."""
+    reached = []
+    for width, height in ((3, 3), (4, 3)):
+        visits = brute_force.all_visit_counts(width, height, 0, 6)
+        for seed in range(150 if FULL else 25):
+            rng = np.random.default_rng(seed)
+            belief = Belief(brute_force.random_joint(rng, width * height, 0))
+            model = SensorModel(rng.uniform(0.1, 1.0), malfunction=rng.uniform(0.001, 0.1))
+            information = brute_force.information_of_visits(belief.joint, model, visits)
+            lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
+            found = plan(Grid(width, height), belief, model, 6, objective='information_per_loss')
+            ratio = found.information / (1 - found.survival)
+            reached.append(ratio / (information / lost).max())
+    assert max(reached) <= 1 + 1e-9
+    assert np.mean(np.array(reached) >= 1 - 1e-9) >= 0.95
+    assert min(reached) >= 0.98
+
+
+def test_information_per_loss_of_a_team_is_that_of_all_its_robots():
+    grid, belief, model = random_problem(3)
+    ratios = []
+    for options in (SearchOptions(max_steps=7), SearchOptions(max_steps=7, loss_cost=0.5)):
+        per_loss = replace(options, objective='information_per_loss', loss_cost=0.0)
+        for each in (options, per_loss):
+            plans = plan_team(grid, belief, model, Team(3), each)
+            information = team_information(belief, model, [robot.path for robot in plans])
+            ratios.append(information / sum(1 - robot.survival for robot in plans))
+    assert ratios[1] == ratios[3] >= max(ratios)
+
+
+@for_each('arguments, message', [
+    ({'loss_cost': 1.0}, 'loss_cost is 1.0, and the objective information_per_loss finds it'),
+    ({'alpha': 2.0}, 'alpha is 2.0, which the objective information_per_loss does not have'),
+    ({'planner': 'random'}, 'information_per_loss, and the planner random seeks none'),
+    ({'bound': True}, 'objective is information_per_loss, for which there is no bound'),
+])  # fmt: skip
+def test_information_per_loss_goes_with_what_seeks_it(arguments, message):
+    grid, belief, model = random_problem(0)
+    with pytest.raises(ValueError, match=message):
+        plan(grid, belief, model, 6, objective='information_per_loss', **arguments)
+    own = Team(1, types=(RobotType(loss_cost=1.0),))
+    with pytest.raises(ValueError, match='loss_cost is 1.0'):
+        plan_team(grid, belief, model, own, SearchOptions(objective='information_per_loss'))
 
 
 @for_each('planner, seed', product(['beam', 'relaxed'], range(12)))
