@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from kbnitp_ros.core import Decision, Observation, targets
+from kbnitp_ros.core import Decision, Observation, targets, World
 from kbnitp_ros.core.inference.filters import hazards_used_up
 from kbnitp_ros.files import counted, some
 from kbnitp_ros.report.mission import Mission
@@ -90,6 +90,42 @@ def findings_of(mission: Mission) -> list[Finding]:
         )
         for number, ((kind, cell, probability), (x, y)) in enumerate(zip(listed, centers.tolist()))
     ]
+
+
+# How many safe cells a page lists.
+MAX_SAFE = 1000
+
+
+def safe_cells(mission: Mission) -> list[dict[str, Any]]:
+    """Return the free cells as rows of a table, the safest first, at most `MAX_SAFE`."""
+    grid, belief, cells = mission.grid, mission.moments[-1].belief, cells_of(mission)
+    free = np.flatnonzero(cells.free)
+    listed = free[np.argsort(belief.hazard[free], kind='stable')][:MAX_SAFE]
+    table = []
+    for cell in listed.tolist():
+        row, column = divmod(cell, grid.width)
+        corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
+        around = grid.in_metres(corners)
+        ((x, y),) = grid.centers([cell])
+        on_earth: dict[str, float] = {}
+        if mission.datum is not None:
+            ((latitude, longitude),) = mission.datum.on_earth(np.array([[x, y]]))
+            on_earth = {'latitude': latitude, 'longitude': longitude}
+            # As RFC 7946 has positions.
+            around = mission.datum.on_earth(around)[:, ::-1]
+        table.append(
+            {
+                'cell': cell,
+                'x': x,
+                'y': y,
+                'hazard': belief.hazard[cell],
+                'target': belief.target[cell],
+                'entered': 'yes' if cells.entered[cell] else 'no',
+                'corners': [*around.tolist(), around[0].tolist()],
+                **on_earth,
+            }
+        )
+    return table
 
 
 def losses_of(mission: Mission) -> NDArray[np.float64]:
@@ -195,11 +231,13 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
     """Yield the questions of who runs a mission, with what its log answers."""
     cells, inside = cells_of(mission), mission.grid.free
     untouched = int((cells.free & ~cells.entered).sum())
+    among = mission.moments[-1].belief.hazard[cells.free].sum()
     yield Tile(
         'Which cells are safe?',
         f'{cells.free.sum()} of {counted(int(inside.sum()), "cell")}',
         'free of a hazard with 95 % or more; '
-        + (f'{untouched} of them were not entered' if untouched else 'all of them were entered'),
+        + (f'{untouched} of them were not entered' if untouched else 'all of them were entered')
+        + f'. {among:.2g} hazards are expected among them all',
     )
     found = findings_of(mission)
     sure = [each for each in found if each.kind == 'target' and each.probability >= FOUND]
@@ -281,10 +319,12 @@ def risk(mission: Mission) -> str:
 
 
 def fit(mission: Mission) -> Tile:
-    """Return whether the evidence fits the model, and the kind of hazards where it is learnt."""
-    question, (_, kinds, check) = 'Does the model fit?', mission.moments[-1].state
+    """Return how right the answers are, by the truth where it is on record and by the model."""
+    question, (_, kinds, check) = 'Can I trust it?', mission.moments[-1].state
+    right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
-        return Tile(question, 'Not checked', check.reason or 'the log has no check of the model')
+        why = check.reason or 'the log has no check of the model'
+        return Tile(question, 'The model is not checked', f'{right}{why}')
     learnt = ', '.join(
         f'{kind.replace("_", " ")} {100.0 * probability:.0f} %'
         for kind, probability in kinds.items()
@@ -293,8 +333,18 @@ def fit(mission: Mission) -> Tile:
     details += [f'{check.reason[0].upper()}{check.reason[1:]}.']
     if mission.rules['dynamics'] == 'static':
         details.append('Moving hazards hardly show in returns.')
-    return Tile(
-        question, 'In doubt' if check.is_in_doubt else 'Nothing against it', ' '.join(details)
+    answer = 'The model is in doubt' if check.is_in_doubt else 'The evidence fits the model'
+    return Tile(question, answer, right + ' '.join(details))
+
+
+def by_truth(mission: Mission, world: World) -> str:
+    """Return how many of the free and the suspected cells are what they are said to be."""
+    cells, inside = cells_of(mission), mission.grid.free
+    missed = int((world.hazard & cells.free).sum())
+    return (
+        f'In truth {cells.free.sum() - missed} of {cells.free.sum()} free cells are free, '
+        f'{(world.hazard & cells.suspected).sum()} of {cells.suspected.sum()} suspected have a '
+        f'hazard, and {missed} of {(world.hazard & inside).sum()} hazards are in cells said free.'
     )
 
 
@@ -306,6 +356,12 @@ def where_lost(mission: Mission, lost: int) -> Tile:
     losses = losses_of(mission)
     most = int(np.argmax(losses))
     x, y = mission.grid.centers([most])[0]
+    if losses[most] < SUSPECTED:
+        return Tile(
+            question,
+            'It cannot be told',
+            f'no cell has {SUSPECTED:g} of the {lost}; the map of losses has the shares of all',
+        )
     return Tile(
         question,
         f'most at ({x:g}, {y:g})',

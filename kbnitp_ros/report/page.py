@@ -23,6 +23,8 @@ from kbnitp_ros.report.answers import (
     cells_of,
     findings_of,
     losses_of,
+    safe_cells,
+    shares,
     tiles_of,
     used_up_at,
     used_up_of,
@@ -105,6 +107,17 @@ FINDINGS = (
     Column('target read', 'seen'),
 )
 
+SAFE = (
+    Column('x (m)', 'x', 2),
+    Column('y (m)', 'y', 2),
+    Column('hazard', 'hazard', 3),
+    Column('target', 'target', 3),
+    Column('entered', 'entered', is_text=True),
+)
+
+# The last belief is in the page in full where the field has no more cells.
+MAX_EXACT = 10_000
+
 # Of fields that are somewhere on the earth; seven decimals are a centimetre.
 ON_EARTH = (
     Column('latitude (°)', 'latitude', 7),
@@ -166,6 +179,9 @@ def filled(
         lane=mission.decision is not None and mission.decision.path.size > 0,
         finding_columns=(*FINDINGS, *(ON_EARTH if mission.datum else ())),
         findings=[vars(each) for each in findings_of(mission)],
+        safe_columns=(*SAFE, *(ON_EARTH if mission.datum else ())),
+        safe=safe_cells(mission),
+        is_exact=mission.grid.cells <= MAX_EXACT,
         site=mission.site,
         panels=labels,
         columns=columns_of(table),
@@ -242,7 +258,7 @@ def summary(mission: Mission, curves: Curves) -> str:
     words = [
         f'{counted(len(mission.deployments), "deployment")} of {counted(agents, "agent")} '
         f'into {mission.grid.width} x {mission.grid.height} cells, {counted(lost, "robot")} lost',
-        f'entropy H(Z) + H(X) {entropy[0]:.1f} to {entropy[-1]:.1f} nats',
+        f'uncertainty {entropy[0]:.1f} to {entropy[-1]:.1f} nats, the entropy H(Z) + H(X)',
         f'method {mission.rules["method"]}',
     ]
     if 'time' in mission.run:
@@ -328,12 +344,20 @@ def data_of(
         'walks': WALKS,
         'truth': world
         and {name: values.astype(int).tolist() for name, values in vars(world).items()},
+        'exact': exact(mission.moments[-1].belief) if grid.cells <= MAX_EXACT else None,
+        # P(a step is survived) without a hazard and with one.
+        'survival': mission.moments[-1].snapshot.model.survival(np.array([0.0, 1.0])).tolist(),
         'visited': np.searchsorted(kept, first_visits(mission)).tolist(),
         'deployments': {
             each: {'path': mission.deployments[each].path.tolist()} for each in sorted(needed)
         },
         'moments': [moment_of(mission, curves, table, int(each), out[each]) for each in kept],
     }
+
+
+def exact(belief: Belief) -> dict[str, list[float]]:
+    """Return the maps of a belief with six decimals."""
+    return {name: np.round(getattr(belief, name), 6).tolist() for name in NAMES}
 
 
 def field_of(grid: Grid) -> dict[str, Any]:
@@ -352,6 +376,8 @@ def field_of(grid: Grid) -> dict[str, Any]:
         'across': (across - corner).tolist(),
         'bases': sorted(grid.bases),
         'blocked': sorted(grid.blocked),
+        'connectivity': grid.connectivity,
+        'cutsCorners': grid.through_corners,
     }
 
 
@@ -440,6 +466,11 @@ def facts_of(
             yield 'outcome', f'lost on a path of {counted(seen.steps, "step")}'
             if seen.steps_survived:
                 yield 'last contact', f'after {counted(seen.steps_survived, "step")}'
+            deployment = mission.deployments[moment.deployment]
+            hazard = moment.belief.hazard[seen.path[1:]]
+            share = shares(seen, moment.model_of(deployment.key.agent).survival(hazard))
+            step = int(share.argmax())
+            yield 'most probably lost', f'in step {step + 1}, with {100.0 * share[step]:.0f} %'
             if heard := heard_on(seen):
                 yield 'lost where heard', f'in steps {heard[0] + 1} to {heard[1]}'
         if is_used_up(mission) and place:

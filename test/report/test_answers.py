@@ -160,6 +160,17 @@ def test_a_decision_that_is_none_is_refused(name, value):
         read_decision(GRID, message)
 
 
+def test_the_truth_tells_how_many_answers_are_right(told):
+    mission, tiles = told
+    cells, hazard = cells_of(mission), mission.world.hazard
+    free, suspected = (np.flatnonzero(each) for each in (cells.free, cells.suspected))
+    missed = sum(hazard[cell] for cell in free)
+    assert (
+        f'In truth {free.size - missed} of {free.size} free cells are free, '
+        f'{sum(hazard[cell] for cell in suspected)} of {suspected.size} suspected have a hazard'
+    ) in tiles['Can I trust it?'].detail
+
+
 # Two missions side by side: what the page says is what the two logs say.
 
 

@@ -219,7 +219,7 @@ def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, sho
     page.wait_for_function(f'document.getElementById("row").value === "{row}"')
     assert page.locator('#column').input_value() == str(column)
     hazard = mission.moments[-1].belief.hazard[cell]
-    assert f'hazard {np.rint(255 * hazard) / 255:.3f}' in page.locator('#cell').inner_text()
+    assert f'hazard {hazard:.3f}' in page.locator('#cell').inner_text()
     history = page.evaluate('document.getElementById("cell-plot").data[0].y')
     expected = [each.belief.hazard[cell] for each in mission.moments]
     assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
@@ -360,11 +360,11 @@ def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
     cells = page.locator('#deployments tbody tr td:nth-child(4)')
     unsorted = [int(text) for text in cells.all_inner_texts()]
     heading.click()
-    assert [int(text) for text in cells.all_inner_texts()] == sorted(unsorted)
-    heading.click()
     assert [int(text) for text in cells.all_inner_texts()] == sorted(unsorted, reverse=True)
     sorting = page.locator('#deployments th:nth-child(4)').get_attribute('aria-sort')
     assert sorting == 'descending'
+    heading.click()
+    assert [int(text) for text in cells.all_inner_texts()] == sorted(unsorted)
     for number in (3, 17):
         page.locator(f'#deployment-{number} button').click()
         moment = page.evaluate('document.documentElement.dataset.moment')
@@ -460,13 +460,65 @@ def test_arrow_keys_move_without_a_focus_and_leave_other_fields_alone(opened, sh
         assert focus == 'solid'
 
 
+def test_safe_cells_are_listed_and_downloaded_as_polygons(opened, shown):
+    mission, _ = shown
+    page = opened(is_strict=True)
+    free = np.flatnonzero(cells_of(mission).free)
+    hazard = mission.moments[-1].belief.hazard[free]
+    buttons = page.get_by_role('button', name='CSV')
+    with page.expect_download() as download:
+        buttons.nth(1).click()
+    table = rows(Path(download.value.path()))
+    assert [float(row['hazard']) for row in table] == sorted(hazard)
+    with page.expect_download() as download:
+        page.get_by_role('button', name='GeoJSON').nth(1).click()
+    features = json.loads(Path(download.value.path()).read_text())['features']
+    assert len(features) == free.size
+    side = mission.grid.resolution
+    for feature in features:
+        (ring,) = feature['geometry']['coordinates']
+        assert ring[0] == ring[-1]
+        assert np.ptp(np.array(ring), axis=0) == pytest.approx([side, side])
+        middle = [feature['properties'][name] for name in ('x (m)', 'y (m)')]
+        assert np.mean(ring[:-1], axis=0) == pytest.approx(middle)
+
+
+def test_the_safest_way_is_that_of_all_ways(opened, shown):
+    mission, _ = shown
+    page, grid = opened(), mission.grid
+    hazard = mission.moments[-1].belief.hazard
+    for to in (0, grid.cells - 1, 11):
+        row, column = divmod(to, grid.width)
+        page.fill('#to-column', str(column))
+        page.fill('#to-row', str(row))
+        page.click('#find')
+        said = page.inner_text('#way')
+        # Bellman and Ford's algorithm.
+        free = np.zeros(grid.cells)
+        free[grid.base] = 1.0 - hazard[grid.base]
+        for _ in range(grid.cells):
+            for cell in np.flatnonzero(free):
+                around = grid.neighbors(cell)
+                free[around] = np.maximum(free[around], free[cell] * (1.0 - hazard[around]))
+        assert f'free of hazards with {100 * free[to]:.1f} %' in said
+        line = json.loads(downloaded(page, 'GeoJSON', last=True).read_text())
+        ((x, y), *_) = line['features'][0]['geometry']['coordinates']
+        assert [x, y] == pytest.approx(grid.centers([grid.base])[0])
+    for column, told in ((99, 'The field has columns 0 to 4'), (3, 'An obstacle is in one')):
+        page.fill('#to-column', str(column))
+        page.fill('#to-row', '1')
+        page.click('#find')
+        assert told in page.inner_text('#way')
+
+
 def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     mission, _ = shown
     page = opened(is_strict=True)
     page.locator('#findings th button').nth(1).click()
     table = rows(downloaded(page, 'CSV'))
     findings = findings_of(mission)
-    assert [float(row['x (m)']) for row in table] == sorted(each.x for each in findings)
+    largest_first = sorted((each.x for each in findings), reverse=True)
+    assert [float(row['x (m)']) for row in table] == largest_first
     features = json.loads(downloaded(page, 'GeoJSON').read_text())['features']
     told = {
         (each['properties']['what'], *each['geometry']['coordinates']): each['properties']
@@ -570,7 +622,7 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
     found = {(each.kind, each.x, each.y) for mission in missions for each in findings_of(mission)}
     assert {(row['what'], float(row['x (m)']), float(row['y (m)'])) for row in told} == found
     changes = [float(row['B less A']) for row in told]
-    assert changes == sorted(changes)
+    assert changes == sorted(changes, reverse=True)
     for row in told:
         change = float(row['in B']) - float(row['probability in A'])
         assert float(row['B less A']) == pytest.approx(change)

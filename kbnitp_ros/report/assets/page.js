@@ -34,6 +34,8 @@ async function start(signal, kept) {
   }
 
   const level = (moment, name, each) => frames[moment * size + NAMES.indexOf(name) * cells + each];
+  const value = (moment, name, each) => (moment === last && mission.exact
+    ? mission.exact[name][each] : level(moment, name, each) / 255);
   // Where a cell is drawn, and where it lies in the frame of the map: rows of a turned field are drawn to the right.
   const center = (each) => [
     mission.grid.x + (each % width + 0.5) * mission.grid.resolution,
@@ -52,7 +54,7 @@ async function start(signal, kept) {
       const values = [];
       for (let column = 0; column < width; column += 1) {
         const each = row * width + column;
-        values.push(blocked.has(each) ? null : level(moment, name, each) / 255);
+        values.push(blocked.has(each) ? null : value(moment, name, each));
       }
       rows.push(values);
     }
@@ -142,6 +144,8 @@ async function start(signal, kept) {
       coloured(name);
       overlaid(plots[name]);
       mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
+      // The way that was found is drawn over the path of the moment.
+      if (way.length) Object.assign(data[mission.traces.indexOf('casing')], line([way]));
       // Which cells are free is told of the last moment alone.
       data.filter((trace) => trace.name === 'free').forEach((trace) => { trace.visible = now === last; });
       Plotly.react(page(name), data, { ...themed(layout), images, shapes: frame() }, config);
@@ -152,12 +156,14 @@ async function start(signal, kept) {
     const places = mission.moments.map((moment) => moment.place);
     NAMES.forEach((name, place) => {
       plots.cell.data[place].x = places;
-      plots.cell.data[place].y = places.map((_, moment) => level(moment, name, cell) / 255);
+      plots.cell.data[place].y = places.map((_, moment) => value(moment, name, cell));
     });
     Plotly.react(page('cell-plot'), plots.cell.data, { ...themed(plots.cell.layout), shapes: shape(now) }, config);
     page('column').value = cell % width;
     page('row').value = Math.floor(cell / width);
-    const values = NAMES.map((name) => `${name} ${(level(now, name, cell) / 255).toFixed(3)}`).join(', ');
+    // Kappa is that of a hazard, which may not be there.
+    const said = NAMES.filter((name) => name !== 'kappa' || value(now, 'hazard', cell) > 0.05);
+    const values = said.map((name) => `${name} ${value(now, name, cell).toFixed(3)}`).join(', ');
     const truth = mission.truth ? ` In truth: ${mission.truth.hazard[cell] ? 'a hazard' : 'no hazard'}, `
       + `${mission.truth.target[cell] ? 'a target' : 'no target'}.` : '';
     const first = mission.visited[cell];
@@ -257,25 +263,107 @@ async function start(signal, kept) {
   }
 
   // Longitude and latitude as RFC 7946 has it; of a field without a datum metres in the frame of the map, as its readers
-  // have to be told.
-  function geojson() {
-    const [heads, ...rows] = [...page('findings').rows].map((row) => [...row.cells]);
-    const names = heads.map((each) => each.textContent);
+  // have to be told. Rows with corners are polygons.
+  function geojson(id) {
+    const [head, ...rows] = [...page(id).rows];
+    const names = [...head.cells].map((each) => each.textContent);
+    const texts = [...head.cells].map((each) => each.classList.contains('text'));
     const isOnEarth = names.includes('longitude (°)');
     const axes = (isOnEarth ? ['longitude (°)', 'latitude (°)'] : ['x (m)', 'y (m)']).map((name) => names.indexOf(name));
-    const features = rows.map((cells) => {
-      const values = cells.map((each) => each.dataset.value);
-      const numbers = values.map((value, place) => (place ? Number(value) : value));
-      const properties = Object.fromEntries(names.map((name, place) => [name, numbers[place]]));
-      return { type: 'Feature', geometry: { type: 'Point', coordinates: axes.map((axis) => numbers[axis]) }, properties };
+    const features = rows.map((row) => {
+      const values = [...row.cells].map((each, place) => (texts[place] ? each.dataset.value : Number(each.dataset.value)));
+      const properties = Object.fromEntries(names.map((name, place) => [name, values[place]]));
+      const { corners } = row.dataset;
+      const geometry = corners ? { type: 'Polygon', coordinates: [JSON.parse(corners)] }
+        : { type: 'Point', coordinates: axes.map((axis) => values[axis]) };
+      return { type: 'Feature', geometry, properties };
     });
+    return collection(features, isOnEarth);
+  }
+
+  function collection(features, isOnEarth) {
     const frame = isOnEarth ? {} : { frame: 'map', unit: 'm' };
     return JSON.stringify({ type: 'FeatureCollection', name: mission.name, ...frame, features }, null, 1);
   }
 
+  // The safest way between two cells: that with the least sum of -log P(no hazard), by Dijkstra's algorithm.
+  let way = [];
+  function steps(each) {
+    const { connectivity, cutsCorners } = mission.grid;
+    const [row, column] = [Math.floor(each / width), each % width];
+    const isOpen = (up, right) => row + up >= 0 && row + up < height && column + right >= 0 && column + right < width
+      && !blocked.has((row + up) * width + column + right);
+    const found = [];
+    for (const up of [-1, 0, 1]) {
+      for (const right of [-1, 0, 1]) {
+        const isDiagonal = up !== 0 && right !== 0;
+        const isPassable = !isDiagonal || (connectivity === 8 && (cutsCorners || (isOpen(up, 0) && isOpen(0, right))));
+        if ((up || right) && isPassable && isOpen(up, right)) found.push((row + up) * width + column + right);
+      }
+    }
+    return found;
+  }
+
+  function safest(from, to) {
+    const risk = (each) => -Math.log1p(-Math.min(mission.exact.hazard[each], 1 - 1e-12)) + 1e-9;
+    const total = new Map([[from, risk(from)]]);
+    const before = new Map();
+    const open = new Set([from]);
+    while (open.size) {
+      const nearest = [...open].reduce((one, other) => (total.get(other) < total.get(one) ? other : one));
+      if (nearest === to) break;
+      open.delete(nearest);
+      for (const next of steps(nearest)) {
+        const sum = total.get(nearest) + risk(next);
+        if (sum < (total.get(next) ?? Infinity)) {
+          total.set(next, sum);
+          before.set(next, nearest);
+          open.add(next);
+        }
+      }
+    }
+    if (!total.has(to)) return [];
+    const found = [to];
+    while (found[0] !== from) found.unshift(before.get(found[0]));
+    return found;
+  }
+
+  function findWay() {
+    const [column, row, toColumn, toRow] = ['from-column', 'from-row', 'to-column', 'to-row'].map((id) => Number(page(id).value));
+    const isInside = [[column, row], [toColumn, toRow]].every(([x, y]) => x >= 0 && x < width && y >= 0 && y < height);
+    const [from, to] = [row * width + column, toRow * width + toColumn];
+    const isBlocked = isInside && (blocked.has(from) || blocked.has(to));
+    way = isInside && !isBlocked ? safest(from, to) : [];
+    const take = document.querySelector('[data-take="way.geojson"]');
+    take.disabled = !way.length;
+    if (way.length) {
+      const hazard = way.map((each) => mission.exact.hazard[each]);
+      const free = hazard.reduce((product, each) => product * (1 - each), 1);
+      const [safe, deadly] = mission.survival;
+      const survived = hazard.slice(1).reduce((product, each) => product * (safe * (1 - each) + deadly * each), 1);
+      const percent = (each) => `${(100 * each).toFixed(1)} %`;
+      page('way').textContent = `The safest way has ${way.length - 1} steps. It is free of hazards with ${percent(free)}; `
+        + `a robot survives it with ${percent(survived)}. ${hazard.reduce((sum, each) => sum + each, 0).toFixed(2)} hazards are expected on it.`;
+    } else if (!isInside) {
+      page('way').textContent = `The field has columns 0 to ${width - 1} and rows 0 to ${height - 1}: name cells of it.`;
+    } else {
+      page('way').textContent = isBlocked ? 'An obstacle is in one of the two cells: name others.' : 'Obstacles are between the two cells: no way leads there.';
+    }
+    drawMaps();
+  }
+
+  function wayGeojson() {
+    const places = way.map((each) => position(each));
+    const feature = { type: 'Feature', geometry: { type: 'LineString', coordinates: places }, properties: { steps: way.length - 1 } };
+    return collection([feature], false);
+  }
+
   const TAKES = {
     'findings.csv': () => keep(`${mission.name}_findings.csv`, 'text/csv', csv(page('findings'))),
-    'findings.geojson': () => keep(`${mission.name}_findings.geojson`, 'application/geo+json', geojson()),
+    'findings.geojson': () => keep(`${mission.name}_findings.geojson`, 'application/geo+json', geojson('findings')),
+    'safe.csv': () => keep(`${mission.name}_safe.csv`, 'text/csv', csv(page('safe'))),
+    'safe.geojson': () => keep(`${mission.name}_safe.geojson`, 'application/geo+json', geojson('safe')),
+    'way.geojson': () => keep(`${mission.name}_way.geojson`, 'application/geo+json', wayGeojson()),
     'deployments.csv': () => keep(`${mission.name}_deployments.csv`, 'text/csv', csv(page('deployments'))),
   };
 
@@ -322,14 +410,22 @@ async function start(signal, kept) {
   page('column').addEventListener('change', named);
   page('row').addEventListener('change', named);
   if (mission.site) page('site').addEventListener('change', paint);
-  ['deployments', 'findings'].forEach((id) => sortable(page(id)));
+  ['deployments', 'findings', 'safe'].forEach((id) => sortable(page(id)));
   page('deployments').tBodies[0].addEventListener('click', (event) => {
     const row = event.target.closest('tr');
     if (row.dataset.moment !== '') ask(Number(row.dataset.moment));
   });
-  page('findings').tBodies[0].addEventListener('click', (event) => {
+  ['findings', 'safe'].forEach((id) => page(id).tBodies[0].addEventListener('click', (event) => {
     look(Number(event.target.closest('tr').dataset.cell));
-  });
+  }));
+  if (page('find')) {
+    const [base] = mission.grid.bases;
+    page('from-column').value = base % width;
+    page('from-row').value = Math.floor(base / width);
+    page('to-column').value = width - 1;
+    page('to-row').value = height - 1;
+    page('find').addEventListener('click', findWay);
+  }
   document.documentElement.dataset.ready = 'true';
   return () => ({ moment: now === last ? null : now, cell, isAsked, isNamed });
 }
