@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many cases of one law in one test, of which the one that fails is named."""
+"""Many cases of one law in one test, of which the one that fails is named, and bytes gone bad."""
 
 from collections.abc import Callable, Iterable
 import functools
@@ -7,6 +7,7 @@ import inspect
 import shlex
 from typing import Any
 
+from hypothesis import strategies as st
 import pytest
 
 # What alone is run: the case of this name, or those with such a value; see `pytest --case`.
@@ -70,3 +71,18 @@ def is_called(name: str, arguments: dict[str, Any], told: str) -> bool:
 def called(value: Any) -> Any:
     """Return what a case's value is called: of functions and classes the name."""
     return getattr(value, '__name__', value)
+
+
+def spoilt(content: bytes) -> st.SearchStrategy[bytes]:
+    """Return a strategy of these bytes with some changed, and the end perhaps cut off."""
+
+    def change(changes: list[tuple[int, int]], end: int) -> bytes:
+        changed = bytearray(content)
+        for place, value in changes:
+            changed[place] = value
+        return bytes(changed[:end])
+
+    # What says the most stands at the start.
+    place = st.integers(0, min(80, len(content) - 1)) | st.integers(0, len(content) - 1)
+    changes = st.lists(st.tuples(place, st.integers(0, 255)), min_size=1, max_size=6)
+    return st.builds(change, changes, st.just(len(content)) | st.integers(0, len(content)))

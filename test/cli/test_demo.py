@@ -478,7 +478,7 @@ RUNNING, PAUSED, DONE, ENDED = (
 
 
 # Seconds between two words of a planner, and of waiting for an operator that end the demo.
-PERIOD, WAIT = 0.4, 1.0
+PERIOD, WAIT = 0.3, 0.7
 
 
 @for_each('sent, until', [
@@ -521,7 +521,7 @@ def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(
         spinning.start()
         begun = time.monotonic()
         observer.watch(1, Processes(domain))
-        assert until - 0.3 < time.monotonic() - begun < until + 5.0
+        assert until - 0.25 < time.monotonic() - begun < until + 5.0
         executor.shutdown()
         spinning.join()
         node.destroy_node()

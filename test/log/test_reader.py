@@ -5,7 +5,7 @@ from collections import Counter
 import struct
 
 from extent import FULL
-from hypothesis import given, settings
+from hypothesis import given, Phase, settings
 from hypothesis import strategies as st
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.log.read import is_finished, LogError, read_log, read_metadata, read_recorded
@@ -121,7 +121,7 @@ def changed(content, draw):
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=400 if FULL else 100)
+@settings(max_examples=400 if FULL else 100, phases=[Phase.generate])
 def test_of_changed_bytes_what_was_written_is_read_or_an_error_told(
     files, whole_mission, tmp_path_factory, data
 ):

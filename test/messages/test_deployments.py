@@ -1,12 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """Paths, reports and actions come back from their messages, and bad ones are refused."""
 
+from functools import partial
 from math import inf, nan
 
 from hypothesis import given
 from hypothesis import strategies as st
-from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
-from kbnitp_ros.messages.deployments import path_message, read_path, read_report, report_message
+from kbnitp_ros.core import (
+    Belief,
+    DeploymentKey,
+    Estimator,
+    Grid,
+    Ledger,
+    Observation,
+    Report,
+    SensorModel,
+)
+from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
+from kbnitp_ros.messages.deployments import (
+    OrderState,
+    path_message,
+    read_path,
+    read_report,
+    read_status,
+    report_message,
+    status_message,
+)
 from kbnitp_ros.messages.headers import LAST_NAME
 from kbnitp_ros.messages.operator_actions import (
     Action,
@@ -14,9 +33,11 @@ from kbnitp_ros.messages.operator_actions import (
     OperatorAction,
     read_operator_action,
 )
-from laws import for_each
+from laws import for_each, spoilt
 import numpy as np
 import pytest
+from rclpy._rclpy_pybind11 import RMWError
+from rclpy.serialization import deserialize_message, serialize_message
 from samples import changed, over_the_wire
 
 GRID = Grid(4, 3, base=1, resolution=0.5, origin=(-1.0, 2.0))
@@ -133,6 +154,36 @@ def test_a_report_comes_back(steps, survived, stamp, weights):
         observation = Observation(path, True, readings)
         said = Report(True, tuple(zip(path[1:], readings)))
     assert read_report(over_the_wire(report_message(key, observation, 5))) == (key, said)
+
+
+def whole_belief():
+    """Return the first belief of an estimator."""
+    estimator = Estimator(Belief.prior(GRID, 0.3, 0.4, 0.8), SensorModel(0.5))
+    return belief_maps(Ledger(GRID, 6, estimator), 1)
+
+
+READERS = [
+    (whole_belief(), read_belief_maps),
+    (path_message(GRID, PATH, STAMP), partial(read_path, GRID, 'scout_1')),
+    (report_message(KEY, Observation(PATH, True, [True] * 5), STAMP), read_report),
+    (status_message(KEY, OrderState.REFUSED, 6, 'why'), partial(read_status, agent='scout_2')),
+]
+
+
+@given(st.data())
+def test_a_spoilt_message_is_read_or_refused_in_a_line(data):
+    message, read = data.draw(st.sampled_from(READERS))
+    try:
+        heard = deserialize_message(data.draw(spoilt(serialize_message(message))), type(message))
+    except (RMWError, UnicodeDecodeError):
+        return
+    try:
+        read(heard)
+        return
+    except ValueError as error:
+        said = str(error)
+    assert '\n' not in said
+    assert len(said) < 1000
 
 
 def test_what_is_said_is_read_even_if_it_makes_no_sense():

@@ -5,10 +5,12 @@ from itertools import product
 from pathlib import Path
 import re
 
+from hypothesis import given
+from hypothesis import strategies as st
 from kbnitp_ros.configuration import NODES
 from kbnitp_ros.configuration.given import check_given, read_sections, sections_of, values_for
 from kbnitp_ros.nodes.runtime.declared import declare
-from laws import for_each
+from laws import for_each, spoilt
 import pytest
 import rclpy
 from rclpy.node import Node
@@ -97,6 +99,20 @@ def test_sections_of_other_nodes_are_theirs(tmp_path, text, own):
     assert given_by_ros(['--ros-args', '--params-file', path], '/north') == own.get(
         '/north/planner', {}
     )
+
+
+@given(st.data())
+def test_a_spoilt_file_is_read_or_refused_in_a_line(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp('given') / 'given.yaml'
+    path.write_bytes(data.draw(spoilt(SHIPPED.read_bytes())))
+    try:
+        sections = read_sections(path)
+        assert all(values_for(sections, f'/{node}') is not None for node in NODES)
+        return
+    except ValueError as error:
+        said = str(error)
+    assert said.startswith(f'parameter file {path}: ')
+    assert '\n' not in said
 
 
 def test_a_file_that_is_not_there_is_named():

@@ -116,7 +116,7 @@ def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(fiel
 
 
 @pytest.mark.parametrize('before, depth', [
-    (70, 50),
+    (30, 20),
     pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
     pytest.param(MOST_ROBOTS - 10, qos.DEPTH, marks=LONG),
 ])  # fmt: skip
