@@ -85,7 +85,7 @@ class HazardDraws:
     def p_free(self, cells: ArrayLike) -> float:
         """Return the probability that none of some cells has a hazard (:eq:`set-free`)."""
         free: Bools = np.logical_not(self.hazardous[:, np.unique(cells)].any(axis=1))
-        return self._chance(free)
+        return float(np.clip(self.weight @ free, 0.0, 1.0))
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
         """Return P(number of hazards in some cells), from 0 up (:eq:`hazards-remaining`)."""
@@ -121,10 +121,7 @@ class HazardDraws:
 
     def survival(self, path: ArrayLike, model: SensorModel) -> float:
         """Return the probability to survive a path from anywhere (:eq:`traveller-survives`)."""
-        return self._chance(self.survivals([path], model)[0])
-
-    def _chance(self, each: NDArray[np.bool_] | Floats) -> float:
-        return float(np.clip(self.weight @ each, 0.0, 1.0))
+        return float(np.clip(self.weight @ self.survivals([path], model)[0], 0.0, 1.0))
 
 
 def quantile(count: Floats, level: float) -> int:

@@ -16,6 +16,7 @@ from kbnitp_ros.core.inference.hypotheses import (
     Clusters,
     expit,
     Hypotheses,
+    LIMITS,
     softplus,
 )
 from kbnitp_ros.core.inference.sampling_kernels import (
@@ -74,7 +75,7 @@ class ChainState:
         """Return the state with `cells`, those that it holds among them."""
         is_held = np.isin(cells, self.cells)
         offset = hypotheses.offset('hazard_density', self.place)
-        probability = expit(hypotheses.maps.hazard.at(offset, cells[~is_held]))
+        probability = expit(hypotheses.maps['hazard_density'].at(offset, cells[~is_held]))
         hazardous = np.empty((CHAINS, cells.size), np.int8)
         hazardous[:, is_held] = self.hazardous
         hazardous[:, ~is_held] = even(np.count_nonzero(~is_held), rng) < probability
@@ -100,19 +101,30 @@ class Chains:
     ) -> None:
         # From here on, cells are those that the chains hold; of the others nothing is drawn.
         self._cells = state.cells
-        self._unvisited = Unvisited(hypotheses, state.cells)
+        # Of these the joints are the prior, with the numbers of each chain; as it stands where all
+        # of that is known.
+        elsewhere = np.setdiff1d(np.arange(hypotheses.belief.cells), state.cells)
+        self._elsewhere = elsewhere[:0] if hypotheses.prior_is_known else elsewhere
+        self._elsewhere_odds = {
+            name: each.within(self._elsewhere).odds(*LIMITS[name])
+            for name, each in hypotheses.maps.items()
+        }
+        self._elsewhere_joints = np.zeros((GROUPS, self._elsewhere.size, 2, 2))
         self._hypotheses = hypotheses
-        self._maps = maps = hypotheses.maps.within(state.cells)
+        self._maps = maps = {
+            name: each.within(state.cells) for name, each in hypotheses.maps.items()
+        }
+        possible, undecided = hypotheses.possible[state.cells], maps['hazard_density'].undecided
         self._tally = tally = tally.within(state.cells)
         self._read = np.flatnonzero(tally.read)
         self._rng = rng
         self._hazardous = state.hazardous.copy()
         self._place = {name: each.copy() for name, each in state.place.items()}
         self.sweeps = 0
-        self._undecided = np.flatnonzero(maps.hazard.undecided)
+        self._undecided = np.flatnonzero(undecided)
         # On a large field robots come back from few cells: the others have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
-        self._prior_odds = maps.odds()
+        self._prior_odds = {name: each.odds(*LIMITS[name]) for name, each in maps.items()}
         # By robot type, as the tally counts them.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
         # The same in all sweeps, where all that it depends on is known.
@@ -146,8 +158,8 @@ class Chains:
             spared=np.exp(times_log(np.arange(longest + 1), log_spared[:, :, None])),
             step_endured=np.exp(log_endured),
             step_spared=np.exp(log_spared),
-            graph=tally.loss_graph(maps.possible, maps.hazard.undecided),
-            located=tally.located_graph(maps.possible),
+            graph=tally.loss_graph(possible, undecided),
+            located=tally.located_graph(possible),
             coupling=gibbs.Coupling(neighbors, self._coupling_strength()),
         )
         self._hazard_state = gibbs.HazardState(
@@ -158,9 +170,9 @@ class Chains:
         )
         gibbs.count_exposures(self._hazard_state, self._factors.graph)
         self._uniform = np.empty(state.hazardous.shape)
-        certain = np.where(maps.possible, LARGE, 0.0)
+        certain = np.where(possible, LARGE, 0.0)
         self._odds = np.tile(certain, (CHAINS, 1))
-        self._joints = np.zeros((GROUPS, maps.possible.size, 2, 2))
+        self._joints = np.zeros((GROUPS, possible.size, 2, 2))
         self._weights = {
             name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
             for name in hypotheses.unknown
@@ -174,7 +186,11 @@ class Chains:
         odds = self.draw_field()
         self._draw_survival()
         self._draw_the_rest(odds)
-        self._unvisited.add(self._place)
+        hazard, background, kappa = (
+            self._elsewhere_odds[name][self._place[name]]
+            for name in ('hazard_density', 'target_background', 'kappa')
+        )
+        gibbs.add_joints(gibbs.FieldOdds(hazard, background, kappa), self._elsewhere_joints)
         self.sweeps += 1
 
     def draw_field(self) -> gibbs.FieldOdds:
@@ -203,7 +219,7 @@ class Chains:
 
     def hazards(self) -> NDArray[np.bool_]:
         """Return the hazards of all cells in each chain, shape (chains, cells)."""
-        prior = self._hypotheses.maps.hazard.at(self._offset('hazard_density'))
+        prior = self._hypotheses.maps['hazard_density'].at(self._offset('hazard_density'))
         hazards: NDArray[np.bool_] = self._rng.random((CHAINS, prior.shape[1])) < expit(prior)
         hazards[:, self._cells] = self._hazardous
         return hazards
@@ -217,7 +233,8 @@ class Chains:
 
     def joint(self) -> tuple[Floats, float]:
         """Return joints and their sampling error (:eq:`averaged-belief`, :eq:`sampling-error`)."""
-        by_group = self._unvisited.joints(self.sweeps)
+        by_group = np.tile(self._hypotheses.belief.joint, (GROUPS, 1, 1, 1))
+        by_group[:, self._elsewhere] = self._elsewhere_joints / self.sweeps
         by_group[:, self._cells] = self._joints / self.sweeps
         joint = by_group.mean(axis=0)
         variance = by_group.var(axis=0, ddof=1) / GROUPS
@@ -246,7 +263,7 @@ class Chains:
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
             self._of_readings or self._given_readings()
         )
-        log_odds = self._maps.hazard.at(self._offset('hazard_density'), cells)
+        log_odds = self._maps['hazard_density'].at(self._offset('hazard_density'), cells)
         for rates, survived in zip(self._rates, tally.survived[:, cells]):
             spared = self._of_chains('lethality', rates.log_spared)
             log_odds = log_odds + times_log(survived, spared)
@@ -259,8 +276,8 @@ class Chains:
         """Return what readings tell, each of shape (1 or chains, cells)."""
         tally, maps, cells = self._tally, self._maps, self._returned
         read: Floats = np.zeros((1, cells.size))
-        if_safe = maps.background.at(self._place['target_background'], cells)
-        if_hazardous = maps.kappa.at(self._place['kappa'], cells)
+        if_safe = maps['target_background'].at(self._place['target_background'], cells)
+        if_hazardous = maps['kappa'].at(self._place['kappa'], cells)
         for rates, positive, negative in zip(
             self._rates, tally.positive[:, cells], tally.negative[:, cells]
         ):
@@ -356,7 +373,7 @@ class Chains:
         if hypotheses.clusters is not None:
             self._draw_clustering(hypotheses.clusters)
         elif 'hazard_density' in unknown:
-            prior = maps.hazard
+            prior = maps['hazard_density']
             count = (hazardous & prior.undecided).sum(axis=1)
             log_likelihood = prior.log_absent.sum(axis=0) + count[:, None] * prior.offset
             self._draw('hazard_density', log_likelihood)
@@ -370,11 +387,9 @@ class Chains:
         )
         of_target = np.where(hazardous, if_hazardous, if_safe)
         target = self._rng.random(of_target.shape) * (1.0 + of_target) < of_target
-        for name, prior, concerned in (
-            ('kappa', maps.kappa, hazardous),
-            ('target_background', maps.background, ~hazardous),
-        ):
+        for name, concerned in (('kappa', hazardous), ('target_background', ~hazardous)):
             if name in unknown:
+                prior = maps[name]
                 cells = concerned & prior.undecided[read]
                 log_likelihood = (cells & target).sum(axis=1)[:, None] * prior.offset
                 sum_of_cells(cells, prior.log_absent[read], log_likelihood)
@@ -423,31 +438,3 @@ class Chains:
             endured, spared = self._steps_survived
             means['lethality'] = self._hypotheses.lethality(spared / endured)
         return self._hypotheses.model_with(means)
-
-
-class Unvisited:
-    """Cells outside the chains: their joints are the prior, with the numbers of each chain."""
-
-    def __init__(self, hypotheses: Hypotheses, held: Places) -> None:
-        cells = np.setdiff1d(np.arange(hypotheses.belief.cells), held)
-        if hypotheses.prior_is_known:
-            # It is their joint as it stands: there is nothing to average.
-            cells = cells[:0]
-        self._cells = cells
-        self._prior = hypotheses.belief.joint
-        self._odds = hypotheses.maps.within(cells).odds()
-        self._joints = np.zeros((GROUPS, cells.size, 2, 2))
-
-    def add(self, place: Mapping[str, Places]) -> None:
-        """Add the joints by the numbers of each chain, whose values `place` has by name."""
-        odds = {name: of_values[place[name]] for name, of_values in self._odds.items()}
-        gibbs.add_joints(
-            gibbs.FieldOdds(odds['hazard_density'], odds['target_background'], odds['kappa']),
-            self._joints,
-        )
-
-    def joints(self, sweeps: int) -> Floats:
-        """Return the joints of a field, averaged over groups of chains."""
-        joints = np.tile(self._prior, (GROUPS, 1, 1, 1))
-        joints[:, self._cells] = self._joints / sweeps
-        return joints

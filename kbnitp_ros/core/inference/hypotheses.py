@@ -86,33 +86,6 @@ class PriorMap:
         return mean
 
 
-@dataclass(frozen=True, eq=False)
-class PriorMaps:
-    """What a prior says of each cell, one array or map of all cells each."""
-
-    # Shape (cells,). Where there may be a hazard.
-    possible: NDArray[np.bool_]
-    # P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
-    hazard: PriorMap
-    kappa: PriorMap
-    background: PriorMap
-
-    def within(self, cells: NDArray[np.intp]) -> PriorMaps:
-        """Return what it says of some of the cells."""
-        hazard, kappa, background = (
-            each.within(cells) for each in (self.hazard, self.kappa, self.background)
-        )
-        return PriorMaps(self.possible[cells], hazard, kappa, background)
-
-    def odds(self) -> dict[str, NDArray[np.float64]]:
-        """Return the odds with each value of a map's average, (values, cells), by its name."""
-        return {
-            'hazard_density': self.hazard.odds(-CERTAIN_HAZARD, CERTAIN_HAZARD),
-            'target_background': self.background.odds(-np.inf, CERTAIN_TARGET),
-            'kappa': self.kappa.odds(-np.inf, CERTAIN_TARGET),
-        }
-
-
 def offsets(log_odds: NDArray[np.float64], averages: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return offsets of log odds that give probabilities certain averages (:eq:`prior-offset`)."""
     low, high = np.full_like(averages, -FURTHEST), np.full_like(averages, FURTHEST)
@@ -143,6 +116,12 @@ SAME = 1e-12
 # The averages of the maps of a prior that can be unknown: P(Z = 1), P(X = 1 | Z = 1) and
 # P(X = 1 | Z = 0).
 MAPS = ('hazard_density', 'kappa', 'target_background')
+# The log odds that each may come to.
+LIMITS = {
+    'hazard_density': (-CERTAIN_HAZARD, CERTAIN_HAZARD),
+    'kappa': (-np.inf, CERTAIN_TARGET),
+    'target_background': (-np.inf, CERTAIN_TARGET),
+}
 
 
 def prior_maps(
@@ -224,13 +203,12 @@ class Hypotheses:
             **{name: Bins.known(getattr(model, name)) for name in RATES},
             **open_bins,
         }
-        self.maps = PriorMaps(
-            belief.hazard > 0.0,
-            *(
-                PriorMap.of(*each, self.bins[name] if name in self.unknown else None)
-                for name, each in prior_maps(belief, model, self.unknown).items()
-            ),
-        )
+        # Where there may be a hazard.
+        self.possible = belief.hazard > 0.0
+        self.maps = {
+            name: PriorMap.of(*each, self.bins[name] if name in self.unknown else None)
+            for name, each in prior_maps(belief, model, self.unknown).items()
+        }
         self.clusters: Clusters | None = None
         if clustering is not None:
             self._cluster(belief, clustering)
@@ -239,13 +217,12 @@ class Hypotheses:
         is_expected = self.prior_is_known or self.clusters is not None
         self.belief = belief
         if not is_expected:
-            maps = zip(MAPS, (self.maps.hazard, self.maps.kappa, self.maps.background))
-            means = [each.mean(self.bins[name].log_prior) for name, each in maps]
+            means = [self.maps[name].mean(self.bins[name].log_prior) for name in MAPS]
             self.belief = self.belief_of(joint_of(*means))
 
     def _cluster(self, belief: Belief, clustering: Clustering) -> None:
         """Take hazards for clustered."""
-        undecided = self.maps.hazard.undecided
+        undecided = self.maps['hazard_density'].undecided
         if clustering.grid.cells != belief.cells:
             raise ValueError(
                 f'clustering is of a grid of {clustering.grid.cells} cells, and the prior has '
@@ -266,15 +243,14 @@ class Hypotheses:
         self.bins['coupling'] = bins
         if bins.values.size > 1:
             self.unknown += ('coupling',)
-        log_odds, prior = field.ravel(), self.maps.hazard
+        log_odds, prior = field.ravel(), self.maps['hazard_density']
         # Each of these log odds in all undecided cells.
-        clustered = replace(
+        self.maps['hazard_density'] = replace(
             prior,
             log_odds=np.where(undecided, log_odds[0], prior.log_odds),
             offset=log_odds - log_odds[0],
             log_absent=np.zeros((prior.log_odds.size, 1)),
         )
-        self.maps = replace(self.maps, hazard=clustered)
 
     def offset(self, name: str, place: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
         """Return which offset of a prior map belongs to the numbers of each chain."""
