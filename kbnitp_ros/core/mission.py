@@ -344,30 +344,19 @@ def deployments_table(
     """Return one row a deployment."""
     with extra('report'):
         import pandas
-    rows = [
-        {**outcome(seen), **knowledge(belief, world)}
-        for seen, belief, world in zip(observations, beliefs, worlds, strict=True)
-    ]
+    rows = []
+    for seen, belief, world in zip(observations, beliefs, worlds, strict=True):
+        row: dict[str, Any] = {
+            'path': seen.path.tolist(),
+            'steps': len(seen.path) - 1,
+            'survived': seen.survived,
+            'steps_survived': None if seen.survived else seen.steps_survived,
+            'readings': None if seen.readings is None else seen.readings.astype(int).tolist(),
+        }
+        for name in ('hazard', 'target') if belief else ():
+            values = getattr(belief, name)
+            row[f'{name}_entropy'] = float(binary_entropy(values).sum())
+            if world:
+                row[f'{name}_log_loss'] = float(log_loss(values, getattr(world, name)))
+        rows.append(row)
     return pandas.DataFrame(rows, index=pandas.RangeIndex(1, len(rows) + 1, name='deployment'))
-
-
-def outcome(seen: Observation) -> dict[str, Any]:
-    """Return the columns of what came of a deployment."""
-    return {
-        'path': seen.path.tolist(),
-        'steps': len(seen.path) - 1,
-        'survived': seen.survived,
-        'steps_survived': None if seen.survived else seen.steps_survived,
-        'readings': None if seen.readings is None else seen.readings.astype(int).tolist(),
-    }
-
-
-def knowledge(belief: Belief | None, world: World | None) -> dict[str, float]:
-    """Return the columns of what is known after it."""
-    columns: dict[str, float] = {}
-    for name in ('hazard', 'target') if belief else ():
-        values = getattr(belief, name)
-        columns[f'{name}_entropy'] = float(binary_entropy(values).sum())
-        if world:
-            columns[f'{name}_log_loss'] = float(log_loss(values, getattr(world, name)))
-    return columns

@@ -52,24 +52,19 @@ def cheapest_lanes(
     within: list[list[Path]] = [[] for _ in limits]
     for first in range(0, len(costs), together):
         some = slice(first, first + together)
-        cost = cheapest_costs(from_cells, costs[some].T, start, most)
+        entered = costs[some].T
+        # Of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes).
+        cost = np.full((most + 1, grid.cells + 1, entered.shape[1]), np.inf)
+        cost[0, start] = 0.0
+        for step in range(most):
+            cost[step + 1, :-1] = cost[step][from_cells].min(axis=0) + entered
         for found, limit in zip(within, limits):
             found += ways_back(from_cells, cost[: limit + 1], goal[some])
     return within
 
 
-def cheapest_costs(from_cells: Path, entered: Floats, start: int, most: int) -> Floats:
-    """Return the costs of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes)."""
-    cells, lanes = entered.shape
-    cost = np.full((most + 1, cells + 1, lanes), np.inf)
-    cost[0, start] = 0.0
-    for step in range(most):
-        cost[step + 1, :-1] = cost[step][from_cells].min(axis=0) + entered
-    return cost
-
-
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Return a cheapest way to the goal of each lane, by `cheapest_costs`."""
+    """Return a cheapest way to the goal of each lane, by the costs of ways of n steps."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))

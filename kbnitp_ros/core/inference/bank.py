@@ -238,7 +238,12 @@ class Bank:
         """Return the joints after some deployments, and the log probabilities of `assimilated`."""
         joints = np.array(joints)
         log_chances = np.zeros((2 + len(READING_SHIFTS), len(numbers)))
-        change = change_of(self._prior, self._dynamics, self._rates(numbers))
+        learnt = dict(zip(self._names, numbers.T))
+        rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
+        if 'vanish' in rates and not self._dynamics.appear:
+            density = learnt.get('hazard_density', prior_density(self._prior))
+            rates['appear'] = appearance(rates['vanish'], density)
+        change = change_of(self._prior, self._dynamics, rates)
         steps: dict[RobotType, Steps] = {}
         for evidence in deployments:
             if has_begun:
@@ -246,39 +251,28 @@ class Bank:
             has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in steps:
-                steps[robot_type] = self._steps(numbers, robot_type)
+                model = robot_type.model(self._known)
+                # Their own numbers are known.
+                of_all = {k: v for k, v in learnt.items() if k not in robot_type.sensors}
+                own = {
+                    name: np.broadcast_to(
+                        of_all.get(name, getattr(model, name)), numbers.shape[:1]
+                    )
+                    for name in RATES
+                }
+                are_used_up = self._dynamics.kind == 'used_up'
+                steps[robot_type] = Steps.of(own, model.false_negative, are_used_up)
             joints[cells], chances = assimilated(
                 joints[cells], steps[robot_type], evidence, self._correlated
             )
             log_chances += chances
         return joints, log_chances
 
-    def _rates(self, numbers: Floats) -> dict[str, Floats]:
-        """Return the unknown rates of each particle, and the rate of appearing tied to them."""
-        learnt = dict(zip(self._names, numbers.T))
-        rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
-        if 'vanish' in rates and not self._dynamics.appear:
-            density = learnt.get('hazard_density', prior_density(self._prior))
-            rates['appear'] = appearance(rates['vanish'], density)
-        return rates
-
-    def _steps(self, numbers: Floats, robot_type: RobotType) -> Steps:
-        """Return the steps of robots of a type in each particle; their own numbers are known."""
-        model = robot_type.model(self._known)
-        learnt = {
-            name: values
-            for name, values in zip(self._names, numbers.T)
-            if name not in robot_type.sensors
-        }
-        rates = {
-            name: np.broadcast_to(learnt.get(name, getattr(model, name)), len(numbers))
-            for name in RATES
-        }
-        return Steps.of(rates, model.false_negative, self._dynamics.kind == 'used_up')
-
     def _resample(self, rng: np.random.Generator) -> None:
         """Draw the particles anew by their weights, and move them."""
-        weights, logits = self.weights, logit(self._numbers, self._priors)
+        low, high = np.array([(prior.low, prior.high) for prior in self._priors]).T
+        weights = self.weights
+        logits = np.log(self._numbers - low) - np.log(high - self._numbers)
         centred = logits - weights @ logits
         covariance = (centred * weights[:, None]).T @ centred + 1e-9 * np.eye(logits.shape[1])
         scale = 2.38 / np.sqrt(logits.shape[1]) * np.linalg.cholesky(covariance).T
@@ -353,13 +347,6 @@ def within(numbers: Floats, priors: Sequence[Beta]) -> Floats:
     low, high = np.array([(prior.low, prior.high) for prior in priors]).T
     margin = 1e-9 * (high - low)
     return numbers.clip(low + margin, high - margin)
-
-
-def logit(numbers: Floats, priors: Sequence[Beta]) -> Floats:
-    """Return the log odds of numbers within their intervals."""
-    low, high = np.array([(prior.low, prior.high) for prior in priors]).T
-    log_odds: Floats = np.log(numbers - low) - np.log(high - numbers)
-    return log_odds
 
 
 def expit_within(logits: Floats, priors: Sequence[Beta]) -> Floats:

@@ -437,14 +437,12 @@ class Ledger(MissionRecord):
                     f'{error}'
                 ) from error
             estimators[count] = estimator
-            estimators = {kept: estimators[kept] for kept in estimators if is_kept(kept, count)}
+            estimators = {
+                kept: estimators[kept]
+                for kept in estimators
+                if kept % 2 ** max(0, (count - kept).bit_length() - DENSE) == 0
+            }
         self._estimators = estimators
         self.deployments[start:] = deployments
         self.newest, self.newest_stamp = key, report.stamp
         self.report_contents[key] = report.content
-
-
-def is_kept(count: int, deployments: int) -> bool:
-    """Return whether to keep the estimator after `count` deployments when there are so many."""
-    spacing: int = 2 ** max(0, (deployments - count).bit_length() - DENSE)
-    return count % spacing == 0

@@ -188,7 +188,15 @@ class PathFinder(Value):
                 'does not keep: choose the planner beam or relaxed, or leave max_distance '
                 'at 0'
             )
-        object.__setattr__(self, 'visited', visits_before(self.grid, self.visited))
+        given, cells = self.visited, self.grid.cells
+        if given.size == 0:
+            given = np.zeros(cells, dtype=np.intp)
+        if given.shape != (cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
+            raise ValueError(
+                f'visited has shape {given.shape} and type {given.dtype}: it must have a whole '
+                f'number from 0 for each of the {cells} cells'
+            )
+        object.__setattr__(self, 'visited', given.astype(np.intp))
 
     def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
         """Return the finder once robots have left on these paths, each of shape (steps + 1,)."""
@@ -274,18 +282,6 @@ def check_distance(grid: Grid, options: SearchOptions) -> None:
             f'and back in cells of {grid.resolution:.6g} m: it must be at least '
             f'{least:.6g} m, or 0 for no limit'
         )
-
-
-def visits_before(grid: Grid, given: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return how often earlier paths entered each cell, shape (cells,); nothing given: never."""
-    if given.size == 0:
-        return np.zeros(grid.cells, dtype=np.intp)
-    if given.shape != (grid.cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
-        raise ValueError(
-            f'visited has shape {given.shape} and type {given.dtype}: it must have a whole number '
-            f'from 0 for each of the {grid.cells} cells'
-        )
-    return given.astype(np.intp)
 
 
 def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
