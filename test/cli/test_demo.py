@@ -481,6 +481,7 @@ RUNNING, PAUSED, DONE, ENDED = (
 PERIOD, WAIT = 0.3, 0.7
 
 
+@pytest.mark.slow
 @for_each('sent, until', [
     ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 0)], PERIOD),
     ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 1), (DONE, 'done: 1 of 1', 0)], 2 * PERIOD),

@@ -84,6 +84,7 @@ def with_list(left):
     return change
 
 
+@pytest.mark.slow
 @for_each('options', [{'version': 8}, {'version': 9}, {'compression': STORAGE_ZSTD}])
 @for_each('mode', ['NONE', 'none', ''])
 def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, options, mode):

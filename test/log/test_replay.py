@@ -320,6 +320,7 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
     assert gone or not report.not_compared + report.repeated
 
 
+@pytest.mark.slow
 @for_each('field, method', product(['joint', 'hazard', 'target', 'kappa'], METHODS), every=3)
 def test_one_flipped_bit_is_found(tmp_path, capsys, method, field):
     sent = mission(ROBOTS, method=method).sent

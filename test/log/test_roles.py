@@ -144,6 +144,7 @@ def of_all(whole):
     }
 
 
+@pytest.mark.slow
 def test_what_has_no_role_changes_nothing_wherever_it_stands(whole, tmp_path):
     expected, _ = read(write(tmp_path / 'clean.mcap', whole.sent))
     sent = [
@@ -170,6 +171,7 @@ def test_what_has_no_role_changes_nothing_wherever_it_stands(whole, tmp_path):
 NAN = float('nan')
 
 
+@pytest.mark.slow
 @for_each('topic, message, told', [
     ('decision', Decision(header=header(9), probability=NAN), 'probability is nan'),
     ('model', ModelBelief(header=header(9), name=['lethality'], mean=[]), 'mean has 0 values'),

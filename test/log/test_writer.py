@@ -150,6 +150,7 @@ def test_the_header_says_what_wrote_it(tmp_path, whole_mission):
     assert header.library.startswith('kbnitp_ros')
 
 
+@pytest.mark.slow
 @for_each(
     'compression, limit',
     product(['none', 'zstd'], [{'max_file_size': 4_000}, {'max_file_duration': 20e-6}]),

@@ -101,6 +101,7 @@ def test_sections_of_other_nodes_are_theirs(tmp_path, text, own):
     )
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_a_spoilt_file_is_read_or_refused_in_a_line(tmp_path_factory, data):
     path = tmp_path_factory.mktemp('given') / 'given.yaml'

@@ -49,6 +49,7 @@ def reopened(path):
     return journal
 
 
+@pytest.mark.slow
 @given(doings=DOINGS, data=st.data())
 def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
     tmp_path_factory, doings, data
@@ -77,6 +78,7 @@ def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
     assert reopened(path).deployments == [*states[max(lines - 1, 0)], deployment]
 
 
+@pytest.mark.slow
 @given(doings=DOINGS, data=st.data())
 def test_corruption_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory, doings, data):
     path = tmp_path_factory.mktemp('journal') / 'journal'

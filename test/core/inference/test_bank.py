@@ -109,6 +109,7 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
         assert np.exp(log_chance[place]) == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.slow
 @for_each('seed, kind', [(seed, kind) for seed in range(20) for kind in KINDS], every=5)
 def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
     """Weighed by the product of what each filter gave each outcome beforehand."""

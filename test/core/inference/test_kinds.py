@@ -152,6 +152,7 @@ def flown(believed, seed, true=None):
     return estimator
 
 
+@pytest.mark.slow
 def test_the_evidence_tells_kinds_and_the_check_tells_of_a_wrong_one():
     used_up = Dynamics('used_up')
     found = flown(Dynamics('learn'), 1, used_up)

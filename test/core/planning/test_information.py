@@ -220,6 +220,7 @@ def random_problem(seed):
     return Grid(5, 5), belief, SensorModel(**brute_force.random_sensors(rng))
 
 
+@pytest.mark.slow
 @for_each('planner, agents, seed', product(SEEKING, [1, 2], range(20)))
 def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
     problem = *random_problem(seed), 10, agents, 'greedy', planner

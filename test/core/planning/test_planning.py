@@ -67,6 +67,7 @@ def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
     assert found >= 0.995 * best
 
 
+@pytest.mark.slow
 def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
     ratios = []
     for seed in range(50):

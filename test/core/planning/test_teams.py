@@ -170,6 +170,7 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
     assert min(share['greedy'] for share in shares) >= 0.96
 
 
+@pytest.mark.slow
 @for_each('agents', [2, 3, 5])
 def test_a_greedy_team_is_the_best_of_those_that_grow_side_by_side(agents, monkeypatch):
     """No less is found than by one team that grows with the best path for each robot."""

@@ -194,6 +194,7 @@ def drawn_belief(seed):
     return joint
 
 
+@pytest.mark.slow
 @for_each('seed, move', [(seed, move) for seed in range(4) for move in (0.02, 0.3)], every=2)
 def test_a_prediction_is_close_to_what_worlds_do(seed, move):
     dynamics, rng, draws = Dynamics('moving', move=move), np.random.default_rng(seed), 4000
