@@ -5,7 +5,7 @@ from kbnitp_ros.cli.demo import parse
 from kbnitp_ros.cli.demo_mission import chosen_parameters
 from kbnitp_ros.configuration import estimator_of, grid_of
 from kbnitp_ros.configuration.agents import sensor_model_of, unknowns_of
-from kbnitp_ros.configuration.mission import prior_of
+from kbnitp_ros.configuration.mission import prior_of, search_options
 from kbnitp_ros.core import Belief, Deployment, Learning, run_mission, Truth, World
 from kbnitp_ros.report.mission import true_numbers
 import numpy as np
@@ -15,8 +15,7 @@ def demo_mission(*options: str) -> tuple[Belief, list[Deployment], World, dict[s
     """
     Return first belief, deployments, hidden world and true numbers of a demo with these options.
 
-    The nodes of a demo come to the same beliefs, bit for bit. Of its search and its agents the
-    options say nothing.
+    The nodes of a demo come to the same beliefs, bit for bit. The options name one agent.
     """
     parameters = chosen_parameters(parse(options))
     agent, estimator = parameters['agent'], parameters['estimator']
@@ -27,6 +26,7 @@ def demo_mission(*options: str) -> tuple[Belief, list[Deployment], World, dict[s
     deployments = run_mission(
         grid, prior_of(estimator, grid), sensor_model_of(estimator), world,
         parameters['planner']['robots'], rng, estimator['method'],
+        search_options(parameters['planner']),
         truth=Truth(sensor_model_of(agent)), learning=Learning(unknowns_of(estimator), seed),
     )  # fmt: skip
     return estimator_of(estimator, grid).belief, deployments, world, true_numbers(agent, estimator)

@@ -21,17 +21,8 @@ from kbnitp_ros.cli.parameters import NODES
 from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.core import (
-    Belief,
-    Beta,
-    Grid,
-    Learning,
     log_loss,
     RobotType,
-    run_mission,
-    SearchOptions,
-    SensorModel,
-    Unknowns,
-    World,
 )
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.mcap_file import copy
@@ -95,31 +86,20 @@ def nodes_of(process):
     }
 
 
+WHOLE = [
+    '--robots', '6', '--lethality', '0.9', '--size', '6x4', '--max-steps', '6',
+    '--planner', 'relaxed', '--seed', '3',
+]  # fmt: skip
+
+
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
     """Return the folder of a whole mission, and what the demo printed."""
     out = tmp_path_factory.mktemp('made') / 'by demo'
-    done = run_demo(
-        '--robots', 6, '--lethality', 0.9, '--size', '6x4', '--max-steps', 6,
-        '--planner', 'relaxed', '--seed', 3, '--out', out,
-    )  # fmt: skip
+    done = run_demo(*WHOLE, '--out', out)
     assert done.returncode == 0, done.stdout + done.stderr
     assert '/belief: 7 of 7 messages reproduced' in done.stdout
     return out, done.stdout
-
-
-def mission_of(robots, grid, lethality, seed, options, **others):
-    """Return the world of a demo, and its deployments as the core makes them."""
-    rng = np.random.default_rng(seed)
-    world = World.random(grid, rng, 0.15, 0.8, 0.1)
-    prior, model = Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(lethality)
-    method = 'kappa_bnitp'
-    return world, run_mission(grid, prior, model, world, robots, rng, method, options, **others)
-
-
-def learning(seed):
-    """Return what the demo learns unless told otherwise."""
-    return Learning(Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0)), seed=seed)
 
 
 @pytest.mark.processes
@@ -128,8 +108,7 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
     for name in ('maps.png', 'progress.png'):
         assert (out / 'report' / name).read_bytes().startswith(b'\x89PNG')
 
-    options = SearchOptions('relaxed', max_steps=6)
-    world, expected = mission_of(6, Grid(6, 4), 0.9, 3, options, learning=learning(3))
+    _, expected, world, _ = demo_mission(*WHOLE)
     history = read_history(out / 'mission.mcap')
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
@@ -167,8 +146,7 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert '40 deployments' in resumed.stdout
     history = read_history(log)
-    options = SearchOptions(max_steps=6)
-    _, expected = mission_of(40, Grid(4, 4), 0.3, 7, options, learning=learning(7))
+    _, expected, *_ = demo_mission(*options, '--seed', '7')
     assert [o.path.tolist() for o in history.observations] == [
         d.observation.path.tolist() for d in expected
     ]

@@ -88,19 +88,6 @@ def test_objectives_are_compared_at_equal_log_loss(scenario):
 
 
 @pytest.mark.slow
-def test_strategies_that_differ_otherwise_are_not_compared(scenario):
-    def differ(*teams):
-        return replace(scenario, teams=teams)
-
-    assert differ_in_objective(differ(*OBJECTIVES))
-    assert not differ_in_objective(differ(*OBJECTIVES[::2]))
-    assert not differ_in_objective(differ(*OBJECTIVES, Strategy(agents=2)))
-    assert differ_only_in(differ(*MAPS), 'survey', 'trusted')
-    assert not differ_only_in(differ(NONE, Strategy(survey=0.9, agents=2)), 'survey', 'trusted')
-    assert not differ_only_in(differ(NONE), 'survey', 'trusted')
-
-
-@pytest.mark.slow
 def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, monkeypatch):
     used = []
 
@@ -217,17 +204,6 @@ def test_the_difference_is_that_of_the_same_worlds():
 
 
 @pytest.mark.slow
-def test_loss_costs_differ(scenario):
-    for differ, teams in (
-        (True, COSTS),
-        (False, COSTS[:1]),
-        (False, (Strategy(), Strategy(2, loss_cost=0.1))),
-        (False, (Strategy(), Strategy(last_contact=0.1))),
-    ):
-        assert differ_only_in(replace(scenario, teams=teams), 'loss_cost') is differ
-
-
-@pytest.mark.slow
 def test_each_is_compared_with_the_least(costs):
     summary = BY_LOSS_COST.summarise(costs)
     assert summary['least'] == 0
@@ -285,17 +261,6 @@ def test_a_round_is_over_when_its_last_robot_is(robots, agents, expected):
     series = np.arange(3.0)[:, None] + np.arange(robots + 1.0)
     assert after_rounds(series, agents)[0].tolist() == expected
     assert after_rounds(series, agents)[2].tolist() == [2 + value for value in expected]
-
-
-@pytest.mark.slow
-def test_teams_differ_in_size(scenario):
-    for differ, teams in (
-        (True, SIZES),
-        (False, SIZES[:1]),
-        (False, (Strategy(2, 'voronoi'), Strategy(2, 'greedy'))),
-        (False, (Strategy(1), Strategy(2, loss_cost=0.1))),
-    ):
-        assert differ_in_size(replace(scenario, teams=teams)) is differ
 
 
 @pytest.mark.slow
@@ -388,10 +353,29 @@ def test_the_robots_to_the_same_log_loss(compared):
     assert row['second_base'] == 11
 
 
+@for_each('teams, names', [
+    (OBJECTIVES, {'objective'}), (OBJECTIVES[::2], {'loss_cost'}), (MAPS, {'survey'}),
+    (COSTS, {'loss_cost'}), (SIZES, {'size'}), (BASES, {'base'}),
+    ((NONE, Strategy(2, loss_cost=0.1)), set()),
+    ((NONE, Strategy(survey=0.9, loss_cost=1)), set()),
+    ((*OBJECTIVES, Strategy(agents=2)), set()), ((NONE, Strategy(last_contact=0.1)), set()),
+    ((Strategy(2, 'voronoi'), Strategy(2, 'greedy')), set()),
+    *((each[:1], set()) for each in (OBJECTIVES, MAPS, COSTS, SIZES, BASES)),
+])  # fmt: skip
+def test_strategies_are_compared_that_differ_in_one_thing(scenario, teams, names):
+    among = replace(scenario, teams=teams)
+    found = {
+        'objective': differ_in_objective(among),
+        'loss_cost': differ_only_in(among, 'loss_cost'),
+        'survey': differ_only_in(among, 'survey', 'trusted'),
+        'size': differ_in_size(among),
+        'base': BY_BASE.applies(among),
+    }
+    assert {name for name, differ in found.items() if differ} == names
+
+
 def test_bases_differ_and_nothing_else_does(compared):
     scenario = compared.scenario
-    assert BY_BASE.applies(scenario)
-    assert not BY_BASE.applies(replace(scenario, teams=(BASES[0],)))
     assert [*team_labels(scenario).values()] == ['one base', 'second base 11']
     # Both meet the same worlds, in which both cells are free.
     assert scenario.field().bases == {5, 11}
