@@ -21,7 +21,7 @@ from laws import for_each
 import pytest
 
 # Options that stand for nothing when they are not given.
-FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out')
+FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out', '--page')
 
 
 def test_the_rest_of_the_line_goes_to_the_command(monkeypatch, tmp_path):
