@@ -12,11 +12,7 @@ import numpy as np
 
 
 def demo_mission(*options: str) -> tuple[Belief, list[Deployment], World, dict[str, float]]:
-    """
-    Return first belief, deployments, hidden world and true numbers of a demo with these options.
-
-    The nodes of a demo come to the same beliefs, bit for bit. The options name one agent.
-    """
+    """Return first belief, deployments, world and true numbers of a demo with these options."""
     parameters = chosen_parameters(parse(options))
     agent, estimator = parameters['agent'], parameters['estimator']
     grid, seed = grid_of(agent), agent['seed']

@@ -16,17 +16,7 @@ LONG = [pytest.mark.full, pytest.mark.campaign]
 
 
 def some(cases: Iterable[Any], every: int = 4) -> list[Any]:
-    """
-    Return cases of one law for `parametrize`: the first of every so many, and the rest as `full`.
-
-    Parameters
-    ----------
-    cases : iterable
-        Arguments, as a tuple where the test takes several.
-    every : int
-        Of how many cases in a row one runs before every change.
-
-    """
+    """Return cases for `parametrize`: the first of every so many, and the rest marked `full`."""
     return [
         pytest.param(
             *(case if isinstance(case, tuple) else (case,)),

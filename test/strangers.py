@@ -11,22 +11,7 @@ ROOT = Path(__file__).parents[1]
 def install(
     folder: Path, name: str, source: str, added: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
-    """
-    Make a distribution of one module, and return an environment that has it and this package.
-
-    Parameters
-    ----------
-    folder : Path
-        Where to; may hold others.
-    name : str
-        Of the distribution and of its module.
-    source : str
-        The module.
-    added : mapping
-        For methods, planners and allocations the names that it adds, and what stands for each in
-        the module, or anywhere if that has a colon.
-
-    """
+    """Make a distribution of one module, and return an environment that has it."""
     folder.joinpath(f'{name}.py').write_text(source)
     info = folder / f'{name}-1.0.dist-info'
     info.mkdir()

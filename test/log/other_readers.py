@@ -164,15 +164,7 @@ def check_same(read, written):
 
 
 def check_all_read(log):
-    """
-    Check that all libraries read all of a finished log: each file singly, and the folder as a bag.
-
-    Parameters
-    ----------
-    log : Path
-        Its first file, which has the folder for itself.
-
-    """
+    """Check that all libraries read all of a log: each file singly, and the folder as a bag."""
     for part in parts_of(log):
         for library in (with_mcap, with_node, with_rosbags):
             check_same(library(part), read_part(part))

@@ -16,17 +16,7 @@ def random_walk(grid, rng, steps):
 
 
 class Shown(Mission):
-    """
-    A mission in a world of its own, whose truth is published, with robots that walk at random.
-
-    Parameters
-    ----------
-    grid : Grid
-        The field.
-    seed : int
-        Of the world, the walks and the robots' fates.
-
-    """
+    """A mission in a world of its own, which is published, with robots that walk at random."""
 
     def __init__(self, grid=GRID, seed=2, **options):
         self.rng = np.random.default_rng(seed)

@@ -23,15 +23,7 @@ def random_robot_type(rng):
 
 
 def random_robots(seed, robots, most_steps=6, independent=False):
-    """
-    Draw a belief of four cells, a model, and the types and outcomes of robots that met one world.
-
-    Returns
-    -------
-    tuple
-        The joint, the model, and of each robot its type, path, readings and steps survived.
-
-    """
+    """Draw a joint of four cells, a model, and robots: type, path, readings, survived steps."""
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, 4, 0)
     if independent:
