@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from kbnitp_ros.core import (
@@ -192,6 +193,7 @@ def belief_fields(
     )
 
 
+@cache
 def belief_field_names() -> set[str]:
     """Return the names of all fields of a kbnitp_msgs/BeliefMaps."""
     grid = Grid(1, 1)

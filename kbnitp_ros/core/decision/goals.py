@@ -9,7 +9,7 @@ sent where the most is to be learnt.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Protocol, runtime_checkable
@@ -225,12 +225,8 @@ def expected_from_readings(
     """Return the expected fall of entropies by readings, (flights,) nats (:eq:`area-readings`)."""
     chance = returned.sum(axis=1)
     hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)
-    of_hazard = joint.sum(axis=2, keepdims=True)
-    target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
-    likelihood = positives(Camera.of(model), int(visits.max(initial=0)))
     information = np.zeros_like(hazard)
-    for count in np.unique(visits[visits > 0]).tolist():
-        safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
+    for count, safe, hazardous in readings_given(joint, model, visits):
         with_hazard = hazard[..., None] * hazardous
         reading = with_hazard + (1.0 - hazard)[..., None] * safe
         given = with_hazard / np.where(reading > 0.0, reading, 1.0)
@@ -240,9 +236,23 @@ def expected_from_readings(
     return gain
 
 
+def readings_given(
+    joint: Floats, model: SensorModel, visits: Path
+) -> Iterator[tuple[int, Floats, Floats]]:
+    """Yield for each number of visits P(readings | Z = 0) and P(readings | Z = 1), (cells, n)."""
+    of_hazard = joint.sum(axis=2, keepdims=True)
+    target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
+    likelihood = positives(Camera.of(model), int(visits.max(initial=0)))
+    for count in np.unique(visits[visits > 0]).tolist():
+        safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
+        yield count, safe, hazardous
+
+
 # How many lanes to the goal are combined, at most: those of any length, and of each of two that
 # leave room for longer ones.
 OUT, BACK = 12, 4
+# From this probability on that the best lane is free, flights are for information on just that.
+PROBABLE = 0.45
 # What a nat of information on all hazards counts, in probability that the best lane is free: it
 # decides where no flight can change which lane is best.
 WORTH = 0.02
@@ -299,15 +309,26 @@ class Lane:
         lanes, paths = self._flights(situation)
         if not paths:
             return None
+        free = situation.draws.are_free(lanes)
+        p_free = free @ situation.outcomes.sum(axis=0)
+        best_lane = int(np.argmax(np.round(p_free, DECIMALS)))
+        is_probable = p_free[best_lane] >= PROBABLE
+        if is_probable:
+            paths += flights_along(situation, lanes[best_lane])
         survival = situation.draws.survivals(paths, situation.model)
         allowed = situation.is_allowed(survival)
         if not allowed.any():
             return None
         paths = [path for path, is_allowed in zip(paths, allowed) if is_allowed]
         survival = survival[allowed]
-        free = situation.draws.are_free(lanes)
         gain = expected_best(free, survival, situation.outcomes)
-        value = gain + WORTH * information(survival, situation.outcomes)
+        if is_probable:
+            known = free[best_lane], survival, situation.outcomes
+            value = information_on(*known) + readings_on(
+                *known, np.unique(lanes[best_lane]), paths, situation
+            )
+        else:
+            value = gain + WORTH * information(survival, situation.outcomes)
         best = int(np.argmax(np.round(value, DECIMALS)))
         return situation.planned(paths[best], max(0.0, float(gain[best])))
 
@@ -342,6 +363,66 @@ class Lane:
             for path in different.values()
             if np.bincount(path[1:]).max() <= options.max_visits
         ]
+
+
+def flights_along(situation: Situation, lane: Path) -> list[Path]:
+    """Return closed paths for information on the hazards of a lane alone."""
+    grid, options = situation.grid, situation.options
+    none = np.zeros(grid.cells)
+    hazard = none.copy()
+    hazard[lane] = situation.draws.p_hazard()[lane]
+    objective = Objective.alone(
+        grid, Belief.from_maps(hazard, none, none), situation.model, options
+    )
+    return [each.path for each in PathFinder(grid, options).candidates(objective)[:SEARCHED]]
+
+
+def information_on(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
+    """Return the information of flights on one event, (flights,) nats (:eq:`lane-information`)."""
+
+    def left(chance: Floats, event: Floats) -> Floats:
+        entropy: Floats = binary_entropy(
+            (event / np.where(chance > 0.0, chance, 1.0)).clip(0.0, 1.0)
+        )
+        return chance * entropy
+
+    gain = np.zeros(len(survival))
+    for each in outcomes:
+        known, chance = each * free, each.sum()
+        returned, returned_free = survival @ each, survival @ known
+        gain += left(np.array(chance), np.array(known.sum())) - left(returned, returned_free)
+        gain -= left(chance - returned, known.sum() - returned_free)
+    return np.maximum(gain, 0.0)
+
+
+def readings_on(
+    free: Floats,
+    survival: Floats,
+    outcomes: Floats,
+    cells: Path,
+    paths: Sequence[Path],
+    situation: Situation,
+) -> Floats:
+    """Return what readings in some cells tell of whether all are free, (flights,) nats."""
+    # The cells are taken one by one, and tell no more than there is to be known.
+    returned = survival * outcomes.sum(axis=0)
+    chance = returned.sum(axis=1)
+    each = np.where(chance > 0.0, chance, 1.0)
+    p_free = (returned @ free / each).clip(0.0, 1.0)[:, None]
+    hazard = returned @ situation.draws.hazardous[:, cells] / each[:, None]
+    # Where not all are free: that the hazard is here.
+    here = (hazard / np.where(p_free < 1.0, 1.0 - p_free, 1.0)).clip(0.0, 1.0)[..., None]
+    entered = [np.bincount(path[1:], minlength=situation.grid.cells)[cells] for path in paths]
+    visits, joint = np.array(entered), situation.belief.joint[cells]
+    told = np.zeros_like(hazard)
+    for count, safe, hazardous in readings_given(joint, situation.model, visits):
+        all_free = p_free[..., None] * safe
+        reading = all_free + (1.0 - p_free[..., None]) * (here * hazardous + (1.0 - here) * safe)
+        given = all_free / np.where(reading > 0.0, reading, 1.0)
+        left = (reading * binary_entropy(given.clip(0.0, 1.0))).sum(axis=-1)
+        told += (visits == count) * (binary_entropy(p_free) - left)
+    total: Floats = chance * np.minimum(told.sum(axis=1), binary_entropy(p_free[:, 0]))
+    return total
 
 
 def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Path]:

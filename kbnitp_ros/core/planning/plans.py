@@ -233,6 +233,8 @@ class Assigned:
 
 def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     """Return paths, each planned given that those before it are taken, returned or lost."""
+    if len(robots) == 1:
+        return [robots[0].finder.candidates(robots[0].objective)[0].path]
     side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
     teams = [Assigned()]
     for robot in robots:

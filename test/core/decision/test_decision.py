@@ -33,6 +33,8 @@ from kbnitp_ros.core.decision.goals import (
     expected_certainty,
     expected_from_readings,
     information,
+    information_on,
+    readings_on,
     Situation,
 )
 from kbnitp_ros.core.decision.rounds import why_worthless
@@ -123,9 +125,12 @@ def test_numbers_are_those_of_all_states(seed):
     best = expected_best(free, chances, sent.outcomes)
     certain = expected_certainty(states[:, some].astype(float), chances, sent.outcomes)
     told = information(chances, sent.outcomes)
-    for flight, own_best, own_certain, own_told in zip(flights, best, certain, told):
+    of_lane = information_on(free[0], chances, sent.outcomes)
+    for flight, own_best, own_certain, own_told, own_lane in zip(
+        flights, best, certain, told, of_lane
+    ):
         fate = survivals(states, flight, model)
-        gained = fallen = heard = 0.0
+        gained = fallen = heard = sure = 0.0
         for other in (weight * survived, weight * (1.0 - survived)):
             outcomes = (other * fate, other * (1.0 - fate))
             gained += sum((free @ each).max() for each in outcomes) - (free @ other).max()
@@ -134,12 +139,45 @@ def test_numbers_are_those_of_all_states(seed):
                     fallen += (
                         sign * total * sum(entropy(p) for p in (each @ states[:, some]) / total)
                     )
+                    sure += sign * total * entropy((each @ free[0]) / total)
             if (total := other.sum()) > 1e-12:
                 heard += total * entropy((other @ fate) / total)
             heard -= sum(p * entropy(s) for p, s in zip(other, fate) if p > 0)
         assert own_best == pytest.approx(gained, abs=1e-9)
         assert own_certain == pytest.approx(fallen, abs=1e-9)
         assert own_told == pytest.approx(heard, abs=1e-9)
+        assert own_lane == pytest.approx(sure, abs=1e-9)
+
+
+@for_each('seed', range(40))
+def test_readings_of_one_cell_tell_of_a_lane_what_all_their_outcomes_do(seed):
+    """Of several cells they tell at most what all together do, and what there is to be known."""
+    rng = np.random.default_rng([seed, 31])
+    grid, model = Grid(3, 3), SensorModel(**random_sensors(rng))
+    states, weight = posterior(rng, 3, 3, model, 2)
+    draws = HazardDraws(states, inf, weight)
+    belief = Belief.prior(grid, 0.2, 0.25, 0.8)
+    situation = Situation(grid, 0, draws, belief, model, SearchOptions(), weight[None])
+    lane, cell = [0, 1, 2], 1
+    free = ~states[:, lane].any(axis=1)
+    paths = [np.array([0, cell, 0]), np.array([0, 1, 2, 1, 0])]
+    survival = draws.survivals(paths, model)
+    told = readings_on(
+        free.astype(float), survival, situation.outcomes, np.array([cell, 2]), paths, situation
+    )
+    if survival[1] @ weight < 1e-9:
+        assert not told.any()
+        return
+    back = weight * survival[0]
+    target = belief.joint[cell] / belief.joint[cell].sum(axis=1, keepdims=True)
+    positive = target @ [model.false_positive, model.true_positive]
+    seen = np.where(states[:, cell], positive[1], positive[0])
+    expected = back.sum() * entropy(back @ free / back.sum())
+    for reading in (back * seen, back * (1.0 - seen)):
+        expected -= reading.sum() * entropy(reading @ free / reading.sum())
+    assert told[0] == pytest.approx(expected, abs=1e-9)
+    chance = survival[1] @ weight
+    assert 0.0 <= told[1] <= chance * entropy((weight * survival[1]) @ free / chance) + 1e-9
 
 
 @for_each('seed', range(30))
