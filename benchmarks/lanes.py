@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compare thresholds from which on flights for a lane are for information on it, world by world."""
+"""Compare thresholds of probability from which on flights are for information on one lane."""
 
 import argparse
 from functools import partial
