@@ -10,6 +10,9 @@ import subprocess
 import sys
 
 from kbnitp_ros.cli.processes import environment
+from kbnitp_ros.log.read import LogError, read_log
+from kbnitp_ros.log.roles import REPORT
+from kbnitp_ros.messages.headers import from_stamp
 
 ROOT = Path(__file__).parents[1]
 
@@ -58,3 +61,11 @@ def nodes_of(mission):
         names = re.findall(r'__node:=(\w+)\0-r\0__ns:=([/\w]*)', command)
         found |= {f'{space.rstrip("/")}/{name}': int(child) for name, space in names}
     return found
+
+
+def reports_in(log):
+    """Return how many deployments are reported on disk; 0 before the recorder has begun."""
+    try:
+        return len({from_stamp(logged.message.deployment) for logged in read_log(log, [REPORT])})
+    except LogError:
+        return 0

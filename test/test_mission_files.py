@@ -15,11 +15,10 @@ from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.read import LogError, read_log
+from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import REPORT
-from kbnitp_ros.messages.headers import from_stamp
-from launches import interrupt, launched, nodes_of
+from launches import interrupt, launched, nodes_of, reports_in
 from laws import for_each
 import pytest
 import yaml
@@ -69,14 +68,6 @@ def test_units_of_systemd_give_launch_files_arguments_that_they_take(name, file)
     arguments = set(re.findall(r'(\w+):=', unit))
     assert {'namespace', 'params_file'} <= arguments
     assert [argument for argument in arguments if f"'{argument}'" not in known] == []
-
-
-def reports_in(log):
-    """Return how many deployments are reported on disk; 0 before the recorder has begun."""
-    try:
-        return len({from_stamp(each.message.deployment) for each in read_log(log, [REPORT])})
-    except LogError:
-        return 0
 
 
 def run_until_over(folder, reports, missions):

@@ -26,15 +26,15 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.mcap_file import copy
-from kbnitp_ros.log.read import is_finished, LogError, read_log, read_recorded, RecordedMetadata
+from kbnitp_ros.log.read import is_finished, read_log, read_recorded, RecordedMetadata
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.roles import MissionLog, PROGRESS, REPORT
+from kbnitp_ros.log.roles import MissionLog, PROGRESS
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
+from launches import reports_in
 from laws import for_each
 import numpy as np
 import pytest
@@ -391,14 +391,6 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     assert 'the base, cell 5 around (3.3, -0.7), is blocked' in capsys.readouterr().err
     assert main(['--set', 'map_topic=/map', '--out', str(tmp_path / 'heard')]) == 2
     assert 'no map reaches the demo' in capsys.readouterr().err
-
-
-def reports_in(log):
-    """Return how many deployments are reported on disk; 0 before the recorder has begun."""
-    try:
-        return len({from_stamp(logged.message.deployment) for logged in read_log(log, [REPORT])})
-    except LogError:
-        return 0
 
 
 @for_each('options, complaint', [

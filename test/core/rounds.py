@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plans of rounds, asked for in one line, and methods of which more is known than of all."""
 
-from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team
+from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team, update
+from kbnitp_ros.core.inference.filters import KnownModel
 from kbnitp_ros.core.planning.plans import divided, TeamMember
 
 
@@ -45,3 +46,14 @@ LEARN_FROM_LOSSES = (
     'kappa_bnitp',
     'kappa_bnitp_sampled',
 )
+
+
+class Ignorant(KnownModel):
+    """Learn from returns alone."""
+
+    def __init__(self, belief, model, unknowns, seed):
+        super().__init__(belief, model)
+
+    def assimilate(self, observation, robot_type):
+        if observation.survived:
+            self.belief = update(self.belief, robot_type.model(self.model), observation)

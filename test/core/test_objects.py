@@ -9,7 +9,6 @@ from kbnitp_ros.core import (
     Belief,
     Estimator,
     Grid,
-    KnownModel,
     Learning,
     Observation,
     plan_team,
@@ -27,6 +26,7 @@ from kbnitp_ros.plugins import PluginError
 from laws import for_each
 import numpy as np
 import pytest
+from rounds import Ignorant
 
 GRID = Grid(4, 4, blocked=[6])
 PRIOR = Belief.from_maps(
@@ -39,17 +39,6 @@ OPTIONS = SearchOptions(max_steps=8)
 
 def mission(method='kappa_bnitp', options=OPTIONS, robots=4, **other):
     return run_mission(GRID, PRIOR, MODEL, WORLD, robots, 1, method, options, **other)
-
-
-class Ignorant(KnownModel):
-    """Learn from returns alone."""
-
-    def __init__(self, belief, model, unknowns, seed):
-        super().__init__(belief, model)
-
-    def assimilate(self, observation, robot_type):
-        if observation.survived:
-            self.belief = update(self.belief, robot_type.model(self.model), observation)
 
 
 LEARNING = Learning(Unknowns(lethality=(0.0, 1.0)))

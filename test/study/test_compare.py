@@ -5,13 +5,14 @@ from hashlib import sha256
 from pathlib import Path
 from threading import Lock
 
-from kbnitp_ros.core import KnownModel, METHODS, PLANNERS, update, World
+from kbnitp_ros.core import METHODS, PLANNERS, World
 from kbnitp_ros.core.planning.planners import coverage
 from kbnitp_ros.study import benchmark, compare, figures_of, tables_of
 from kbnitp_ros.study.scenario_file import read_scenario
 from laws import for_each
 import numpy as np
 import pytest
+from rounds import Ignorant
 from small_study import CONTENT
 
 SMALL = {**CONTENT, 'trials': 2, 'robots': 3, 'lethalities': [0.9]}
@@ -20,17 +21,6 @@ SMALL = {**CONTENT, 'trials': 2, 'robots': 3, 'lethalities': [0.9]}
 def sweep(finder, objective):
     """Plough the field, as the planner 'coverage' does."""
     return coverage(finder, objective)
-
-
-class Ignorant(KnownModel):
-    """Learn from returns alone."""
-
-    def __init__(self, belief, model, unknowns, seed):
-        super().__init__(belief, model)
-
-    def assimilate(self, observation, robot_type):
-        if observation.survived:
-            self.belief = update(self.belief, robot_type.model(self.model), observation)
 
 
 @pytest.fixture(scope='module')
