@@ -191,23 +191,6 @@ def posterior(joint, model, *deployments):
     return after
 
 
-def information(joint, model, path):
-    """Sum I(Z, X; Theta, Y), nats, over all states and all outcomes."""
-    cells, states, prior = enumerate_states(joint, path[1:])
-    lost, returned = fates(model, cells, states, path)
-    likelihood = np.column_stack(
-        [lost]
-        + [
-            returned * readings_likelihood(model, cells, states, path, np.array(readings))
-            for readings in product((False, True), repeat=len(path) - 1)
-        ]
-    )
-    together = prior[:, None] * likelihood
-    apart = prior[:, None] * together.sum(axis=0)
-    seen = together > 0
-    return float((together[seen] * np.log(together[seen] / apart[seen])).sum())
-
-
 def behavioral_entropy(chance, alpha):
     """Behavioral entropy of a coin: that of Shannon, of the Prelec weights of both sides."""
     beta = log(2) ** (1 - alpha)
@@ -427,11 +410,11 @@ def information_of_visits(joint, model, visits):
 # Several robots at once
 
 
-def joint_information(joint, model, paths):
-    """Sum I(Z, X; all outcomes of all paths), nats, over all states and all outcomes."""
+def joint_information(joint, models, paths):
+    """Sum I(Z, X; all outcomes), nats, over all states and outcomes; each robot has its model."""
     cells, states, prior = enumerate_states(joint, [c for path in paths for c in path[1:]])
     likelihood = np.ones((len(states), 1))
-    for path in paths:
+    for model, path in zip(models, paths, strict=True):
         lost, returned = fates(model, cells, states, path)
         outcomes = np.column_stack(
             [lost]

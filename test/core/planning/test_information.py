@@ -39,7 +39,7 @@ def random_case(seed):
 @for_each('seed', range(400))
 def test_path_information_is_the_joint_information(seed):
     joint, model, path = random_case(seed)
-    expected = brute_force.information(joint, model, path)
+    expected = brute_force.joint_information(joint, [model], [path])
     assert path_information(Belief(joint), model, path) == pytest.approx(expected, rel=0, abs=1e-9)
 
 
@@ -49,7 +49,7 @@ def test_the_count_of_exposures_tells_all_there_is(seed):
     joint, model, path = random_case(seed)
     visits = np.bincount(path[1:], minlength=len(joint))[None]
     fast = brute_force.information_of_visits(joint, model, visits)[0]
-    assert fast == pytest.approx(brute_force.information(joint, model, path), abs=1e-12)
+    assert fast == pytest.approx(brute_force.joint_information(joint, [model], [path]), abs=1e-12)
 
 
 def test_even_odds_and_a_perfect_robot_by_hand():

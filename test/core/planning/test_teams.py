@@ -78,7 +78,7 @@ def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
     pairs = brute_force.information_of_pairs(joint, model, visits)
     for i, j in ((0, 1), (1, 0), (0, 0)):
         paths = [(one, other)[i], (one, other)[j]]
-        expected = brute_force.joint_information(joint, model, paths)
+        expected = brute_force.joint_information(joint, [model] * len(paths), paths)
         assert pairs[i, j] == pytest.approx(expected, rel=0, abs=1e-9)
 
 
@@ -88,7 +88,7 @@ def test_team_information_is_the_joint_information_but_for_a_little():
     above = np.zeros(cases)
     for seed in range(cases):
         joint, model, paths = few_paths(seed)
-        exact = brute_force.joint_information(joint, model, paths)
+        exact = brute_force.joint_information(joint, [model] * len(paths), paths)
         above[seed] = team_information(Belief(joint), model, paths) / exact - 1
     far = (above > 0.03).sum()
     print(
@@ -313,25 +313,6 @@ def few_robots(seed):
     return joint, SensorModel(**model), kinds, paths
 
 
-def joint_information(joint, models, paths):
-    """Sum I(Z, X; all outcomes), nats, over all states and outcomes; each robot has its model."""
-    cells, states, prior = brute_force.enumerate_states(joint, [c for p in paths for c in p[1:]])
-    likelihood = np.ones((len(states), 1))
-    for model, path in zip(models, paths):
-        lost, returned = brute_force.fates(model, cells, states, path)
-        outcomes = [lost] + [
-            returned
-            * brute_force.readings_likelihood(model, cells, states, path, np.array(readings))
-            for readings in product((False, True), repeat=len(path) - 1)
-        ]
-        outcomes = np.column_stack(outcomes)
-        likelihood = (likelihood[:, :, None] * outcomes[:, None, :]).reshape(len(states), -1)
-    together = prior[:, None] * likelihood
-    apart = prior[:, None] * together.sum(axis=0)
-    seen = together > 0
-    return float((together[seen] * np.log(together[seen] / apart[seen])).sum())
-
-
 def models_of(kinds, model):
     return [kind.model(model) for kind in kinds]
 
@@ -347,7 +328,7 @@ def test_team_information_is_exact_where_hazards_are_known(seed):
     known = joint.argmax(axis=1, keepdims=True)[:, :, :1] == np.arange(2)[:, None]
     joint = joint * known
     joint /= joint.sum(axis=(1, 2), keepdims=True)
-    exact = joint_information(joint, models_of(kinds, model), paths)
+    exact = brute_force.joint_information(joint, models_of(kinds, model), paths)
     found = team_information(Belief(joint), model, paths, robot_types=kinds)
     assert found == pytest.approx(exact, abs=1e-9)
 
@@ -357,7 +338,7 @@ def test_information_of_teams_of_types_is_the_joint_information_but_for_a_little
     above = np.zeros(300)
     for seed in range(above.size):
         joint, model, kinds, paths = few_robots(seed)
-        exact = joint_information(joint, models_of(kinds, model), paths)
+        exact = brute_force.joint_information(joint, models_of(kinds, model), paths)
         above[seed] = team_information(Belief(joint), model, paths, robot_types=kinds) / exact - 1
     print(f'{above.mean():.2%} above on average, at most {above.max():.0%}')
     assert above.min() > -1e-9
