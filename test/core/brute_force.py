@@ -173,22 +173,22 @@ def evidence_probability(joint, model, path, *outcome):
     return (prior * evidence_likelihood(model, cells, states, path, *outcome)).sum()
 
 
-def posterior(joint, model, *deployments):
-    """
-    Take in deployments, each a path, its readings, and if known the steps survived and `lost_at`.
-
-    The posterior of all states, then marginal joints per cell.
-    """
-    visited = {cell for path, *_ in deployments for cell in path[1:]}
+def weighed(joint, seen):
+    """Return how probable deployments, each after its model, are, and the cells' joints then."""
+    visited = {cell for _, path, *_ in seen for cell in path[1:]}
     cells, states, weight = enumerate_states(joint, visited)
-    for deployment in deployments:
+    for model, *deployment in seen:
         weight = weight * evidence_likelihood(model, cells, states, *deployment)
-    weight /= weight.sum()
     after = joint.copy()
     for i, cell in enumerate(cells):
         for z, x in product((0, 1), repeat=2):
-            after[cell, z, x] = weight[(states[:, i] == (z, x)).all(axis=1)].sum()
-    return after
+            after[cell, z, x] = weight[(states[:, i] == (z, x)).all(axis=1)].sum() / weight.sum()
+    return weight.sum(), after
+
+
+def posterior(joint, model, *deployments):
+    """Take in deployments: each a path, its readings, and perhaps steps survived and `lost_at`."""
+    return weighed(joint, [(model, *each) for each in deployments])[1]
 
 
 def behavioral_entropy(chance, alpha):

@@ -59,16 +59,7 @@ def assimilated(joint, model, seen, method, **options):
 
 def enumerated(joint, model, seen):
     """Return the posterior by enumeration of all states, each robot with its own model."""
-    cells, states, weight = brute_force.enumerate_states(joint, range(len(joint)))
-    for robot_type, path, *outcome in seen:
-        weight = weight * brute_force.evidence_likelihood(
-            robot_type.model(model), cells, states, path, *outcome
-        )
-    weight /= weight.sum()
-    after = np.zeros_like(joint)
-    for state, share in zip(states, weight):
-        after[range(len(joint)), state[:, 0], state[:, 1]] += share
-    return after
+    return brute_force.weighed(joint, [(kind.model(model), *each) for kind, *each in seen])[1]
 
 
 @pytest.mark.slow

@@ -120,19 +120,11 @@ def with_value(joint, model, name, value):
 
 def posterior(joint, model, seen, name, bins):
     """Return the weights of a number's values, and the cells' joints, by enumeration."""
-    visited = {cell for path, *_ in seen for cell in path[1:]}
     evidence, joints = [], []
     for value in bins.values:
         prior, sensors = with_value(joint, model, name, value)
-        cells, states, weight = brute_force.enumerate_states(prior, visited)
-        for deployment in seen:
-            weight = weight * brute_force.evidence_likelihood(sensors, cells, states, *deployment)
-        evidence.append(weight.sum())
-        after = prior.copy()
-        for i, cell in enumerate(cells):
-            for z, x in product((0, 1), repeat=2):
-                after[cell, z, x] = weight[(states[:, i] == (z, x)).all(axis=1)].sum()
-            after[cell] /= weight.sum()
+        probability, after = brute_force.weighed(prior, [(sensors, *each) for each in seen])
+        evidence.append(probability)
         joints.append(after)
     weights = np.array(evidence) * np.exp(bins.log_prior)
     weights /= weights.sum()
