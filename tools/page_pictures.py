@@ -4,7 +4,7 @@ Take the pictures of a report that the documentation shows.
 
 ``python3 tools/page_pictures.py REPORT DOCS/images`` takes them of REPORT/report.html in a
 browser, Chromium or Chrome, and of REPORT/maps.png. ``python3 tools/page_pictures.py REPORT
-DOCS/images KINDS`` also takes the answer of KINDS/report.html on whether the model fits.
+DOCS/images KINDS`` also takes the answer of KINDS/report.html on whether it can be trusted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def main(report: Path, images: Path, kinds: Path | None = None) -> None:
         take_maps(opened(browser, report, 'dark'), images / 'page_dark.png')
         if kinds is not None:
             tiles = opened(browser, kinds, 'light').locator('#answers article')
-            tiles.filter(has_text='model fit').screenshot(path=images / 'page_kinds.png')
+            tiles.filter(has_text='Can I trust it').screenshot(path=images / 'page_kinds.png')
         browser.close()
     with Image.open(report / 'maps.png') as maps:
         maps.thumbnail((1600, 1600))
