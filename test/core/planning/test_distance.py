@@ -117,14 +117,10 @@ def found_by(grid, belief, model, options, **more):
 
 
 @for_each('seed', range(300), every=6)
-def test_a_search_that_keeps_all_labels_finds_the_best_path_of_the_length(seed):
+def test_paths_and_bounds_keep_to_the_length(seed):
+    """All labels find the best path of it, a narrow search none that is longer or better."""
     grid, belief, model, options, best = problem(seed)
     assert found_by(grid, belief, model, options)[1] == pytest.approx(best, abs=1e-8)
-
-
-@for_each('seed', range(300), every=6)
-def test_no_path_of_a_narrow_search_is_longer_or_better(seed):
-    grid, belief, model, options, best = problem(seed)
     for width, planner in ((1, 'relaxed'), (2, 'beam'), (5, 'beam'), (16, 'beam')):
         own = replace(options, width=width, planner=planner)
         candidates = PathFinder(grid, own).candidates(Objective.alone(grid, belief, model, own))
@@ -132,11 +128,6 @@ def test_no_path_of_a_narrow_search_is_longer_or_better(seed):
         for each in candidates:
             assert length_of(grid, each.path) <= options.max_distance * (1.0 + 1e-8)
             assert each.value <= best + 1e-8
-
-
-@for_each('seed', range(300), every=12)
-def test_the_bound_is_of_paths_of_the_length(seed):
-    grid, belief, model, options, best = problem(seed)
     found, _ = found_by(grid, belief, model, replace(options, width=4), bound=True)
     assert found.upper_bound >= best - 1e-9
 

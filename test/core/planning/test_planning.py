@@ -57,17 +57,6 @@ def test_the_search_sees_all_closed_paths():
 
 
 @pytest.mark.slow
-@for_each('seed', range(50), every=3)
-def test_beam_comes_close_to_the_best_of_all_paths(seed, record_property):
-    grid, belief, model = random_problem(seed)
-    best = optimum(grid, belief, model)
-    found = plan(grid, belief, model, 7, planner='beam', width=16).information
-    record_property('beam_ratio', float(found / best))
-    assert found <= best + 1e-9
-    assert found >= 0.995 * best
-
-
-@pytest.mark.slow
 def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
     ratios = []
     for seed in range(50):
@@ -111,15 +100,20 @@ def test_plans_are_what_they_were_before_losses_had_a_cost():
     assert sha256(str(paths).encode()).hexdigest()[:16] == '3b5cb17783513fe3'
 
 
-@for_each('loss_cost, seed', product([0.1, 0.5, 2.0], range(12)))
-def test_beam_comes_close_to_the_best_of_all_paths_when_losses_have_a_cost(seed, loss_cost):
+@for_each('loss_cost, seed', [
+    *((0.0, seed) for seed in range(50)), *product([0.1, 0.5, 2.0], range(12)),
+], every=2)  # fmt: skip
+def test_beam_comes_close_to_the_best_of_all_paths(seed, loss_cost):
     grid, belief, model = random_problem(seed)
     visits = every_path(grid.base)
     lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
     worth = brute_force.information_of_visits(belief.joint, model, visits) - loss_cost * lost
-    found = plan(grid, belief, model, 7, loss_cost=loss_cost)
+    found = plan(grid, belief, model, 7, planner='beam', width=16, loss_cost=loss_cost)
     reached = found.information - loss_cost * (1 - found.survival)
-    assert worth.max() - 0.01 <= reached <= worth.max() + 1e-9
+    assert reached <= worth.max() + 1e-9
+    assert reached >= worth.max() - 0.01
+    if not loss_cost:
+        assert reached >= 0.995 * worth.max()
 
 
 def test_the_most_information_per_expected_loss_is_found():
