@@ -214,7 +214,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def how_to_go_on(log: Path) -> str:
-    """Return what to type to go on with a mission, if it can be gone on with."""
+    """Return the command that resumes a mission, or why none does."""
     try:
         recorded_parameters(log)
     except (ValueError, OSError):
@@ -308,7 +308,7 @@ class Observer(Node):
         self._survived[key] = report.survived or self._survived.get(key, False)
 
     def _most_left(self, robots: int) -> float:
-        """Return how long this goes on at most unless something changes, in seconds."""
+        """Return the longest wait for the next change, in seconds."""
         now = self._progress
         # The reason is empty unless the estimator refuses evidence.
         if now.reason.startswith(BELIEF_AWAITED):

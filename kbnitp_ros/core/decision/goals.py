@@ -51,7 +51,7 @@ SEARCHED = 24
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What a robot is sent on."""
+    """The state of a mission that a robot is planned for."""
 
     # The field, with the base of the robot.
     grid: Grid
@@ -83,7 +83,7 @@ class Situation:
         return replace(Plan.along(path, self.belief, self.model), gain=gain)
 
     def is_allowed(self, survival: Floats) -> Bools:
-        """Return which paths, of these chances (paths, draws), the robot may be sent on."""
+        """Return the paths that the robot may be sent on, by survival (paths, draws)."""
         allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
         return allowed
 
@@ -174,7 +174,7 @@ class Area:
     def decide(
         self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
     ) -> Decision:
-        """Return how probably all cells are free, and how many hazards remain in them."""
+        """Return the probability that all cells are free, and the hazards that remain."""
         return Decision.about(self.name, draws, list(self.cells), self.confidence)
 
     def flight(self, situation: Situation) -> Plan | None:
@@ -403,7 +403,7 @@ def readings_on(
     paths: Sequence[Path],
     situation: Situation,
 ) -> Floats:
-    """Return what readings in some cells tell of whether all are free, (flights,) nats."""
+    """Return the information of readings on whether some cells are free, (flights,) nats."""
     # The cells are taken one by one, and tell no more than there is to be known.
     returned = survival * outcomes.sum(axis=0)
     chance = returned.sum(axis=1)

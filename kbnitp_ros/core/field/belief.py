@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is believed of every cell, and measures of beliefs and probabilities."""
+"""Beliefs about cells, and measures of beliefs and probabilities."""
 
 from __future__ import annotations
 

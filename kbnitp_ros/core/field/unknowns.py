@@ -217,7 +217,7 @@ ANY_RATE = Beta(0.0, 1.0, 0.001, 0.1)
 @dataclass(frozen=True)
 class Dynamics:
     """
-    How hazards change from one deployment to the next.
+    Dynamics of hazards from one deployment to the next.
 
     Parameters
     ----------
