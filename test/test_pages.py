@@ -89,7 +89,7 @@ def test_commands_work_one_after_another(tmp_path):
             else:
                 run([*words_of, *['--worlds', '2'] * (line[1] == 'forecast')], tmp_path)
     assert made == {'demo': 4, 'replay': 2, 'report': 1, 'study': 1, 'forecast': 1}
-    assert {'small', 'small_report', 'paper', 'team', 'forecast', 'whole', 'hidden'} < {
+    assert {'small', 'small_report', 'paper', 'team', 'forecast', 'whole', 'hidden'} <= {
         each.name for each in tmp_path.joinpath('runs').iterdir()
     }
     assert list(tmp_path.glob('runs/paper/trials/*.npz'))

@@ -9,7 +9,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kbnitp_ros.core import Belief, Decision, Observation, ORDINARY, SensorModel, World
+from kbnitp_ros.core import Belief, Decision, Grid, Observation, ORDINARY, SensorModel, World
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.core.mission import deployments_table
 from kbnitp_ros.log.files import LogError
@@ -87,6 +87,11 @@ class History:
     world: World | None = None
     # Where files are corrupt: what comes after is not read.
     corrupt: list[LogError] = field(default_factory=list)
+
+    @property
+    def grid(self) -> Grid:
+        """Return the field."""
+        return self.evidence.grid
 
     @property
     def beliefs(self) -> list[Belief]:
