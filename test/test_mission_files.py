@@ -14,8 +14,7 @@ from kbnitp_ros.cli.parameters import values_of
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import read_sections, values_for
-from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.read import read_log
+from kbnitp_ros.log.read import read_log, read_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import REPORT
 from launches import interrupt, launched, nodes_of, reports_in

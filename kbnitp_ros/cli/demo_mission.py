@@ -53,8 +53,8 @@ from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words, share
-from kbnitp_ros.log.configuration import read_parameters
 from kbnitp_ros.log.files import check_is_new, LogError, LogLock, NAME, new_log, parts_of
+from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog

@@ -11,10 +11,10 @@ from typing import TypeVar
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record
-from kbnitp_ros.log.configuration import numerical_environment, recorded_environment
+from kbnitp_ros.log.configuration import numerical_environment
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.mcap_file import repair
-from kbnitp_ros.log.read import log_size, LoggedMessage, Recorded
+from kbnitp_ros.log.read import log_size, LoggedMessage, read_metadata, Recorded, RUN
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade, ReplayReport, TOLERANCE
 from kbnitp_ros.log.roles import MissionLog
@@ -154,7 +154,9 @@ def computed_with(log: str | Path, report: ReplayReport) -> Iterator[str]:
         f'{report.largest_rounding:.2g}'
     )
     here = numerical_environment()
-    for name, recorded in recorded_environment(log).items():
+    run = read_metadata(log, []).get(RUN, {})
+    for name in ('kbnitp_ros', *here):
+        recorded = run.get(name, 'not on record')
         if name not in here or here[name] != recorded:
             is_other = f', here {here[name]}' if name in here else ''
             yield f'made with {name.replace("_", " ")} {recorded}{is_other}'

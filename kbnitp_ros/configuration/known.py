@@ -10,7 +10,7 @@ from typing import Any
 
 from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
-from kbnitp_ros.log.configuration import current_name
+from kbnitp_ros.log.read import current_name
 from kbnitp_ros.plugins import Registry
 
 # What rclpy gives every node.

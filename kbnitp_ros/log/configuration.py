@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
@@ -11,13 +11,10 @@ import json
 import os
 from pathlib import Path
 import platform
-import re
 import subprocess
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from kbnitp_ros.log.files import LogError, parts_of
-from kbnitp_ros.log.read import metadata_of_part, read_metadata
 import numpy as np
 
 
@@ -57,21 +54,6 @@ def _installed_version(package: str) -> str:
         return 'none'
 
 
-# Names of metadata records; a node's full name, which starts with a slash, follows the second.
-RUN = 'run'
-PARAMETERS = 'parameters'
-
-# Parameters of 0.3.0 by the start of their names, and how they are called now.
-RENAMED = {r'goal$': 'goal.kind', r'learn$': 'learn.numbers', r'robots\.(?=\w+\.)': 'team.'}
-
-
-def current_name(name: str) -> str:
-    """Return how a parameter is called now; what is not renamed keeps its name."""
-    for before, now in RENAMED.items():
-        name = re.sub(f'^{before}', now, name)
-    return name
-
-
 def run_record(rmw_implementation: str) -> dict[str, str]:
     """Return what the record `RUN` of a log says: the time (UTC) and what the run runs on."""
     packages = ('kbnitp_ros', 'kbnitp_msgs', 'rclpy', rmw_implementation)
@@ -87,49 +69,10 @@ def run_record(rmw_implementation: str) -> dict[str, str]:
     }
 
 
-def recorded_environment(path: str | Path) -> dict[str, str]:
-    """Return what a log was made with: the same, and the version of kbnitp_ros."""
-    run = read_metadata(path, []).get(RUN, {})
-    names = ('kbnitp_ros', *numerical_environment())
-    return {name: run.get(name, 'not on record') for name in names}
-
-
 def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
     """Return what the record of a node's parameters says: each value as JSON."""
     # ROS hands a byte over as bytes of length one.
     return {name: json.dumps(value, default=ord) for name, value in sorted(values.items())}
-
-
-def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
-    """Yield in words which parameters of some nodes changed in a run, and from what to what."""
-    known: dict[str, dict[str, str]] = {}
-    for part in parts_of(path):
-        for record in metadata_of_part(part, []):
-            if not record.name.startswith(f'{PARAMETERS}/'):
-                continue
-            node = record.name.removeprefix(PARAMETERS)
-            if not is_meant(node):
-                continue
-            before = known.setdefault(node, {})
-            for name, value in record.values.items():
-                if before.get(name, value) != value:
-                    yield f'parameter {name} of {node} changed from {before[name]} to {value}'
-            before |= record.values
-
-
-def read_parameters(
-    path: str | Path, corrupt: list[LogError] | None = None
-) -> dict[str, dict[str, Any]]:
-    """Return the parameters that the nodes of a run had at its end."""
-    parameters = {}
-    for name, record in read_metadata(path, corrupt).items():
-        if name.startswith(f'{PARAMETERS}/'):
-            try:
-                values = {current_name(key): json.loads(text) for key, text in record.items()}
-            except ValueError as error:
-                raise LogError(f'{path}: record {name!r} is corrupt: {error}') from error
-            parameters[name.removeprefix(PARAMETERS)] = values
-    return parameters
 
 
 def _package_version(package: str) -> str:

@@ -7,16 +7,16 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
 from itertools import accumulate, count
+import json
 import os
 from pathlib import Path
+import re
 import struct
 from typing import Any, BinaryIO, NamedTuple
 
 from kbnitp_ros.files import in_words
 from kbnitp_ros.log.files import LogError, parts_of
-from kbnitp_ros.log.schema import describe, ENCODING
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
@@ -46,6 +46,14 @@ CHUNK_HEAD = 28
 KINDS = {value for name, value in vars(Opcode).items() if name.isupper()}
 
 NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
+
+
+# Names of metadata records; a node's full name, which starts with a slash, follows the second.
+RUN = 'run'
+PARAMETERS = 'parameters'
+
+# Parameters of 0.3.0 by the start of their names, and how they are called now.
+RENAMED = {r'goal$': 'goal.kind', r'learn$': 'learn.numbers', r'robots\.(?=\w+\.)': 'team.'}
 
 
 class RecordedMessage(NamedTuple):
@@ -143,6 +151,45 @@ def metadata_of_part(
 ) -> Iterator[RecordedMetadata]:
     """Return the metadata records of a file; `corrupt` as for `read_log`."""
     return (item for item in read_part(part, corrupt) if isinstance(item, RecordedMetadata))
+
+
+def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
+    """Yield in words which parameters of some nodes changed in a run, and from what to what."""
+    known: dict[str, dict[str, str]] = {}
+    for part in parts_of(path):
+        for record in metadata_of_part(part, []):
+            if not record.name.startswith(f'{PARAMETERS}/'):
+                continue
+            node = record.name.removeprefix(PARAMETERS)
+            if not is_meant(node):
+                continue
+            before = known.setdefault(node, {})
+            for name, value in record.values.items():
+                if before.get(name, value) != value:
+                    yield f'parameter {name} of {node} changed from {before[name]} to {value}'
+            before |= record.values
+
+
+def read_parameters(
+    path: str | Path, corrupt: list[LogError] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Return the parameters that the nodes of a run had at its end."""
+    parameters = {}
+    for name, record in read_metadata(path, corrupt).items():
+        if name.startswith(f'{PARAMETERS}/'):
+            try:
+                values = {current_name(key): json.loads(text) for key, text in record.items()}
+            except ValueError as error:
+                raise LogError(f'{path}: record {name!r} is corrupt: {error}') from error
+            parameters[name.removeprefix(PARAMETERS)] = values
+    return parameters
+
+
+def current_name(name: str) -> str:
+    """Return how a parameter is called now; what is not renamed keeps its name."""
+    for before, now in RENAMED.items():
+        name = re.sub(f'^{before}', now, name)
+    return name
 
 
 def is_finished(path: str | Path) -> bool:
@@ -332,21 +379,3 @@ class Decoders:
             f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
             f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
         )
-
-
-@cache
-def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
-    """Return the decoder of an installed message type."""
-    schema = Schema(1, describe(type_name).definition.encode(), ENCODING, type_name)
-    decoder = DecoderFactory().decoder_for('cdr', schema)
-    assert decoder is not None
-    return decoder
-
-
-def check_readable(type_name: str, data: bytes) -> None:
-    """Raise a ValueError if readers of a log cannot decode a message that rclpy can."""
-    # rclpy replaces what is no UTF-8, and fills in what is missing at the end.
-    try:
-        installed_decoder(type_name)(data)
-    except (UnicodeDecodeError, struct.error) as error:
-        raise ValueError(f'readers of logs cannot decode it: {error}') from error

@@ -18,9 +18,8 @@ from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.core.inference.record import ending_of
-from kbnitp_ros.log.configuration import read_changes
 from kbnitp_ros.log.files import LogError
-from kbnitp_ros.log.read import is_finished, LoggedMessage
+from kbnitp_ros.log.read import is_finished, LoggedMessage, read_changes
 from kbnitp_ros.log.record import begun, GapError, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
     BeliefFinding,

@@ -13,9 +13,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core import DeploymentKey
-from kbnitp_ros.log.configuration import PARAMETERS, read_parameters, recorded_environment
 from kbnitp_ros.log.files import LogError
-from kbnitp_ros.log.read import LoggedMessage, read_log, read_recorded, RecordedMessage
+from kbnitp_ros.log.read import (
+    LoggedMessage,
+    PARAMETERS,
+    read_log,
+    read_metadata,
+    read_parameters,
+    read_recorded,
+    RecordedMessage,
+    RUN,
+)
 from kbnitp_ros.messages.beliefs import belief_field_names, read_belief_maps
 from kbnitp_ros.messages.deployments import read_path_name, read_report, read_status
 from kbnitp_ros.messages.grids import read_occupancy_grid
@@ -344,7 +352,7 @@ def check_version(log: str | Path, belief: Any) -> None:
             'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'
         )
     if unknown := fields - known:
-        recorder = recorded_environment(log)['kbnitp_ros']
+        recorder = read_metadata(log, []).get(RUN, {}).get('kbnitp_ros', 'not on record')
         raise LogError(
             f'{log} was recorded by a later version, its beliefs have {min(unknown)}: '
             f'read it with that version of kbnitp_ros ({recorder})'

@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 import json
 import os
 from pathlib import Path
+import struct
 from typing import Any
 
 from kbnitp_ros.files import naming
 from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
 import yaml
 
 ENCODING = 'ros2msg'
@@ -75,6 +79,24 @@ def installed_text(type_name: str, suffix: str) -> str:
         return Path(get_package_share_directory(package), kind, f'{name}.{suffix}').read_text()
     except OSError as error:
         raise LookupError(f'type {type_name} is not installed: {error}') from error
+
+
+@cache
+def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
+    """Return the decoder of an installed message type."""
+    schema = Schema(1, describe(type_name).definition.encode(), ENCODING, type_name)
+    decoder = DecoderFactory().decoder_for('cdr', schema)
+    assert decoder is not None
+    return decoder
+
+
+def check_readable(type_name: str, data: bytes) -> None:
+    """Raise a ValueError if readers of a log cannot decode a message that rclpy can."""
+    # rclpy replaces what is no UTF-8, and fills in what is missing at the end.
+    try:
+        installed_decoder(type_name)(data)
+    except (UnicodeDecodeError, struct.error) as error:
+        raise ValueError(f'readers of logs cannot decode it: {error}') from error
 
 
 def qos_profiles_yaml(profiles: Iterable[Any]) -> str:

@@ -15,10 +15,9 @@ from typing import Any
 from kbnitp_ros.core import Decision, DeploymentKey, Grid, Observation, World
 from kbnitp_ros.core.inference.record import observation_of
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.configuration import RUN
 from kbnitp_ros.log.files import LogError, parts_of
 from kbnitp_ros.log.history import History, Moment, read_history
-from kbnitp_ros.log.read import is_finished, LoggedMessage, read_metadata
+from kbnitp_ros.log.read import is_finished, LoggedMessage, read_metadata, RUN
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import Datum, MapError, read_site, Site

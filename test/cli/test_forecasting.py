@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.cli.forecast import main
-from kbnitp_ros.log.configuration import read_parameters
+from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.record import last_belief, read_ledger
 from kbnitp_ros.log.roles import MissionLog
 from laws import for_each

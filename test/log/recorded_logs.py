@@ -5,7 +5,8 @@ from pathlib import Path
 import sys
 
 from kbnitp_ros.core import Clustering, Dynamics, Execution, Observation, Unknowns
-from kbnitp_ros.log.configuration import RUN, run_record
+from kbnitp_ros.log.configuration import run_record
+from kbnitp_ros.log.read import RUN
 from kbnitp_ros.log.write import LogWriter
 from mission_log import GRID, Mission, mission, record_to
 

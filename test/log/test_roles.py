@@ -20,17 +20,10 @@ from kbnitp_msgs.msg import (
 )
 from kbnitp_ros.cli.replay import main as replay_main
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
-from kbnitp_ros.log.configuration import (
-    numerical_environment,
-    PARAMETERS,
-    parameters_record,
-    read_parameters,
-    RUN,
-    run_record,
-)
+from kbnitp_ros.log.configuration import numerical_environment, parameters_record, run_record
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.read import read_metadata
+from kbnitp_ros.log.read import PARAMETERS, read_metadata, read_parameters, RUN
 from kbnitp_ros.log.record import read_ledger, read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog, RECORD, resumed_log, Roles

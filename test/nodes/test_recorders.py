@@ -10,9 +10,8 @@ from base import Base
 from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.configuration import parameters_of
-from kbnitp_ros.log.configuration import read_parameters, RUN
 from kbnitp_ros.log.files import parts_of
-from kbnitp_ros.log.read import is_finished, read_log, read_metadata
+from kbnitp_ros.log.read import is_finished, read_log, read_metadata, read_parameters, RUN
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes import presence, recorder

@@ -18,8 +18,7 @@ from kbnitp_ros.configuration import NODES, parameters_of
 from kbnitp_ros.configuration.given import check_given
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, Observation, plan, SensorModel
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.configuration import read_parameters
-from kbnitp_ros.log.read import is_finished
+from kbnitp_ros.log.read import is_finished, read_parameters
 from kbnitp_ros.messages.deployments import read_path, read_report, report_message
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.presence import LOG

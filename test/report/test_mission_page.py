@@ -12,7 +12,8 @@ import sys
 
 from extent import FULL, some
 from kbnitp_ros.core import Dynamics, Observation
-from kbnitp_ros.log.configuration import PARAMETERS, parameters_record
+from kbnitp_ros.log.configuration import parameters_record
+from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.report.answers import cells_of, findings_of, used_up_at, used_up_of
 from kbnitp_ros.report.comparison import comparison_of, Pair

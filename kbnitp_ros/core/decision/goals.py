@@ -321,16 +321,17 @@ class Lane:
             return None
         paths = [path for path, is_allowed in zip(paths, allowed) if is_allowed]
         survival = survival[allowed]
-        gain = expected_best(free, survival, situation.outcomes)
         if is_probable:
             known = free[best_lane], survival, situation.outcomes
             value = information_on(*known) + readings_on(
                 *known, np.unique(lanes[best_lane]), paths, situation
             )
         else:
-            value = gain + WORTH * information(survival, situation.outcomes)
+            value = expected_best(free, survival, situation.outcomes)
+            value += WORTH * information(survival, situation.outcomes)
         best = int(np.argmax(np.round(value, DECIMALS)))
-        return situation.planned(paths[best], max(0.0, float(gain[best])))
+        [rise] = expected_best(free, survival[[best]], situation.outcomes)
+        return situation.planned(paths[best], max(0.0, float(rise)))
 
     def _flights(self, situation: Situation) -> tuple[list[Path], list[Path]]:
         """Return lanes, and closed paths to the goal, or as far as a robot comes back from."""
