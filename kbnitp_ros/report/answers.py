@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from kbnitp_ros.core import Decision, Observation, targets, World
 from kbnitp_ros.core.inference.filters import hazards_used_up
 from kbnitp_ros.files import counted, some
-from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.mission import DeploymentSummary, Mission
 from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,16 @@ def findings_of(mission: Mission) -> list[Finding]:
     ]
 
 
+def metres(value: float) -> str:
+    """Return metres to the millimetre, as pages and tables name places."""
+    return f'{round(value, 3) + 0.0:.12g}'
+
+
+def spot(x: float, y: float) -> str:
+    """Return the name of a cell by its centre in metres."""
+    return f'({metres(x)}, {metres(y)})'
+
+
 # How many safe cells a page lists.
 MAX_SAFE = 1000
 
@@ -130,18 +140,22 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
 
 def losses_of(mission: Mission) -> NDArray[np.float64]:
     """Return how many robots are expected to have been lost in each cell, shape (cells,)."""
-    last = len(mission.moments) - 1
     expected = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
         seen = deployment.outcome
-        if seen is None or seen.survived:
-            continue
-        stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
-        moment = mission.moments[last if stays or deployment.moment is None else deployment.moment]
-        cells = seen.path[1:]
-        survival = moment.model_of(deployment.key.agent).survival(moment.belief.hazard[cells])
-        np.add.at(expected, cells, shares(seen, survival))
+        if seen is not None and not seen.survived:
+            np.add.at(expected, seen.path[1:], loss_shares(mission, deployment, seen))
     return expected
+
+
+def loss_shares(
+    mission: Mission, deployment: DeploymentSummary, seen: Observation
+) -> NDArray[np.float64]:
+    """Return how probably a robot was lost in each step, by the last belief if hazards stay."""
+    stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
+    moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
+    hazard = moment.belief.hazard[seen.path[1:]]
+    return shares(seen, moment.model_of(deployment.key.agent).survival(hazard))
 
 
 def used_up_of(mission: Mission) -> NDArray[np.float64]:
@@ -225,6 +239,8 @@ class Tile(NamedTuple):
     question: str
     answer: str
     detail: str
+    # The id of the part of the page that has all of it; empty if there is none.
+    link: str = ''
 
 
 def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
@@ -238,6 +254,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         'free of a hazard with 95 % or more; '
         + (f'{untouched} of them were not entered' if untouched else 'all of them were entered')
         + f'. {among:.2g} hazards are expected among them all',
+        'safe-title',
     )
     found = findings_of(mission)
     sure = [each for each in found if each.kind == 'target' and each.probability >= FOUND]
@@ -246,12 +263,14 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         'Where are targets? (x, y in m)',
         f'{len(sure)} found',
         f'{places(sure)} with 95 % or more; {probable} more with 50 % or more',
+        'findings-title',
     )
     suspected = [each for each in found if each.kind == 'hazard']
     yield Tile(
         'Where are hazards suspected? (x, y in m)',
         counted(len(suspected), 'cell'),
         f'{places(suspected)} with 50 % or more',
+        'findings-title',
     )
     unseen = int((inside & ~cells.entered).sum())
     open_cells = int((inside & ~cells.free & ~cells.suspected & cells.entered).sum())
@@ -259,6 +278,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         'What is not known?',
         f'{counted(unseen, "cell")} not entered',
         f'{open_cells} more were entered, and are neither free nor suspected',
+        'map-title',
     )
     yield lane(mission)
     entropy = curves.entropy
@@ -266,7 +286,8 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
     yield Tile(
         'How sure is this?',
         f'{share:.0f} % uncertainty left',
-        f'entropy H(Z) + H(X): {entropy[-1]:.1f} of {entropy[0]:.1f} nats. {risk(mission)}',
+        f'{entropy[-1]:.1f} of {entropy[0]:.1f} nats of entropy. {risk(mission)}',
+        'curves-title',
     )
     ended = mission.ended
     lost = sum(not each.survived for each in ended)
@@ -274,6 +295,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         'What did it cost?',
         f'{lost} of {counted(len(ended) + mission.in_flight, "robot")} lost',
         f'{len(ended) - lost} returned, {mission.in_flight} in flight',
+        'table-title',
     )
     yield where_lost(mission, lost)
     yield fit(mission)
@@ -291,6 +313,7 @@ def lane(mission: Mission) -> Tile:
             'Is the lane safe?',
             'No decision yet' if given else 'No goal was given',
             'set goal.kind to lane or area to have robots sent for it',
+            'map-title',
         )
     question = 'Is the lane safe?' if decision.goal == 'lane' else f'Is the {decision.goal} safe?'
     return Tile(
@@ -298,6 +321,7 @@ def lane(mission: Mission) -> Tile:
         f'{100.0 * decision.p_free:.1f} % free of hazards',
         f'{survived(decision)}{decision.hazards_mean:.2f} hazards expected. '
         + ('The goal is reached.' if decision.reached else 'The goal is not reached.'),
+        'map-title',
     )
 
 
@@ -324,7 +348,7 @@ def fit(mission: Mission) -> Tile:
     right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
         why = check.reason or 'the log has no check of the model'
-        return Tile(question, 'The model is not checked', f'{right}{why}')
+        return Tile(question, 'The model is not checked', f'{right}{why}', 'curves-title')
     learnt = ', '.join(
         f'{kind.replace("_", " ")} {100.0 * probability:.0f} %'
         for kind, probability in kinds.items()
@@ -334,7 +358,7 @@ def fit(mission: Mission) -> Tile:
     if mission.rules['dynamics'] == 'static':
         details.append('Moving hazards hardly show in returns.')
     answer = 'The model is in doubt' if check.is_in_doubt else 'The evidence fits the model'
-    return Tile(question, answer, right + ' '.join(details))
+    return Tile(question, answer, right + ' '.join(details), 'curves-title')
 
 
 def by_truth(mission: Mission, world: World) -> str:
@@ -349,23 +373,23 @@ def by_truth(mission: Mission, world: World) -> str:
 
 
 def where_lost(mission: Mission, lost: int) -> Tile:
-    """Return in which cell most robots are expected to have been lost."""
+    """Return which cells took half of the robots that were lost."""
     question = 'Where were robots lost? (x, y in m)'
     if not lost:
         return Tile(question, 'No robot was lost', 'every robot that reported returned')
     losses = losses_of(mission)
-    most = int(np.argmax(losses))
-    x, y = mission.grid.centers([most])[0]
-    if losses[most] < SUSPECTED:
-        return Tile(
-            question,
-            'It cannot be told',
-            f'no cell has {SUSPECTED:g} of the {lost}; the map of losses has the shares of all',
-        )
+    most = np.argsort(-losses, kind='stable')
+    half = int(np.searchsorted(losses[most].cumsum(), lost / 2)) + 1
+    first = most[: min(half, NAMED)]
+    named = [
+        f'{losses[cell]:.1f} at {spot(*place)}'
+        for cell, place in zip(first, mission.grid.centers(first))
+    ]
     return Tile(
         question,
-        f'most at ({x:g}, {y:g})',
-        f'{losses[most]:.1f} of {lost} expected there; the map of losses has every cell',
+        f'Half of them in {counted(half, "cell")}',
+        f'expected of {lost}: {", ".join(named)}; the map of robots lost has every cell',
+        'colour-robots-lost',
     )
 
 
@@ -373,4 +397,4 @@ def places(findings: list[Finding]) -> str:
     """Return where findings are, the first of them."""
     if not findings:
         return 'none'
-    return some((f'({each.x:g}, {each.y:g})' for each in findings), NAMED)
+    return some((spot(each.x, each.y) for each in findings), NAMED)

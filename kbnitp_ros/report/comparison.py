@@ -15,6 +15,7 @@ from kbnitp_ros.report.answers import (
     FOUND,
     losses_of,
     places,
+    spot,
     SUSPECTED,
     Tile,
     tiles_of,
@@ -167,8 +168,8 @@ def where(first: Mission, second: Mission) -> str:
     most = int(np.argmax(np.abs(other - one)))
     if one[most] == other[most]:
         return 'No difference.'
-    x, y = first.grid.centers([most])[0]
-    return f'Most different at ({x:g}, {y:g}): {one[most]:.1f} in A, {other[most]:.1f} in B.'
+    place = spot(*first.grid.centers([most])[0])
+    return f'Most different at {place}: {one[most]:.1f} in A, {other[most]:.1f} in B.'
 
 
 def more(difference: float, unit: str = '', form: str = 'd') -> str:
@@ -194,8 +195,8 @@ def given_differently(
 
 FINDINGS = (
     Column('what', 'kind', is_text=True),
-    Column('x (m)', 'x', 2),
-    Column('y (m)', 'y', 2),
+    Column('x (m)', 'x', None),
+    Column('y (m)', 'y', None),
     Column('probability in A', 'a', 3),
     Column('in B', 'b', 3),
     Column('B less A', 'change', 3),
@@ -264,7 +265,7 @@ def maps_of(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, st
     most = max(1.0, *(float(each.max()) for each in losses))
     for side, mission, each in zip(SIDES, (first, second), losses):
         plot = map_plot(mission.grid, each, most)
-        yield f'{side}-losses', f'robots lost, expected in {side}', 'losses', plot
+        yield f'{side}-losses', f'robots lost, expected in {side}', 'robots-lost', plot
     change = map_plot(grid, losses[1] - losses[0], most, least=-most)
     yield 'change-losses', 'robots lost, B less A', 'change-hazard', change
     truths = {side: each.world for side, each in zip(SIDES, (first, second)) if each.world}

@@ -20,11 +20,12 @@ from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import NAME
 from kbnitp_ros.report.answers import (
-    cells_of,
     findings_of,
+    FREE,
+    loss_shares,
     losses_of,
+    metres,
     safe_cells,
-    shares,
     tiles_of,
     used_up_at,
     used_up_of,
@@ -66,7 +67,8 @@ class Column(NamedTuple):
     heading: str
     # In a row.
     name: str
-    decimals: int = 0
+    # None for metres.
+    decimals: int | None = 0
     is_text: bool = False
     # Whether a phone has no room for it.
     is_minor: bool = False
@@ -80,7 +82,9 @@ class Column(NamedTuple):
         """Return a value as a cell shows it."""
         if value is None:
             return ''
-        return str(value) if self.is_text else f'{value:.{self.decimals}f}'
+        if self.is_text:
+            return str(value)
+        return metres(value) if self.decimals is None else f'{value:.{self.decimals}f}'
 
 
 TABLE = (
@@ -98,22 +102,35 @@ TABLE = (
     Column('reported after (s)', 'duration', 2, is_minor=True),
 )
 
+PLACE = (Column('x (m)', 'x', None), Column('y (m)', 'y', None))
+
 FINDINGS = (
     Column('what', 'kind', is_text=True),
-    Column('x (m)', 'x', 2),
-    Column('y (m)', 'y', 2),
+    *PLACE,
     Column('probability', 'probability', 3),
     Column('looks', 'looks'),
     Column('target read', 'seen'),
 )
 
 SAFE = (
-    Column('x (m)', 'x', 2),
-    Column('y (m)', 'y', 2),
+    *PLACE,
     Column('hazard', 'hazard', 3),
     Column('target', 'target', 3),
     Column('entered', 'entered', is_text=True),
 )
+
+# Where a lost robot was lost.
+LOSS = (*PLACE, Column('step', 'step', is_text=True), Column('lost here', 'lost', 3))
+
+# What a map may show in colour: names in the page, and words for them.
+COLOURS = {name: f'probability of a {name}' for name in ('hazard', 'target')} | {
+    'kappa': 'probability of a target where a hazard is',
+    'robots-lost': 'robots lost, expected',
+    'used-up': 'hazards used up, expected',
+}
+
+# Of these what the last belief says.
+ENDS = {'robots-lost': losses_of, 'used-up': used_up_of}
 
 # The last belief is in the page in full where the field has no more cells.
 MAX_EXACT = 10_000
@@ -172,7 +189,8 @@ def filled(
         tiles=list(tiles_of(mission, curves)),
         notes=[*filter(None, [left_out]), *mission.notes],
         is_true_known=mission.world is not None,
-        maps=dict(maps_of(mission)),
+        grid=mission.grid,
+        colours=colours_of(mission),
         returned=RETURNED.colour,
         lost=LOST.colour,
         obstacle=OBSTACLE,
@@ -181,6 +199,7 @@ def filled(
         findings=[vars(each) for each in findings_of(mission)],
         safe_columns=(*SAFE, *(ON_EARTH if mission.datum else ())),
         safe=safe_cells(mission),
+        loss_columns=LOSS,
         is_exact=mission.grid.cells <= MAX_EXACT,
         site=mission.site,
         panels=labels,
@@ -251,59 +270,37 @@ def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
 
 
 def summary(mission: Mission, curves: Curves) -> str:
-    """Return a mission in a sentence."""
-    lost = sum(not each.survived for each in mission.ended)
-    entropy = curves.entropy
+    """Return a mission in a few sentences."""
+    ended, entropy = mission.ended, curves.entropy
+    lost = sum(not each.survived for each in ended)
     agents = len({each.key.agent for each in mission.deployments})
+    share = 100.0 * entropy[-1] / entropy[0] if entropy[0] else 0.0
     words = [
-        f'{counted(len(mission.deployments), "deployment")} of {counted(agents, "agent")} '
-        f'into {mission.grid.width} x {mission.grid.height} cells, {counted(lost, "robot")} lost',
-        f'uncertainty {entropy[0]:.1f} to {entropy[-1]:.1f} nats, the entropy H(Z) + H(X)',
-        f'method {mission.rules["method"]}',
+        f'{counted(len(mission.deployments), "robot")} of {counted(agents, "agent")} went into '
+        f'a field of {mission.grid.width} x {mission.grid.height} cells: '
+        f'{len(ended) - lost} returned, {lost} were lost.',
+        f'{share:.0f} % of the uncertainty about hazards and targets is left.',
+        f'Method {mission.rules["method"]}.',
     ]
     if 'time' in mission.run:
-        words.append(f'recorded {mission.run["time"][:16].replace("T", " ")} UTC')
-    return f'{"; ".join(words)}.'
+        words.append(f'Recorded {mission.run["time"][:16].replace("T", " ")} UTC.')
+    return ' '.join(words)
 
 
-def maps_of(mission: Mission) -> Iterator[tuple[str, str]]:
-    """Yield the names of the maps and their captions: what is believed, and then what is true."""
-    for name in MAPS:
-        yield name, f'{name}, believed' + ('; dots: free' if name == 'hazard' else '')
-    yield 'losses', 'robots lost, expected'
-    if is_used_up(mission):
-        yield 'used-up', 'hazards used up, expected'
-    if mission.world:
-        yield 'true-hazard', 'hazard, true'
-        yield 'true-target', 'target, true'
-        yield 'true-kappa', 'target where a hazard is, true'
-
-
-def is_used_up(mission: Mission) -> bool:
-    """Return whether hazards that strike are believed to be gone."""
-    return bool(mission.rules['dynamics'] == 'used_up')
+def colours_of(mission: Mission) -> dict[str, str]:
+    """Return what the map can show in colour."""
+    return {
+        name: words
+        for name, words in COLOURS.items()
+        if name != 'used-up' or mission.rules['dynamics'] == 'used_up'
+    }
 
 
 def plots_of(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
     """Return all plots, each in JSON."""
     lane = None if mission.decision is None else mission.decision.path
     north = None if mission.datum is None else pi / 2 - mission.datum.heading
-    free = {'hazard': cells_of(mission).free}
-    plots = {
-        name: map_plot(mission.grid, lane=lane, north=north, free=free.get(name)) for name in MAPS
-    }
-    losses = losses_of(mission)
-    plots['losses'] = map_plot(mission.grid, losses, max(1.0, float(losses.max())), north=north)
-    if is_used_up(mission):
-        plots['used-up'] = map_plot(mission.grid, used_up_of(mission), north=north)
-    if mission.world:
-        hazard, target = (each.astype(np.float64) for each in vars(mission.world).values())
-        truth = {'hazard': hazard, 'target': target}
-        truth['kappa'] = np.where(hazard > 0.0, target, np.nan)
-        plots |= {
-            f'true-{name}': map_plot(mission.grid, values, north=north)
-            for name, values in truth.items()
-        }
+    plots = {'map': map_plot(mission.grid, lane=lane, north=north)}
     plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
     plots['cell'] = cell_plot()
     return plots
@@ -317,8 +314,7 @@ def scales_of(mission: Mission) -> dict[str, dict[str, list[Any]]]:
         for name, scale in MAPS.items()
     }
     counts = {theme: list(zip((0.0, 0.5, 1.0), colours)) for theme, colours in COUNTS.items()}
-    truths = {f'true-{name}': scale for name, scale in scales.items()}
-    return {**scales, **truths, 'losses': counts, 'used-up': counts}
+    return {**scales, 'robots-lost': counts, 'used-up': counts}
 
 
 def data_of(
@@ -330,6 +326,7 @@ def data_of(
 ) -> dict[str, Any]:
     """Return what the page shows beside the beliefs, as JSON can hold it."""
     grid, world = mission.grid, mission.world
+    colours = colours_of(mission)
     out = out_at(mission)
     needed = {*shown, *(int(each) for place in kept for each in out[place])}
     return {
@@ -338,6 +335,13 @@ def data_of(
         and {name: getattr(mission.site, name) for name in ('source', 'width', 'height')},
         'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
         'scales': scales_of(mission),
+        'colours': colours,
+        'ends': {
+            name: np.round(count(mission), 4).tolist()
+            for name, count in ENDS.items()
+            if name in colours
+        },
+        'free': FREE,
         'assumed': mission.assumed,
         'name': title_of(mission.log),
         'traces': TRACES,
@@ -345,13 +349,28 @@ def data_of(
         'truth': world
         and {name: values.astype(int).tolist() for name, values in vars(world).items()},
         'exact': exact(mission.moments[-1].belief) if grid.cells <= MAX_EXACT else None,
+        # Longitude and latitude of each cell, as RFC 7946 has positions.
+        'earth': mission.datum.on_earth(grid.centers(range(grid.cells)))[:, ::-1].tolist()
+        if mission.datum and grid.cells <= MAX_EXACT
+        else None,
         # P(a step is survived) without a hazard and with one.
         'survival': mission.moments[-1].snapshot.model.survival(np.array([0.0, 1.0])).tolist(),
         'visited': np.searchsorted(kept, first_visits(mission)).tolist(),
         'deployments': {
-            each: {'path': mission.deployments[each].path.tolist()} for each in sorted(needed)
+            each: path_and_loss(mission, mission.deployments[each]) for each in sorted(needed)
         },
         'moments': [moment_of(mission, curves, table, int(each), out[each]) for each in kept],
+    }
+
+
+def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, Any]:
+    """Return the path of a deployment, and how probably the robot was lost in each step."""
+    seen = deployment.outcome
+    is_lost = seen is not None and not seen.survived
+    lost = loss_shares(mission, deployment, seen) if seen and is_lost else None
+    return {
+        'path': deployment.path.tolist(),
+        'lost': None if lost is None else np.round(lost, 6).tolist(),
     }
 
 
@@ -466,14 +485,9 @@ def facts_of(
             yield 'outcome', f'lost on a path of {counted(seen.steps, "step")}'
             if seen.steps_survived:
                 yield 'last contact', f'after {counted(seen.steps_survived, "step")}'
-            deployment = mission.deployments[moment.deployment]
-            hazard = moment.belief.hazard[seen.path[1:]]
-            share = shares(seen, moment.model_of(deployment.key.agent).survival(hazard))
-            step = int(share.argmax())
-            yield 'most probably lost', f'in step {step + 1}, with {100.0 * share[step]:.0f} %'
             if heard := heard_on(seen):
                 yield 'lost where heard', f'in steps {heard[0] + 1} to {heard[1]}'
-        if is_used_up(mission) and place:
+        if mission.rules['dynamics'] == 'used_up' and place:
             yield 'hazards used up', f'{used_up_at(mission, place).sum():.2f} expected'
     for name, values in (('expected', curves.expected), ('gained', curves.gained)):
         if np.isfinite(values[place]):

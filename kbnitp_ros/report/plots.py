@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly import graph_objects
 
-# Where the page puts what changes: the places of these traces in each believed map.
+# Where the page puts what changes: the places of these traces in its map.
 TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'heard')
 
 # A trace stands for the path, and a marker for its end, of either outcome; the page takes these.
@@ -44,7 +44,6 @@ def map_plot(
     least: float = 0.0,
     lane: NDArray[np.intp] | None = None,
     north: float | None = None,
-    free: NDArray[np.bool_] | None = None,
 ) -> str:
     """Return a map as Plotly's JSON; the page gives it its colours."""
     directions = directions_of(grid, north)
@@ -104,10 +103,6 @@ def map_plot(
         blocked,
         graph_objects.Scatter(x=x, y=y, mode='markers', marker=base, hoverinfo='skip'),
     ]
-    if free is not None:
-        at = dict(zip('xy', grid.centers(np.flatnonzero(free)).T.tolist()))
-        dot = {'size': 5, 'color': 'black', 'line': {'color': 'white', 'width': 1}}
-        traces.append(graph_objects.Scatter(**{**marked, **at}, marker=dot, name='free'))
     figure = graph_objects.Figure(traces)
     axis = {'showgrid': False, 'zeroline': False, 'constrain': 'domain', 'ticks': 'outside'}
     axis |= {'nticks': 6, 'automargin': True}

@@ -3,6 +3,7 @@
 
 import csv
 from dataclasses import replace
+from itertools import product
 import json
 from pathlib import Path
 import re
@@ -15,11 +16,18 @@ from kbnitp_ros.core import Dynamics, Observation
 from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.report.answers import cells_of, findings_of, used_up_at, used_up_of
+from kbnitp_ros.report.answers import (
+    cells_of,
+    findings_of,
+    losses_of,
+    used_up_at,
+    used_up_of,
+)
 from kbnitp_ros.report.comparison import comparison_of, Pair
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.page import page_of
 from kbnitp_ros.report.tables import curves_of
+from laws import for_each
 from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
 import numpy as np
@@ -85,11 +93,10 @@ def opened(tabs, shown):
     assert said == []
 
 
-def downloaded(page, name, last=False):
+def downloaded(page, name, nth=0):
     """Press a button; return the file that it saves."""
-    buttons = page.get_by_role('button', name=name)
     with page.expect_download() as download:
-        (buttons.last if last else buttons.first).click()
+        page.get_by_role('button', name=name).nth(nth).click()
     return Path(download.value.path())
 
 
@@ -105,9 +112,26 @@ def is_sent(request):
 
 
 def drawn(page, name):
-    """Return the values of a map as they are drawn, shape (cells,); NaN where it is blocked."""
+    """Return the values of a map as they are drawn, shape (cells,); NaN where there is none."""
     rows = page.evaluate(f'document.getElementById("{name}").data[0].z')
     return np.array(rows, dtype=float).ravel()
+
+
+def coloured(page, name):
+    """Return the values of the map that a colour is chosen for."""
+    page.check(f'#colour-{name}')
+    return drawn(page, 'map')
+
+
+def marked(page, name, grid):
+    """Return the cells that a kind of mark stands on, in their order."""
+    marks = f'document.getElementById("map").data.filter((trace) => trace.name === "{name}")'
+    points = page.evaluate(f'{marks}.map((trace) => [trace.x, trace.y])')
+    if not points:
+        return None
+    x, y = (np.array(each[::2], dtype=float) for each in points[0])
+    columns, rows = ((each - start) / grid.resolution for each, start in zip((x, y), grid.origin))
+    return sorted((rows.astype(int) * grid.width + columns.astype(int)).tolist())
 
 
 def move(page, moment):
@@ -129,13 +153,83 @@ def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
     chosen = np.random.default_rng(0).choice(len(mission.moments), 8 if FULL else 3, False)
     for moment in chosen:
         move(page, moment)
+        belief, inside = mission.moments[moment].belief, mission.grid.free
         for name in NAMES:
-            believed = getattr(mission.moments[moment].belief, name)
-            levels = np.where(mission.grid.free, np.rint(255 * believed), np.nan)
-            assert np.array_equal(np.rint(255 * drawn(page, name)), levels, equal_nan=True)
-    for name in ('hazard', 'target'):
-        truth = getattr(mission.world, name)[mission.grid.free]
-        assert np.array_equal(drawn(page, f'true-{name}')[mission.grid.free], truth)
+            levels = np.rint(255 * getattr(belief, name))
+            # Kappa is shown where a hazard may be.
+            hidden = ~inside | ((name == 'kappa') & (np.rint(255 * belief.hazard) <= 12))
+            drawn_as = np.rint(255 * coloured(page, name))
+            assert np.array_equal(drawn_as, np.where(hidden, np.nan, levels), equal_nan=True)
+        # To a step of 1/255, in which beliefs are in the page.
+        assert set(marked(page, 'free', GRID)) <= {
+            *np.flatnonzero(inside & (belief.hazard <= 0.05))
+        }
+        assert {*np.flatnonzero(inside & (belief.hazard <= 0.045))} <= set(
+            marked(page, 'free', GRID)
+        )
+    move(page, len(mission.moments) - 1)
+    assert marked(page, 'free', GRID) == np.flatnonzero(cells_of(mission).free).tolist()
+    found = [each for each in findings_of(mission) if each.kind == 'target']
+    for name, is_found in (('found', True), ('target', False)):
+        cells = [each.cell for each in found if (each.probability >= 0.95) == is_found]
+        assert marked(page, name, GRID) == sorted(cells)
+
+
+def test_layers_are_switched_and_the_truth_is_outlined(opened, shown):
+    mission, _ = shown
+    page = opened()
+    move(page, 5)
+    assert marked(page, 'true target', GRID) == np.flatnonzero(mission.world.target).tolist()
+    # Of each hazard as many borders as there are cells around it without one.
+    hazards = {*np.flatnonzero(mission.world.hazard).tolist()}
+    borders = 0
+    for row, column in (divmod(each, GRID.width) for each in hazards):
+        for up, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            is_field = 0 <= column + right < GRID.width
+            borders += not (is_field and (row + up) * GRID.width + column + right in hazards)
+    lines = page.evaluate(
+        """document.getElementById("map").data.filter((trace) =>
+            trace.mode === "lines" && trace.line.width === 1.5).map((trace) => trace.x.length)"""
+    )
+    assert lines == [3 * borders]
+    for layer, name in (('truth', 'true target'), ('targets', 'target'), ('free', 'free')):
+        page.get_by_label(layer, exact=True).uncheck()
+        assert marked(page, name, GRID) is None
+    walk = 'document.getElementById("map").data[3].x.length'
+    assert page.evaluate(walk) > 0
+    page.get_by_label('paths', exact=True).uncheck()
+    assert page.evaluate(walk) == 0
+
+
+def test_where_a_robot_was_lost_is_listed_marked_and_told_alike(opened, shown):
+    mission, _ = shown
+    page = opened()
+    total = np.zeros(GRID.cells)
+    lost = [each for each in mission.deployments if not each.outcome.survived]
+    for deployment in lost:
+        move(page, deployment.moment)
+        table = [row.split('\t') for row in page.locator('#lost tbody').inner_text().split('\n')]
+        page.locator('#lost tbody button').first.press('Enter')
+        text = f'this robot lost here {table[0][3]}'
+        page.wait_for_function(
+            'text => document.getElementById("cell").innerText.includes(text)', arg=text
+        )
+        (x0, y0), side = GRID.origin, GRID.resolution
+        places = [(float(x) - x0, float(y) - y0) for x, y, *_ in table]
+        listed = [int(y / side) * GRID.width + int(x / side) for x, y in places]
+        assert set(listed) == {*deployment.outcome.path[1:].tolist()}
+        assert marked(page, 'lost', GRID) == sorted(listed)
+        share = [float(row[3]) for row in table]
+        assert share == sorted(share, reverse=True)
+        assert sum(share) == pytest.approx(1.0, abs=0.01)
+        total[listed] += share
+    assert total == pytest.approx(losses_of(mission), abs=0.001 * len(lost))
+    assert coloured(page, 'robots-lost')[GRID.free] == pytest.approx(
+        losses_of(mission)[GRID.free], abs=1e-4
+    )
+    returned = next(each for each in mission.deployments if each.outcome.survived)
+    move(page, returned.moment)
+    assert not page.locator('#lost').is_visible()
 
 
 def test_the_slider_moves_by_keys_and_the_page_plays(opened, shown):
@@ -164,7 +258,7 @@ def test_the_path_and_the_readings_of_a_moment_are_drawn(opened, shown):
     page = opened()
     for place, moment in enumerate(mission.moments[1:8], start=1):
         move(page, place)
-        traces = page.evaluate('document.getElementById("hazard").data.map(each => each.x)')
+        traces = page.evaluate('document.getElementById("map").data.map(each => each.x)')
         centers = mission.grid.centers(moment.outcome.path)
         assert traces[3][:-1] == pytest.approx(centers[:, 0].tolist())
         read = [] if moment.outcome.readings is None else moment.outcome.readings.tolist()
@@ -177,7 +271,7 @@ def test_where_a_loss_was_heard_is_drawn(opened, tmp_path):
     whole.deploy(Observation(path, False, lost_at=[0.0, 0.1, 0.6, 1.0, 0.5, 0.2]))
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
     page = opened(file=page_file(mission))
-    drawn = 'document.getElementById("hazard").data.map(each => [each.x, each.y])[7]'
+    drawn = 'document.getElementById("map").data.map(each => [each.x, each.y])[7]'
     move(page, 3)
     x, y = page.evaluate(drawn)
     assert np.column_stack([x, y])[:-1].astype(float) == pytest.approx(
@@ -196,66 +290,70 @@ def test_hazards_believed_used_up_are_drawn_and_told(opened, shown, tmp_path):
         whole.deploy(whole.walk())
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
     page = opened(file=page_file(mission))
-    drawn = page.evaluate('document.getElementById("used-up").data[0].z')
     used_up = np.where(mission.grid.free, used_up_of(mission), np.nan)
-    assert np.array(drawn, dtype=float).ravel() == pytest.approx(used_up, abs=1e-3, nan_ok=True)
+    assert coloured(page, 'used-up') == pytest.approx(used_up, abs=1e-3, nan_ok=True)
     move(page, 3)
     facts = page.locator('#deployment').inner_text()
     assert f'{used_up_at(mission, 3).sum():.2f} expected' in facts
-    assert not opened().locator('#used-up').count()
+    assert not opened().locator('#colour-used-up').count()
 
 
-def test_a_cell_that_is_pointed_at_tells_its_numbers_and_its_history(opened, shown):
+def test_a_cell_that_is_clicked_tells_its_numbers_and_its_history(opened, shown):
     mission, _ = shown
     page = opened()
-    page.locator('#hazard').scroll_into_view_if_needed()
-    box = page.locator('#hazard .plot-container .nsewdrag').bounding_box()
+    box = page.locator('#map .plot-container .nsewdrag').bounding_box()
     width, height = mission.grid.width, mission.grid.height
     column, row = 1, 2
-    page.mouse.move(
+    page.mouse.click(
         box['x'] + (column + 0.5) / width * box['width'],
         box['y'] + (height - row - 0.5) / height * box['height'],
     )
     cell = row * width + column
-    page.wait_for_function(f'document.getElementById("row").value === "{row}"')
-    assert page.locator('#column').input_value() == str(column)
+    x, y = mission.grid.centers([cell])[0]
+    page.wait_for_function(f'document.getElementById("x").value === "{x:g}"')
+    assert page.locator('#y').input_value() == f'{y:g}'
     hazard = mission.moments[-1].belief.hazard[cell]
     assert f'hazard {hazard:.3f}' in page.locator('#cell').inner_text()
     history = page.evaluate('document.getElementById("cell-plot").data[0].y')
     expected = [each.belief.hazard[cell] for each in mission.moments]
     assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
-    assert page.locator('#hazard .hoverlayer').text_content()
-    # A frame is round it in all maps.
-    x, y = mission.grid.centers([cell])[0]
-    assert f'At x {x:g} m, y {y:g} m' in page.locator('#cell').inner_text()
-    for name in (*NAMES, *(f'true-{each}' for each in NAMES)):
-        page.wait_for_function(
-            'name => document.getElementById(name)._fullLayout.shapes.length', arg=name
-        )
-        for frame in page.evaluate(f'document.getElementById("{name}").layout.shapes'):
-            assert (frame['x0'] + frame['x1']) / 2 == pytest.approx(x)
-            assert (frame['y0'] + frame['y1']) / 2 == pytest.approx(y)
-            assert frame['x1'] - frame['x0'] == pytest.approx(mission.grid.resolution)
-    page.locator('#column').fill('0')
-    page.locator('#column').press('Enter')
+    assert page.locator('#map .hoverlayer').text_content().startswith(f'({x:g}, {y:g}): hazard')
+    # A frame is round it.
+    assert page.locator('#cell').inner_text().startswith(f'({x:g}, {y:g}): hazard ')
+    page.wait_for_function('document.getElementById("map")._fullLayout.shapes.length')
+    for frame in page.evaluate('document.getElementById("map").layout.shapes'):
+        assert (frame['x0'] + frame['x1']) / 2 == pytest.approx(x)
+        assert (frame['y0'] + frame['y1']) / 2 == pytest.approx(y)
+        assert frame['x1'] - frame['x0'] == pytest.approx(mission.grid.resolution)
+    # The arrows of the keyboard go to the next cell.
+    page.locator('#x').press('ArrowUp')
+    page.locator('#y').press('ArrowDown')
+    next_to_it = mission.grid.centers([cell + 1 - width])[0]
+    name = f'({next_to_it[0]:g}, {next_to_it[1]:g})'
     page.wait_for_function(
-        'document.getElementById("cell-plot").data[1].y[0] !== undefined'
-        ' && document.getElementById("column").value === "0"'
+        'name => document.getElementById("cell").innerText.startsWith(name)', arg=name
     )
+    page.locator('#x').fill('99')
+    page.locator('#x').press('Enter')
+    assert 'is not in the field' in page.locator('#cell').inner_text()
 
 
 def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_path):
     grid = replace(GRID, origin=(30.0, -8.0), yaw=0.7)
     mission = read_mission(single(tmp_path / 'mission.mcap', 8, grid=grid))
     page = opened(file=page_file(mission))
-    page.locator('#row').fill('2')
-    page.locator('#row').press('Enter')
-    cell = 2 * grid.width + int(page.locator('#column').input_value())
-    x, y = (float(f'{each:.6g}') for each in grid.centers([cell])[0])
+    cell = 2 * grid.width + 1
+    for name, value in zip('xy', grid.centers([cell])[0]):
+        # Anywhere in the cell.
+        page.locator(f'#{name}').evaluate(
+            '(field, value) => { field.value = value; }', value + 0.02
+        )
+    page.locator('#y').dispatch_event('change')
+    name = '({}, {})'.format(*(f'{round(each, 3):.12g}' for each in grid.centers([cell])[0]))
     page.wait_for_function(
-        f'document.getElementById("cell").textContent.includes("At x {x:g} m, y {y:g} m")'
+        'name => document.getElementById("cell").innerText.startsWith(name)', arg=name
     )
-    drawn = page.evaluate('document.getElementById("hazard").layout')
+    drawn = page.evaluate('document.getElementById("map").layout')
     assert (drawn['xaxis']['range'], drawn['yaxis']['range']) == (
         [0, grid.width * grid.resolution],
         [0, grid.height * grid.resolution],
@@ -266,7 +364,7 @@ def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_pat
     for name, axis in (('x', 1.0), ('y', 1j)):
         assert arrows[name] / abs(arrows[name]) == pytest.approx(axis * np.exp(-0.7j))
     (square,) = page.evaluate(
-        'document.getElementById("hazard").data.filter((each) => each.marker?.symbol === "square")'
+        'document.getElementById("map").data.filter((each) => each.marker?.symbol === "square")'
     )
     row, column = divmod(grid.base, grid.width)
     assert (square['x'][0], square['y'][0]) == pytest.approx(
@@ -296,7 +394,7 @@ def test_what_was_found_is_told_on_the_earth(opened, surveyed):
     mission, file = surveyed
     page = opened(file=file, is_strict=True)
     table = rows(downloaded(page, 'CSV'))
-    collection = json.loads(downloaded(page, 'GeoJSON').read_text())
+    collection = json.loads(downloaded(page, 'GeoJSON', nth=1).read_text())
     # As RFC 7946 has it: the coordinates of WGS84 alone, and nothing of another frame.
     assert set(collection) == {'type', 'name', 'features'}
     findings = findings_of(mission)
@@ -314,7 +412,7 @@ def test_what_was_found_is_told_on_the_earth(opened, surveyed):
             assert EARTH.inv(*found, *at)[2] < 0.1
     north = next(
         complex(each['ax'], -each['ay'])
-        for each in page.evaluate('document.getElementById("hazard").layout.annotations')
+        for each in page.evaluate('document.getElementById("map").layout.annotations')
         if each['text'] == 'N'
     )
     # East lies by the heading clockwise of the frame's x axis, which lies so of the rows.
@@ -324,20 +422,18 @@ def test_what_was_found_is_told_on_the_earth(opened, surveyed):
 def test_the_image_of_the_map_lies_under_the_cells(opened, surveyed):
     mission, file = surveyed
     page = opened(file=file)
-    images = """name => document.getElementById(name).layout.images
+    images = """document.getElementById("map").layout.images
         .filter((each) => each.layer === "below")"""
-    for name in ('hazard', 'true-target'):
-        (image,) = page.evaluate(images, name)
-        assert image['source'] == mission.site.source
-        assert (image['x'], image['y'], image['sizex'], image['sizey']) == pytest.approx(
-            (0.0, 0.4, 0.5, 0.4)
-        )
-        opacity = f'document.getElementById("{name}").data[0].opacity'
-        assert page.evaluate(opacity) < 1
-        page.get_by_label('image of the map').uncheck()
-        assert page.evaluate(images, name) == []
-        assert page.evaluate(opacity) == 1
-        page.get_by_label('image of the map').check()
+    (image,) = page.evaluate(images)
+    assert image['source'] == mission.site.source
+    assert (image['x'], image['y'], image['sizex'], image['sizey']) == pytest.approx(
+        (0.0, 0.4, 0.5, 0.4)
+    )
+    opacity = 'document.getElementById("map").data[0].opacity'
+    assert page.evaluate(opacity) < 1
+    page.get_by_label('image', exact=True).uncheck()
+    assert page.evaluate(images) == []
+    assert page.evaluate(opacity) == 1
 
 
 def test_a_map_that_is_not_at_hand_is_told(surveyed, tmp_path):
@@ -411,29 +507,18 @@ def test_nothing_flows_over_and_nothing_overlaps(opened, two, width):
 
 
 def test_it_answers_first(opened):
-    """The questions and the map of hazards need no scrolling; no path is on the map yet."""
+    """The questions and the map need no scrolling; no path is on the map yet."""
     page = opened(1400, 1000)
     tiles = page.locator('#answers article')
     questions = tiles.locator('h3').all_inner_texts()
     assert questions == asked_in('docs/reading.md')[: len(questions)]
     for tile in tiles.all():
         assert tile.bounding_box()['y'] + tile.bounding_box()['height'] < 1000
-    hazard = page.locator('#hazard').bounding_box()
-    assert hazard['y'] + hazard['height'] < 1000
-    assert page.evaluate('document.getElementById("hazard").data[3].x.length') == 0
+    field = page.locator('#map').bounding_box()
+    assert field['y'] + field['height'] < 1000
+    assert min(field['width'], field['height']) > 500
+    assert page.evaluate('document.getElementById("map").data[3].x.length') == 0
     assert 'Lethality: ' in tiles.nth(5).inner_text()
-
-
-def test_dots_are_on_the_cells_that_are_free_in_the_end(opened, shown):
-    page = opened()
-    free = np.flatnonzero(cells_of(shown[0]).free)
-    dots = 'document.getElementById("hazard").data.find((trace) => trace.name === "free")'
-    at = np.array(page.evaluate(f'[{dots}.x, {dots}.y]'), dtype=float).T
-    assert free.size
-    assert np.array_equal(at, GRID.centers(free))
-    assert page.evaluate(f'{dots}.visible') is True
-    move(page, 3)
-    assert page.evaluate(f'{dots}.visible') is False
 
 
 def asked_in(page):
@@ -449,8 +534,8 @@ def test_arrow_keys_move_without_a_focus_and_leave_other_fields_alone(opened, sh
     page.keyboard.press('ArrowLeft')
     page.keyboard.press('ArrowRight')
     assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
-    assert page.evaluate('document.getElementById("hazard").data[3].x.length') > 0
-    page.locator('#column').focus()
+    assert page.evaluate('document.getElementById("map").data[3].x.length') > 0
+    page.locator('#x').focus()
     page.keyboard.press('ArrowLeft')
     assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
     # All that can be used is reached by the tabulator, and shows that it is.
@@ -466,14 +551,9 @@ def test_safe_cells_are_listed_and_downloaded_as_polygons(opened, shown):
     page = opened(is_strict=True)
     free = np.flatnonzero(cells_of(mission).free)
     hazard = mission.moments[-1].belief.hazard[free]
-    buttons = page.get_by_role('button', name='CSV')
-    with page.expect_download() as download:
-        buttons.nth(1).click()
-    table = rows(Path(download.value.path()))
+    table = rows(downloaded(page, 'CSV', nth=1))
     assert [float(row['hazard']) for row in table] == sorted(hazard)
-    with page.expect_download() as download:
-        page.get_by_role('button', name='GeoJSON').nth(1).click()
-    features = json.loads(Path(download.value.path()).read_text())['features']
+    features = json.loads(downloaded(page, 'GeoJSON', nth=2).read_text())['features']
     assert len(features) == free.size
     side = mission.grid.resolution
     for feature in features:
@@ -488,12 +568,24 @@ def test_the_safest_way_is_that_of_all_ways(opened, shown):
     mission, _ = shown
     page, grid = opened(), mission.grid
     hazard = mission.moments[-1].belief.hazard
+
+    def choose(cell):
+        x, y = (f'{each:g}' for each in grid.centers([cell])[0])
+        for field, value in (('#x', x), ('#y', y)):
+            page.fill(field, value)
+            page.press(field, 'Enter')
+            page.evaluate('new Promise((done) => requestAnimationFrame(done))')
+        return f'({x}, {y})'
+
+    page.click('#way-from')
+    base = choose(grid.base)
+    page.click('#way-from')
+    assert f'No way from {base} to a cell that is not chosen yet' in page.inner_text('#way')
     for to in (0, grid.cells - 1, 11):
-        row, column = divmod(to, grid.width)
-        page.fill('#to-column', str(column))
-        page.fill('#to-row', str(row))
-        page.click('#find')
+        name = choose(to)
+        page.click('#way-to')
         said = page.inner_text('#way')
+        assert f'from {base} to {name} ' in said
         # Bellman and Ford's algorithm.
         free = np.zeros(grid.cells)
         free[grid.base] = 1.0 - hazard[grid.base]
@@ -502,14 +594,13 @@ def test_the_safest_way_is_that_of_all_ways(opened, shown):
                 around = grid.neighbors(cell)
                 free[around] = np.maximum(free[around], free[cell] * (1.0 - hazard[around]))
         assert f'free of hazards with {100 * free[to]:.1f} %' in said
-        line = json.loads(downloaded(page, 'GeoJSON', last=True).read_text())
+        line = json.loads(downloaded(page, 'GeoJSON').read_text())
         ((x, y), *_) = line['features'][0]['geometry']['coordinates']
         assert [x, y] == pytest.approx(grid.centers([grid.base])[0])
-    for column, told in ((99, 'The field has columns 0 to 4'), (3, 'An obstacle is in one')):
-        page.fill('#to-column', str(column))
-        page.fill('#to-row', '1')
-        page.click('#find')
-        assert told in page.inner_text('#way')
+    choose(grid.width + 3)
+    page.click('#way-to')
+    assert 'an obstacle is in one of the two cells' in page.inner_text('#way')
+    assert page.get_by_role('button', name='GeoJSON').first.is_disabled()
 
 
 def test_what_was_found_is_sorted_and_downloaded(opened, shown):
@@ -520,7 +611,7 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     findings = findings_of(mission)
     largest_first = sorted((each.x for each in findings), reverse=True)
     assert [float(row['x (m)']) for row in table] == largest_first
-    features = json.loads(downloaded(page, 'GeoJSON').read_text())['features']
+    features = json.loads(downloaded(page, 'GeoJSON', nth=1).read_text())['features']
     told = {
         (each['properties']['what'], *each['geometry']['coordinates']): each['properties']
         for each in features
@@ -530,16 +621,17 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
         values = told[each.kind, each.x, each.y]
         assert values['probability'] == each.probability
         assert values['looks'] == each.looks
-    assert len(rows(downloaded(page, 'CSV', last=True))) == len(mission.deployments)
-    assert Image.open(downloaded(page, 'map of hazard, believed')).format == 'PNG'
+    assert len(rows(downloaded(page, 'CSV', nth=-1))) == len(mission.deployments)
+    assert Image.open(downloaded(page, 'Save the map')).format == 'PNG'
 
 
-def test_it_can_be_printed_on_a4(opened):
+def test_it_is_printed_on_one_sheet_of_a4(opened):
     page = opened(794, 1123)
     page.emulate_media(media='print')
     assert page.evaluate('document.documentElement.scrollWidth') == 794
     assert not page.locator('#play').is_visible()
-    assert page.locator('#deployments').is_visible()
+    assert page.locator('#map').is_visible()
+    assert len(re.findall(rb'/Type\s*/Page\b', page.pdf(prefer_css_page_size=True))) == 1
 
 
 def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
@@ -549,11 +641,11 @@ def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
 
     page = opened(scheme='dark')
     assert max(paper(page)) < 60
-    letters = page.evaluate('document.getElementById("hazard").layout.font.color')
+    letters = page.evaluate('document.getElementById("map").layout.font.color')
     assert letters == '#ececec'
     page.get_by_role('button', name='Light').click()
     assert min(paper(page)) > 200
-    assert page.evaluate('document.getElementById("hazard").layout.font.color') == '#1b1b1b'
+    assert page.evaluate('document.getElementById("map").layout.font.color') == '#1b1b1b'
 
 
 @pytest.mark.processes
@@ -568,7 +660,14 @@ def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
     tool = Path(__file__).parents[2] / 'tools/page_pictures.py'
     subprocess.run([sys.executable, tool, report, images], check=True)
     taken = {each.stem: Image.open(each) for each in images.iterdir()}
-    assert taken.keys() == {'page', 'page_early', 'page_dark', 'page_curves', 'maps'}
+    assert taken.keys() == {
+        'page',
+        'page_early',
+        'page_dark',
+        'page_curves',
+        'before_after',
+        'maps',
+    }
     assert taken['maps'].width == 1600
     assert taken['page'].size == taken['page_dark'].size
     assert taken['page'].width == taken['page_early'].width
@@ -633,13 +732,18 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
 
 @pytest.mark.full
 @pytest.mark.skipif(not AXE.exists(), reason=f'npm ci --prefix {AXE.parents[2]} installs axe-core')
-@pytest.mark.parametrize('scheme', ['light', 'dark'])
-def test_everybody_can_use_the_pages(opened, shown, two, scheme):
-    for _, file in (shown, two):
-        page = opened(scheme=scheme, file=file)
+@for_each('scheme, width', product(('light', 'dark'), (1400, 390)))
+def test_everybody_can_use_the_pages(opened, shown, two, scheme, width):
+    mission, file = shown
+    lost = next(each for each in mission.deployments if not each.outcome.survived)
+    for each in (file, two[1]):
+        page = opened(width, scheme=scheme, file=each)
+        if each == file:
+            move(page, lost.moment)
+            page.click('#way-to')
         page.add_script_tag(content=AXE.read_text())
         assert [
             (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
             for each in page.evaluate('axe.run()')['violations']
-            if each['impact'] in ('serious', 'critical')
         ] == []
+        assert page.evaluate('document.documentElement.scrollWidth') == width

@@ -294,7 +294,7 @@ def test_a_mission_of_which_no_robot_left_is_reported(tmp_path):
     log = record(tmp_path / 'never.mcap', Mission().sent)
     assert main([str(log), '--out', str(tmp_path / 'out')]) == 0
     page = (tmp_path / 'out' / 'report.html').read_text()
-    assert '0 deployments of 0 agents' in page
+    assert '0 robots of 0 agents' in page
     assert re.search(r'None was sent, and \d+ cells are undecided', page)
 
 

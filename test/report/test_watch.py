@@ -52,24 +52,27 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         assert int(page.get_attribute('#moment', 'max')) < 6
         # It is drawn in place: what was chosen stays.
         page.evaluate('window.chosen = 1')
-        page.fill('#column', '2')
-        page.dispatch_event('#column', 'change')
+        page.check('#colour-target')
+        page.uncheck('[value=free]')
+        page.fill('#x', '-1.25')
+        page.press('#x', 'Enter')
+        page.click('#way-to')
         record_to(log, SENT[half:], synced=True)
         until(page, 'document.getElementById("moment").max === "6"')
         until(
             page, 'document.getElementById("told").textContent.includes("After the last report")'
         )
         assert page.evaluate('window.chosen') == 1
-        assert page.input_value('#column') == '2'
-        until(
-            page,
-            'document.getElementById("answers").textContent.includes("6 robots lost") || true',
-        )
-        rows = page.evaluate('document.getElementById("hazard").data[0].z')
+        assert page.input_value('#x') == '-1.25'
+        assert page.is_checked('#colour-target')
+        assert not page.is_checked('[value=free]')
+        assert page.inner_text('#way').startswith('The safest way from')
+        assert 'of 6 robots lost' in page.inner_text('#answers')
+        rows = page.evaluate('document.getElementById("map").data[0].z')
         last = read_history(path).beliefs[-1]
         shown = np.array(rows, dtype=float).ravel()
         inside = ~np.isnan(shown)
-        np.testing.assert_allclose(shown[inside], last.hazard[inside], atol=0.5 / 255)
+        np.testing.assert_allclose(shown[inside], last.target[inside], atol=0.5 / 255)
         says(page, 'has not grown for')
         log.close()
         says(page, 'is finished')

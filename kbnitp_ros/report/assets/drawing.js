@@ -99,9 +99,8 @@ function saveFigures(name) {
 function sort(heading) {
   const head = heading.closest('th');
   const place = [...head.parentNode.children].indexOf(head);
-  // Of numbers the largest come first, of names the first ones.
-  const before = head.getAttribute('aria-sort');
-  const ascending = before ? before !== 'ascending' : head.classList.contains('text');
+  // The largest come first.
+  const ascending = head.getAttribute('aria-sort') === 'descending';
   [...head.parentNode.children].forEach((each) => each.removeAttribute('aria-sort'));
   head.setAttribute('aria-sort', ascending ? 'ascending' : 'descending');
   const body = head.closest('table').tBodies[0];

@@ -13,8 +13,6 @@ async function start(signal, kept) {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
   const plots = JSON.parse(page('plots').textContent);
-  const STILL = ['losses', 'used-up', ...NAMES.map((name) => `true-${name}`)].filter((id) => plots[id]);
-  const ALL = [...NAMES, ...STILL];
   const CURVES = Object.keys(plots).filter((id) => id.startsWith('curve-'));
   const { width, height } = mission.grid;
   const cells = width * height;
@@ -28,14 +26,24 @@ async function start(signal, kept) {
   // The page opens with what is known in the end; a path is drawn once a moment was asked for.
   let isAsked = false;
   let isNamed = false;
+  // The cells between which a way is sought.
+  let ends = [mission.grid.bases[0], null];
+  let way = [];
+  let lost = [];
+  const layers = [...document.querySelectorAll('[name=layer]')];
   if (kept) {
-    ({ cell, isAsked, isNamed } = kept);
+    ({ cell, isAsked, isNamed, ends } = kept);
+    page(kept.colour).checked = true;
+    layers.forEach((layer) => { layer.checked = kept.shown.includes(layer.value); });
     now = kept.moment === null ? last : Math.min(kept.moment, last);
   }
 
   const level = (moment, name, each) => frames[moment * size + NAMES.indexOf(name) * cells + each];
   const value = (moment, name, each) => (moment === last && mission.exact
     ? mission.exact[name][each] : level(moment, name, each) / 255);
+  const colourId = () => document.querySelector('[name=colour]:checked').id;
+  const isShown = (layer) => layers.some((each) => each.value === layer && each.checked);
+  const mayBeHazard = (moment, each) => value(moment, 'hazard', each) > mission.free;
   // Where a cell is drawn, and where it lies in the frame of the map: rows of a turned field are drawn to the right.
   const center = (each) => [
     mission.grid.x + (each % width + 0.5) * mission.grid.resolution,
@@ -48,17 +56,45 @@ async function start(signal, kept) {
       + (Math.floor(each / width) + 0.5) * across[place]);
   }
 
-  function map(moment, name) {
-    const rows = [];
-    for (let row = 0; row < height; row += 1) {
-      const values = [];
-      for (let column = 0; column < width; column += 1) {
-        const each = row * width + column;
-        values.push(blocked.has(each) ? null : value(moment, name, each));
-      }
-      rows.push(values);
-    }
-    return rows;
+  const metres = (number) => String(Number(number.toFixed(3)) + 0);
+  const spot = (each) => `(${position(each).map(metres).join(', ')})`;
+  // The cells of the field that a condition holds for.
+  const those = (condition) => [...Array(cells).keys()].filter((each) => !blocked.has(each) && condition(each));
+
+  // A value of each cell, in rows.
+  function inRows(of) {
+    return Array.from({ length: height }, (_, row) => Array.from({ length: width }, (__, column) => of(row * width + column)));
+  }
+
+  // Kappa is that of a hazard, which may not be there.
+  function shownIn(moment, name, each) {
+    if (blocked.has(each) || (name === 'kappa' && !mayBeHazard(moment, each))) return null;
+    return mission.ends[name] ? mission.ends[name][each] : value(moment, name, each);
+  }
+
+  function told(moment, each) {
+    if (blocked.has(each)) return `${spot(each)}: an obstacle, no robot can enter.`;
+    const names = NAMES.filter((name) => shownIn(moment, name, each) !== null);
+    const here = lost.find((loss) => loss.cell === each);
+    const values = [...names.map((name) => [name, value(moment, name, each)]), ...(here ? [['this robot lost here', here.lost]] : [])];
+    const [hazard, target] = mission.truth ? [mission.truth.hazard[each], mission.truth.target[each]] : [];
+    const truth = mission.truth ? ` In truth ${hazard ? 'a hazard' : 'no hazard'}, ${target ? 'a target' : 'no target'}.` : '';
+    const first = mission.visited[each];
+    const visited = first >= 0 && first <= moment ? '' : ' No robot was sent here so far.';
+    return `${spot(each)}: ${values.map(([name, number]) => `${name} ${number.toFixed(3)}`).join(', ')}.${truth}${visited}`;
+  }
+
+  // Where the robot of a moment was lost: each cell of its path once, the most probable first.
+  function losses(moment) {
+    const { deployment } = mission.moments[moment];
+    const { path, lost: shares } = isAsked && deployment !== null ? mission.deployments[deployment] : {};
+    const found = new Map();
+    (shares || []).forEach((share, step) => {
+      const each = path[step + 1];
+      const known = found.get(each) || { cell: each, steps: [], lost: 0 };
+      found.set(each, { cell: each, steps: [...known.steps, step + 1], lost: known.lost + share });
+    });
+    return [...found.values()].sort((one, other) => other.lost - one.lost);
   }
 
   function line(paths) {
@@ -77,26 +113,20 @@ async function start(signal, kept) {
   }
 
   // The image of the map lies under cells that let it through.
-  const isSiteShown = () => Boolean(mission.site) && page('site').checked;
-  const site = () => (isSiteShown() ? [{
+  const site = () => (isShown('image') ? [{
     source: mission.site.source, xref: 'x', yref: 'y', sizing: 'stretch', layer: 'below',
     x: mission.grid.x, y: mission.grid.y + mission.site.height,
     sizex: mission.site.width, sizey: mission.site.height,
   }] : []);
-  function overlaid({ data }) {
-    data.filter((trace) => trace.type === 'heatmap').forEach((trace) => {
-      trace.opacity = isSiteShown() ? 0.6 : 1;
-    });
-  }
 
   function overlays(moment) {
     const { deployment, survived, known, out } = mission.moments[moment];
-    if (!isAsked) return {};
+    if (!isAsked || !isShown('paths')) return {};
     const traces = { out: line(out.map((each) => mission.deployments[each].path)) };
     const path = deployment === null ? [] : mission.moments[moment].walk || mission.deployments[deployment].path;
     const look = mission.walks[survived ? 'returned' : 'lost'];
-    traces.casing = line(path.length ? [path] : []);
-    traces.walk = { ...line(path.length ? [path] : []), line: { width: 3, color: look.color, dash: look.dash } };
+    traces.casing = line([path]);
+    traces.walk = { ...line([path]), line: { width: 3, color: look.color, dash: look.dash } };
     const heard = mission.moments[moment].heard;
     traces.heard = line(heard ? [path.slice(heard[0], heard[1] + 1)] : []);
     const marked = { detected: [], nothing: [] };
@@ -113,8 +143,54 @@ async function start(signal, kept) {
     return traces;
   }
 
-  function coloured(id) {
-    colour(plots[id], mission.scales[id], mission.assumed[id.replace('true-', '')]);
+  // The borders between cells that a condition holds for and others.
+  function outlines(cellsInside) {
+    const inside = new Set(cellsInside);
+    const { x: left, y: bottom, resolution } = mission.grid;
+    const drawn = { x: [], y: [] };
+    inside.forEach((each) => {
+      const [row, column] = [Math.floor(each / width), each % width];
+      [[0, -1, 0, 0, 1, 0], [0, 1, 0, 1, 1, 1], [-1, 0, 0, 0, 0, 1], [1, 0, 1, 0, 1, 1]].forEach(([right, up, x0, y0, x1, y1]) => {
+        const isField = column + right >= 0 && column + right < width;
+        if (isField && inside.has((row + up) * width + column + right)) return;
+        drawn.x.push(left + (column + x0) * resolution, left + (column + x1) * resolution, null);
+        drawn.y.push(bottom + (row + y0) * resolution, bottom + (row + y1) * resolution, null);
+      });
+    });
+    return drawn;
+  }
+
+  // What is marked of all cells. Marks are as large as the cells let them be.
+  function marks(moment) {
+    const side = Math.min(24, (page('map').clientWidth - 100) / width);
+    const lined = (at, wide) => [[wide + 2.5, '#ffffff'], [wide, '#000000']].map(([size, color]) => (
+      { type: 'scatter', mode: 'lines', hoverinfo: 'skip', cliponaxis: false, ...at, line: { color, width: size } }));
+    const marked = (name, found, size, marker) => ({
+      type: 'scatter', mode: 'markers', hoverinfo: 'skip', name, ...line(found.map((each) => [each])), marker: { size, ...marker },
+    });
+    const green = '#00783c';
+    const drawn = [];
+    if (isShown('truth')) {
+      drawn.push(...lined(outlines(those((each) => mission.truth.hazard[each])), 1.5));
+      const targets = those((each) => mission.truth.target[each]);
+      drawn.push(marked('true target', targets, 0.9 * side, { symbol: 'circle-open', color: '#ffffff', line: { width: 4 } }));
+      drawn.push(marked('true target', targets, 0.9 * side, { symbol: 'circle-open', color: '#000000', line: { width: 1.5 } }));
+    }
+    if (isShown('paths')) {
+      const size = lost.map((each) => 1.2 * side * Math.sqrt(each.lost));
+      drawn.push(marked('lost', lost.map((each) => each.cell), size.flatMap((each) => [each, 0]), { color: mission.walks.lost.color, opacity: 0.85 }));
+    }
+    if (isShown('targets')) {
+      const isProbable = (from, to) => those((each) => value(moment, 'target', each) >= from && value(moment, 'target', each) < to);
+      drawn.push(marked('target', isProbable(0.5, 0.95), 0.5 * side, { symbol: 'triangle-up', color: '#ffffff', line: { color: green, width: 1.5 } }));
+      drawn.push(marked('found', isProbable(0.95, Infinity), 0.5 * side, { symbol: 'triangle-up', color: green, line: { color: '#ffffff', width: 1 } }));
+    }
+    if (isShown('free')) {
+      const free = those((each) => !mayBeHazard(moment, each));
+      drawn.push(marked('free', free, Math.max(2, side / 5), { color: '#000000', line: { color: '#ffffff', width: 1 } }));
+    }
+    if (way.length) drawn.push(...lined(line([way]), 2.5));
+    return drawn;
   }
 
   const shape = (moment) => [{
@@ -126,51 +202,50 @@ async function start(signal, kept) {
   function frame() {
     const [x, y] = center(cell);
     const half = mission.grid.resolution / 2;
-    if (!isAsked && !isNamed) return [];
+    if (!isNamed) return [];
     return [['#ffffff', 5], ['#000000', 2]].map(([color, wide]) => ({
       type: 'rect', xref: 'x', yref: 'y', x0: x - half, x1: x + half, y0: y - half, y1: y + half,
       line: { color, width: wide },
     }));
   }
 
-  function drawMaps() {
+  function drawMap() {
     const images = [
       ...site(), ...hatching(mission.grid, mission.visited.map((first) => first >= 0 && first <= now)),
     ];
+    const name = colourId().replace('colour-', '');
+    const { data, layout } = plots.map;
+    const values = mission.ends[name] || [];
+    const none = { x: [], y: [] };
     const traces = overlays(now);
-    NAMES.forEach((name) => {
-      const { data, layout } = plots[name];
-      data[0].z = map(now, name);
-      coloured(name);
-      overlaid(plots[name]);
-      mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace]));
-      // The way that was found is drawn over the path of the moment.
-      if (way.length) Object.assign(data[mission.traces.indexOf('casing')], line([way]));
-      // Which cells are free is told of the last moment alone.
-      data.filter((trace) => trace.name === 'free').forEach((trace) => { trace.visible = now === last; });
-      Plotly.react(page(name), data, { ...themed(layout), images, shapes: frame() }, config);
+    mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace] || (place ? none : {})));
+    Object.assign(data[0], {
+      z: inRows((each) => shownIn(now, name, each)),
+      zmax: values.reduce((most, each) => Math.max(most, each), 1),
+      text: inRows((each) => told(now, each)),
+      hovertemplate: '%{text}<extra></extra>',
+      hoverongaps: true,
+      // Below the map of a phone, which is narrow.
+      colorbar: {
+        thickness: 10, len: 0.9, title: { text: mission.colours[name], side: 'right' },
+        ...(page('map').clientWidth < 500 && { orientation: 'h', y: -0.15, yanchor: 'top', title: { text: mission.colours[name], side: 'bottom' } }),
+      },
     });
+    colour(plots.map, mission.scales[name], mission.assumed[name]);
+    data.filter((trace) => trace.type === 'heatmap').forEach((trace) => { trace.opacity = isShown('image') ? 0.6 : 1; });
+    page('map').setAttribute('aria-label', `Map: ${mission.colours[name]}; ${page('told').textContent}`);
+    Plotly.react(page('map'), [...data, ...marks(now)], { ...themed(layout), images, shapes: frame() }, config);
   }
 
   function drawCell() {
     const places = mission.moments.map((moment) => moment.place);
     NAMES.forEach((name, place) => {
       plots.cell.data[place].x = places;
-      plots.cell.data[place].y = places.map((_, moment) => value(moment, name, cell));
+      plots.cell.data[place].y = places.map((_, moment) => shownIn(moment, name, cell));
     });
     Plotly.react(page('cell-plot'), plots.cell.data, { ...themed(plots.cell.layout), shapes: shape(now) }, config);
-    page('column').value = cell % width;
-    page('row').value = Math.floor(cell / width);
-    // Kappa is that of a hazard, which may not be there.
-    const said = NAMES.filter((name) => name !== 'kappa' || value(now, 'hazard', cell) > 0.05);
-    const values = said.map((name) => `${name} ${value(now, name, cell).toFixed(3)}`).join(', ');
-    const truth = mission.truth ? ` In truth: ${mission.truth.hazard[cell] ? 'a hazard' : 'no hazard'}, `
-      + `${mission.truth.target[cell] ? 'a target' : 'no target'}.` : '';
-    const first = mission.visited[cell];
-    const visited = first >= 0 && first <= now ? '' : ' No robot was sent here so far.';
-    const [x, y] = position(cell).map((each) => Number(each.toPrecision(6)));
-    const told = blocked.has(cell) ? 'blocked, no robot can enter.' : `${values}.${truth}${visited}`;
-    page('cell').textContent = `At x ${x} m, y ${y} m: ${told}`;
+    [page('x').value, page('y').value] = position(cell).map(metres);
+    page('cell').textContent = told(now, cell);
   }
 
   function drawCurves() {
@@ -190,6 +265,20 @@ async function start(signal, kept) {
       list.append(Object.assign(document.createElement('dt'), { textContent: term }));
       list.append(Object.assign(document.createElement('dd'), { textContent: value }));
     }
+    lost = losses(now);
+    page('loss').hidden = !lost.length;
+    page('lost').tBodies[0].replaceChildren(...lost.map((loss) => {
+      const row = document.createElement('tr');
+      row.dataset.cell = loss.cell;
+      const [x, y] = position(loss.cell);
+      [[x, metres(x)], [y, metres(y)], [loss.steps.join(', ')], [loss.lost, loss.lost.toFixed(3)]].forEach(([exact, text], place) => {
+        const field = row.insertCell();
+        field.dataset.value = exact;
+        const shown = place ? field : field.appendChild(document.createElement('button'));
+        shown.textContent = text ?? exact;
+      });
+      return row;
+    }));
     document.querySelectorAll('#deployments tr[aria-current]').forEach((row) => row.removeAttribute('aria-current'));
     const row = moment.deployment === null ? null : page(`deployment-${moment.deployment}`);
     if (row) {
@@ -211,7 +300,7 @@ async function start(signal, kept) {
   function show(moment) {
     now = Math.max(0, Math.min(last, moment));
     tell();
-    drawMaps();
+    drawMap();
     drawCell();
     CURVES.forEach((id) => Plotly.relayout(page(id), { shapes: shape(now) }));
     document.documentElement.dataset.moment = now;
@@ -247,7 +336,7 @@ async function start(signal, kept) {
     requestAnimationFrame(() => {
       isDue = false;
       drawCell();
-      ALL.forEach((id) => Plotly.relayout(page(id), { shapes: frame() }));
+      Plotly.relayout(page('map'), { shapes: frame() });
     });
   }
 
@@ -257,9 +346,11 @@ async function start(signal, kept) {
   }
 
   function named() {
-    const column = Math.max(0, Math.min(width - 1, Number(page('column').value)));
-    const row = Math.max(0, Math.min(height - 1, Number(page('row').value)));
-    look(row * width + column);
+    const { corner, along, across, resolution } = mission.grid;
+    const [x, y] = ['x', 'y'].map((id, place) => Number(page(id).value) - corner[place]);
+    const [column, row] = [along, across].map((axis) => Math.floor((x * axis[0] + y * axis[1]) / resolution ** 2));
+    if (column >= 0 && column < width && row >= 0 && row < height) look(row * width + column);
+    else page('cell').textContent = `(${page('x').value}, ${page('y').value}) is not in the field.`;
   }
 
   // Longitude and latitude as RFC 7946 has it; of a field without a datum metres in the frame of the map, as its readers
@@ -287,7 +378,6 @@ async function start(signal, kept) {
   }
 
   // The safest way between two cells: that with the least sum of -log P(no hazard), by Dijkstra's algorithm.
-  let way = [];
   function steps(each) {
     const { connectivity, cutsCorners } = mission.grid;
     const [row, column] = [Math.floor(each / width), each % width];
@@ -329,33 +419,36 @@ async function start(signal, kept) {
   }
 
   function findWay() {
-    const [column, row, toColumn, toRow] = ['from-column', 'from-row', 'to-column', 'to-row'].map((id) => Number(page(id).value));
-    const isInside = [[column, row], [toColumn, toRow]].every(([x, y]) => x >= 0 && x < width && y >= 0 && y < height);
-    const [from, to] = [row * width + column, toRow * width + toColumn];
-    const isBlocked = isInside && (blocked.has(from) || blocked.has(to));
-    way = isInside && !isBlocked ? safest(from, to) : [];
+    const [from, to] = ends;
+    const isBlocked = blocked.has(from) || blocked.has(to);
+    way = to !== null && !isBlocked ? safest(from, to) : [];
     const take = document.querySelector('[data-take="way.geojson"]');
     take.disabled = !way.length;
+    const between = `from ${spot(from)} to ${to === null ? 'a cell that is not chosen yet' : spot(to)}`;
     if (way.length) {
       const hazard = way.map((each) => mission.exact.hazard[each]);
       const free = hazard.reduce((product, each) => product * (1 - each), 1);
       const [safe, deadly] = mission.survival;
       const survived = hazard.slice(1).reduce((product, each) => product * (safe * (1 - each) + deadly * each), 1);
       const percent = (each) => `${(100 * each).toFixed(1)} %`;
-      page('way').textContent = `The safest way has ${way.length - 1} steps. It is free of hazards with ${percent(free)}; `
+      page('way').textContent = `The safest way ${between} has ${way.length - 1} steps. It is free of hazards with ${percent(free)}; `
         + `a robot survives it with ${percent(survived)}. ${hazard.reduce((sum, each) => sum + each, 0).toFixed(2)} hazards are expected on it.`;
-    } else if (!isInside) {
-      page('way').textContent = `The field has columns 0 to ${width - 1} and rows 0 to ${height - 1}: name cells of it.`;
     } else {
-      page('way').textContent = isBlocked ? 'An obstacle is in one of the two cells: name others.' : 'Obstacles are between the two cells: no way leads there.';
+      const why = to === null ? '' : isBlocked ? ': an obstacle is in one of the two cells' : ': obstacles are between the two cells';
+      page('way').textContent = `No way ${between}${why}.`;
     }
-    drawMaps();
+  }
+
+  function wayEnds(place) {
+    ends[place] = cell;
+    findWay();
+    drawMap();
   }
 
   function wayGeojson() {
-    const places = way.map((each) => position(each));
+    const places = way.map((each) => (mission.earth ? mission.earth[each] : position(each)));
     const feature = { type: 'Feature', geometry: { type: 'LineString', coordinates: places }, properties: { steps: way.length - 1 } };
-    return collection([feature], false);
+    return collection([feature], Boolean(mission.earth));
   }
 
   const TAKES = {
@@ -370,7 +463,7 @@ async function start(signal, kept) {
   function pressed(event) {
     const { target } = event;
     // What has keys of its own keeps them: numbers, the slider, tables that scroll sideways.
-    const box = target.closest('input, .wide, #maps');
+    const box = target.closest('input, .wide');
     if (event.altKey || event.ctrlKey || event.metaKey || (box && (box.tagName === 'INPUT' || box.scrollWidth > box.clientWidth))) return;
     const to = { ArrowLeft: now - 1, ArrowRight: now + 1 }[event.key];
     if (to === undefined) return;
@@ -379,20 +472,18 @@ async function start(signal, kept) {
   }
 
   function paint() {
-    STILL.forEach((id) => {
-      coloured(id);
-      overlaid(plots[id]);
-      Plotly.react(page(id), plots[id].data, { ...themed(plots[id].layout), images: site(), shapes: frame() }, config);
-    });
     drawCurves();
     show(now);
   }
 
   page('moment').max = last;
-  page('column').max = width - 1;
-  page('row').max = height - 1;
+  if (!mission.grid.along[1]) {
+    // The arrows of the two fields go from cell to cell.
+    position(0).forEach((least, place) => Object.assign(page('xy'[place]), { min: metres(least), step: mission.grid.resolution }));
+  }
+  if (kept && page('way-to') && ends[1] !== null) findWay();
   changeTheme(paint, signal);
-  ALL.forEach((id) => page(id).on('plotly_hover', pointed).on('plotly_click', pointed));
+  page('map').on('plotly_click', pointed);
   CURVES.forEach((id) => page(id).on('plotly_click', (event) => {
     const place = event.points[0].x;
     ask(mission.moments.findIndex((moment) => moment.place >= place));
@@ -402,32 +493,36 @@ async function start(signal, kept) {
   page('next').addEventListener('click', () => ask(now + 1));
   document.addEventListener('keydown', pressed, { signal });
   signal.addEventListener('abort', () => clearInterval(timer));
+  // A sheet of A4 is 700 pixels wide between its margins.
+  window.addEventListener('beforeprint', () => Plotly.relayout(page('map'), { width: 640, height: 440 }), { signal });
+  window.addEventListener('afterprint', () => Plotly.relayout(page('map'), { width: null, height: null, autosize: true }), { signal });
   document.querySelectorAll('.take').forEach((button) => {
     button.addEventListener('click', () => TAKES[button.dataset.take]());
   });
   saveFigures(mission.name);
   page('play').addEventListener('click', play);
-  page('column').addEventListener('change', named);
-  page('row').addEventListener('change', named);
-  if (mission.site) page('site').addEventListener('change', paint);
-  ['deployments', 'findings', 'safe'].forEach((id) => sortable(page(id)));
+  ['x', 'y'].forEach((id) => page(id).addEventListener('change', named));
+  document.querySelectorAll('[name=colour], [name=layer]').forEach((field) => field.addEventListener('change', drawMap));
+  document.querySelectorAll('#answers a[href^="#colour-"]').forEach((link) => {
+    link.addEventListener('click', () => page(link.hash.slice(1)).click());
+  });
+  ['deployments', 'findings', 'safe', 'lost'].forEach((id) => sortable(page(id)));
   page('deployments').tBodies[0].addEventListener('click', (event) => {
     const row = event.target.closest('tr');
     if (row.dataset.moment !== '') ask(Number(row.dataset.moment));
   });
-  ['findings', 'safe'].forEach((id) => page(id).tBodies[0].addEventListener('click', (event) => {
+  ['findings', 'safe', 'lost'].forEach((id) => page(id).tBodies[0].addEventListener('click', (event) => {
     look(Number(event.target.closest('tr').dataset.cell));
   }));
-  if (page('find')) {
-    const [base] = mission.grid.bases;
-    page('from-column').value = base % width;
-    page('from-row').value = Math.floor(base / width);
-    page('to-column').value = width - 1;
-    page('to-row').value = height - 1;
-    page('find').addEventListener('click', findWay);
+  if (page('way-to')) {
+    page('way-from').addEventListener('click', () => wayEnds(0));
+    page('way-to').addEventListener('click', () => wayEnds(1));
   }
   document.documentElement.dataset.ready = 'true';
-  return () => ({ moment: now === last ? null : now, cell, isAsked, isNamed });
+  return () => ({
+    moment: now === last ? null : now, cell, isAsked, isNamed, ends, colour: colourId(),
+    shown: layers.filter((layer) => layer.checked).map((layer) => layer.value),
+  });
 }
 
 let view = null;
