@@ -160,6 +160,8 @@ def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
             hidden = ~inside | ((name == 'kappa') & (np.rint(255 * belief.hazard) <= 12))
             drawn_as = np.rint(255 * coloured(page, name))
             assert np.array_equal(drawn_as, np.where(hidden, np.nan, levels), equal_nan=True)
+            small = np.rint(255 * drawn(page, f'small-{name}'))
+            assert np.array_equal(small, drawn_as, equal_nan=True)
         # To a step of 1/255, in which beliefs are in the page.
         assert set(marked(page, 'free', GRID)) <= {
             *np.flatnonzero(inside & (belief.hazard <= 0.05))

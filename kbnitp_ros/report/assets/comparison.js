@@ -5,7 +5,7 @@ const plots = JSON.parse(page('plots').textContent);
 changeTheme(() => Object.entries(plots).forEach(([id, plot]) => {
   const map = compared.maps[id];
   const images = map && map.entered ? hatching(compared.grid, map.entered) : [];
-  if (map) colour(plot, compared.scales[map.colours], compared.assumed[map.colours]);
+  if (map) colour(plot.data[0], compared.scales[map.colours], compared.assumed[map.colours]);
   Plotly.react(page(id), plot.data, { ...themed(plot.layout), images }, config);
 }));
 saveFigures(compared.name);

@@ -39,8 +39,7 @@ function themed(layout) {
 }
 
 // Give a map its colours; of a probability the scale names what was assumed.
-function colour(plot, scale, assumed) {
-  const [cells] = plot.data;
+function colour(cells, scale, assumed) {
   cells.colorscale = scale[isDark() ? 'dark' : 'light'];
   if (assumed === undefined) return;
   const ticks = [0, 1, ...(assumed > 0.08 && assumed < 0.92 ? [assumed] : [])];

@@ -14,6 +14,7 @@ async function start(signal, kept) {
   const frames = await unpacked('frames');
   const plots = JSON.parse(page('plots').textContent);
   const CURVES = Object.keys(plots).filter((id) => id.startsWith('curve-'));
+  const SMALL = Object.keys(mission.colours).map((name) => `small-${name}`);
   const { width, height } = mission.grid;
   const cells = width * height;
   const size = NAMES.length * cells;
@@ -209,32 +210,42 @@ async function start(signal, kept) {
     }));
   }
 
+  // The cells in a colour, of which a text is told.
+  function coloured(name, text, bar) {
+    const shown = {
+      ...plots.map.data[0],
+      z: inRows((each) => shownIn(now, name, each)),
+      zmax: (mission.ends[name] || []).reduce((most, each) => Math.max(most, each), 1),
+      text,
+      hovertemplate: '%{text}<extra></extra>',
+      hoverongaps: true,
+      colorbar: { thickness: 10, len: 0.9, ...bar },
+    };
+    colour(shown, mission.scales[name], mission.assumed[name]);
+    return shown;
+  }
+
   function drawMap() {
     const images = [
       ...site(), ...hatching(mission.grid, mission.visited.map((first) => first >= 0 && first <= now)),
     ];
     const name = colourId().replace('colour-', '');
-    const { data, layout } = plots.map;
-    const values = mission.ends[name] || [];
-    const none = { x: [], y: [] };
+    const words = mission.colours[name];
+    const layout = { ...themed(plots.map.layout), images, shapes: frame() };
     const traces = overlays(now);
-    mission.traces.forEach((trace, place) => Object.assign(data[place], traces[trace] || (place ? none : {})));
-    Object.assign(data[0], {
-      z: inRows((each) => shownIn(now, name, each)),
-      zmax: values.reduce((most, each) => Math.max(most, each), 1),
-      text: inRows((each) => told(now, each)),
-      hovertemplate: '%{text}<extra></extra>',
-      hoverongaps: true,
-      // Below the map of a phone, which is narrow.
-      colorbar: {
-        thickness: 10, len: 0.9, title: { text: mission.colours[name], side: 'right' },
-        ...(page('map').clientWidth < 500 && { orientation: 'h', y: -0.15, yanchor: 'top', title: { text: mission.colours[name], side: 'bottom' } }),
-      },
-    });
-    colour(plots.map, mission.scales[name], mission.assumed[name]);
-    data.filter((trace) => trace.type === 'heatmap').forEach((trace) => { trace.opacity = isShown('image') ? 0.6 : 1; });
-    page('map').setAttribute('aria-label', `Map: ${mission.colours[name]}; ${page('told').textContent}`);
-    Plotly.react(page('map'), [...data, ...marks(now)], { ...themed(layout), images, shapes: frame() }, config);
+    const data = plots.map.data.slice(1);
+    mission.traces.slice(1).forEach((trace, place) => Object.assign(data[place], traces[trace] || { x: [], y: [] }));
+    // Below the map of a phone, which is narrow.
+    const bar = page('map').clientWidth < 500 ? { orientation: 'h', y: -0.15, yanchor: 'top', title: { text: words, side: 'bottom' } }
+      : { title: { text: words, side: 'right' } };
+    page('map').setAttribute('aria-label', `Map: ${words}; ${page('told').textContent}`);
+    const texts = inRows((each) => told(now, each));
+    const draw = (id, drawn) => {
+      drawn.filter((trace) => trace.type === 'heatmap').forEach((trace) => { trace.opacity = isShown('image') ? 0.6 : 1; });
+      Plotly.react(page(id), drawn, layout, config);
+    };
+    draw('map', [coloured(name, texts, bar), ...data, ...marks(now)]);
+    Object.keys(mission.colours).forEach((each) => draw(`small-${each}`, [coloured(each, texts), ...plots.map.data.slice(mission.traces.length)]));
   }
 
   function drawCell() {
@@ -336,7 +347,7 @@ async function start(signal, kept) {
     requestAnimationFrame(() => {
       isDue = false;
       drawCell();
-      Plotly.relayout(page('map'), { shapes: frame() });
+      ['map', ...SMALL].forEach((id) => Plotly.relayout(page(id), { shapes: frame() }));
     });
   }
 
@@ -483,7 +494,7 @@ async function start(signal, kept) {
   }
   if (kept && page('way-to') && ends[1] !== null) findWay();
   changeTheme(paint, signal);
-  page('map').on('plotly_click', pointed);
+  ['map', ...SMALL].forEach((id) => page(id).on('plotly_click', pointed));
   CURVES.forEach((id) => page(id).on('plotly_click', (event) => {
     const place = event.points[0].x;
     ask(mission.moments.findIndex((moment) => moment.place >= place));
