@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the base knows of a mission, and how it plans the next robots; no rclpy."""
+"""The base's knowledge of a mission, and the plans of its rounds; no rclpy."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a base checks and tells before and during a mission: reach, density, parameters."""
+"""Checks and warnings of a base: reach, density, changed parameters."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def reach_note(
     bases: Sequence[int | None] = (None,),
     max_distance: float = 0.0,
 ) -> str:
-    """Return how much of a field paths within these limits reach; empty if it is enough."""
+    """Return a warning if paths within these limits reach too little of the field, else ''."""
     fields = [grid.at(base) for base in dict.fromkeys(bases)]
     steps = np.min([field.steps_to_base for field in fields], axis=0)
     reached, joined = (
@@ -58,18 +58,18 @@ def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
 
 
 def cut_off_note(grid: Grid) -> str:
-    """Return how many free cells no path reaches, however long; empty if there is none."""
+    """Return a note on free cells that no path reaches, however long; '' if there are none."""
     free = int(grid.free.sum())
     cut_off = free - int((grid.steps_to_base < grid.cells).sum())
     return f'{cut_off} of {free} free cells are cut off from the base' if cut_off else ''
 
 
-# A density is weakly known from this standard deviation on, as a part of its mean.
+# Standard deviation over mean from which a density counts as weakly known.
 WEAK = 0.25
 
 
 def density_note(ledger: Ledger) -> str:
-    """Return how weakly the density of clustered hazards is known; empty if that does no harm."""
+    """Return a warning that the density of clustered hazards is weakly known; '' if harmless."""
     estimator, grid = ledger.estimator, ledger.grid
     density = estimator.parameters.get('hazard_density')
     is_clustered = estimator.clustering is not None and estimator.clustering.coupling != 0.0
@@ -106,7 +106,7 @@ def check_changes(
 
 
 def check_robots(robots: int, sent: int) -> None:
-    """Check how many robots a mission is to have in which some were sent."""
+    """Check a new number of robots against those already sent."""
     if robots < sent:
         raise ValueError(
             f'parameter robots is {robots}: {sent} robots were sent, and it must be at '

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which robots were sent, which of them have departed, and who may still come home."""
+"""Robots in flight, refused orders and late returns."""
 
 from __future__ import annotations
 
@@ -18,38 +18,38 @@ from kbnitp_ros.messages.headers import SECOND
 import numpy as np
 from numpy.typing import NDArray
 
-# Seconds after the first refusal and, since each that follows doubles it, at the most.
+# Seconds after the first refusal, doubled with each further one, and their maximum.
 FIRST, LONGEST = 1.0, 60.0
 
 
 class Refusals:
-    """The agents that refused their last orders: another one would be refused for the same."""
+    """Agents that refused their last orders, and when to try them again."""
 
     def __init__(self) -> None:
         self._pauses: dict[str, float] = {}
         self._until: dict[str, float] = {}
 
     def add(self, agent: str) -> None:
-        """Take note that an agent refused an order."""
+        """Record that an agent refused an order."""
         pause = min(2 * self._pauses[agent], LONGEST) if agent in self._pauses else FIRST
         self._pauses[agent], self._until[agent] = pause, time.monotonic() + pause
 
     def clear(self, agent: str) -> None:
-        """Take note that a robot of an agent departed."""
+        """Record that a robot of an agent departed."""
         self._pauses.pop(agent, None)
         self._until.pop(agent, None)
 
     def is_left_alone(self, agent: str) -> bool:
-        """Return whether an agent is sent no order yet."""
+        """Return whether an agent must not be sent an order yet."""
         return time.monotonic() < self._until.get(agent, 0.0)
 
 
-# How long the nodes of a base have to take in a return, in seconds.
+# Seconds that the nodes of a base may take to process a return.
 TAKEN_IN = 5.0
 
 
 class LateReturns:
-    """The robots that were given up and may still come home."""
+    """Robots that were given up and may still return."""
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         self._values = values
@@ -60,13 +60,13 @@ class LateReturns:
         self._until[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
 
     def end(self, key: DeploymentKey) -> None:
-        """Await no robot that is home, once that has been taken in."""
+        """Stop awaiting a robot that has returned, once its return is processed."""
         if key in self._until:
             self._until[key] = min(self._until[key], time.monotonic() + TAKEN_IN)
 
     @property
     def awaited(self) -> dict[DeploymentKey, float]:
-        """Return the robots that may still come home, and for how many seconds."""
+        """Return the robots that may still return, with the seconds left."""
         now = time.monotonic()
         return {key: until - now for key, until in self._until.items() if until > now}
 
@@ -74,35 +74,34 @@ class LateReturns:
 K = TypeVar('K')
 V = TypeVar('V')
 
-# How many messages that are on disk, or tell of unknown deployments, are remembered until what
-# they belong to is heard.
+# Maximum number of recorded or unknown deployments remembered until their paths arrive.
 MOST_UNHEARD = 1000
 
 
 @dataclass
 class DeploymentInFlight:
-    """A robot that was sent and not reported yet, nor refused its order."""
+    """A deployment in flight: sent, and neither reported nor refused."""
 
-    # Its cells. Shape (steps + 1,).
+    # Its cells, shape (steps + 1,).
     path: NDArray[np.intp]
     # Hash of the message that sent it.
     content: int
-    # Whether that is on disk, so that its agent takes it.
+    # Whether that message is on disk, so that the agent may accept it.
     is_recorded: bool = False
-    # Hash of the status by which it departs; None as long as it was not heard.
+    # Hash of the status that reports the departure; None before.
     departure: int | None = None
-    # Whether it is known to have left the base.
+    # Whether it is known to have departed.
     has_departed: bool = False
-    # Hash of the path that is on disk instead of it, until that path is heard.
+    # Hash of the path recorded in its place, until that path arrives.
     recorded_content: int | None = None
-    # When it times out, in nanoseconds; None until it has departed and the clock runs.
+    # When it times out, nanoseconds; None until it has departed and the clock runs.
     due: int | None = None
-    # Whether it had timed out at the last look.
+    # Whether it had timed out at the last check.
     is_overdue: bool = False
 
 
 class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
-    """The robots in flight, by deployment: those that were sent and not reported."""
+    """The deployments in flight, by key."""
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
         self._values = values
@@ -110,66 +109,65 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         self._in_flight: dict[DeploymentKey, DeploymentInFlight] = {}
         self._sent: set[DeploymentKey] = set()
         self._departures = Departures()
-        # What is on disk besides paths, and what was said of orders that nobody is known to have
-        # sent: a planner that was restarted may send them again.
+        # Acknowledgements without a path, and statuses of unknown orders: a restarted planner may
+        # send these again.
         self._recorded: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
         self._unknown: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
-        # Deployments whose paths others than this planner have sent, and their missions.
+        # Missions of deployments that other planners sent.
         self._others: dict[DeploymentKey, int] = {}
         self._sent_by_agent: Counter[str] = Counter()
         self._time = 0
 
     def __getitem__(self, key: DeploymentKey) -> DeploymentInFlight:
-        """Return a robot in flight."""
+        """Return a deployment in flight."""
         return self._in_flight[key]
 
     def __iter__(self) -> Iterator[DeploymentKey]:
-        """Iterate over the deployments in flight, in the order they were ordered."""
+        """Iterate over the deployments in flight, in their order."""
         return iter(self._in_flight)
 
     def __len__(self) -> int:
-        """Return how many are in flight."""
+        """Return the number of deployments in flight."""
         return len(self._in_flight)
 
     @property
     def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
-        """Return the paths of robots in flight, by deployment."""
+        """Return the paths in flight, by deployment."""
         return {key: robot.path for key, robot in self._in_flight.items()}
 
     @property
     def agents(self) -> set[str]:
-        """Return the agents whose robots are in flight."""
+        """Return the agents that have a robot in flight."""
         return {key.agent for key in self._in_flight}
 
     @property
     def sent(self) -> int:
-        """How many robots were sent and may leave, or have; whether they are in flight or not."""
+        """Number of robots sent that have departed or may still depart."""
         return len(self._sent)
 
     @property
     def undeparted(self) -> list[DeploymentKey]:
-        """Return the robots that may never depart: their agents have not said that they do."""
+        """Return the deployments whose agents have not reported a departure."""
         if self._values['presume_departure']:
             return []
         return [key for key in self._in_flight if not self.has_departed(key)]
 
     def has_departed(self, key: DeploymentKey) -> bool:
-        """Return whether a robot in flight is known to have left the base."""
+        """Return whether a robot in flight is known to have departed."""
         robot = self._in_flight[key]
         is_on_record = robot.is_recorded or not self._values['recorded']
         return robot.has_departed or (self._values['presume_departure'] and is_on_record)
 
     def known(self, mission: int) -> int:
-        """Return how many deployments of a mission are known, those sent by others included."""
-        return self.sent + sum(each == mission for each in self._others.values())
+        """Return the number of known deployments of a mission, from any planner."""
 
     @property
     def forgotten(self) -> int:
-        """How many deployments nobody hears again: their publishers keep them no longer."""
+        """Number of deployments that their publishers no longer keep."""
         return sum(max(0, sent - self.kept) for sent in self._sent_by_agent.values())
 
     def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
-        """Take note of a robot that is sent on a path, by a message with this content."""
+        """Add a robot sent on a path by a message with this hash."""
         self._in_flight[key] = DeploymentInFlight(path, content)
         self._sent.add(key)
         self._others.pop(key, None)
@@ -178,7 +176,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             self.take(key, status)
 
     def hear(self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int) -> bool:
-        """Add a path; return whether a robot takes it in place of the one it was sent on."""
+        """Add a path; return whether it replaces the one that the robot was sent on."""
         if key in self._sent:
             robot = self._in_flight.get(key)
             if robot is None or content != robot.recorded_content:
@@ -198,23 +196,23 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         return False
 
     def record(self, key: DeploymentKey, content: int) -> bool:
-        """Record an acknowledgement; return whether a robot takes another path by it."""
+        """Record an acknowledgement; return whether the robot's path changes by it."""
         robot = self._in_flight.get(key)
         if robot is None or content != robot.content:
-            # It may be a departure, which can be told sooner than the path.
+            # It may be a departure, reported before the path arrives.
             remember(self._recorded, (key, content), None)
         if robot is None:
             return False
         self._depart_if_recorded(key, robot)
         if robot.is_recorded:
-            # Of two paths of one stamp the first is on disk.
+            # Of two paths with one stamp the first one is on disk.
             return False
         robot.is_recorded = content == robot.content
         robot.recorded_content = None if robot.is_recorded else content
         return not robot.is_recorded
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """Take note of what an agent says of an order; return whether it says something new."""
+        """Add an agent's status of an order; return whether it is new."""
         is_known = key in self._sent or key in self._others or self._departures.is_refused(key)
         if not is_known:
             remember(self._unknown, key, status)
@@ -241,7 +239,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             robot.has_departed |= is_recorded or not self._values['recorded']
 
     def restore(self, key: DeploymentKey, status: AgentStatus) -> None:
-        """Take note of a status that is on record."""
+        """Restore a recorded status."""
         self.take(key, status)
         if status.state is OrderState.DEPARTED and key in self._in_flight:
             self._in_flight[key].has_departed = True
@@ -251,9 +249,9 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         self._departures.check_loss(key)
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
-        """Take note that a robot was reported by its agent at a time, or was given up."""
+        """Remove a robot that its agent reported, or that was given up."""
         if self._departures.is_refused(key):
-            # Whoever comes back has been away.
+            # A returned robot must have departed.
             self._sent.add(key)
         self._in_flight.pop(key, None)
         self._departures.end(key, reported)
@@ -267,10 +265,10 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         for key, robot in list(self._in_flight.items()):
             if not self.has_departed(key):
                 continue
-            # Robots do not come home later because the clock was set back.
+            # A clock that was set back does not delay timeouts.
             robot.due = self._due(now, key.agent, robot) if robot.due is None else robot.due + jump
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
-            # What came while a plan was made is heard between two looks.
+            # Messages that came during a search are read between two checks.
             if was_overdue and robot.is_overdue:
                 overdue.append(key)
         return overdue
@@ -288,7 +286,7 @@ def longest_absence(values: Mapping[str, Any], agent: str, path: NDArray[np.intp
 
 
 def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
-    """Check that silent robots are given time for their ways."""
+    """Check that the deadlines of silent robots cover their paths."""
     for agent in agents:
         if values['silent_loss'] and value_for(values, 'step_period', agent) == 0.0:
             raise ValueError(
@@ -299,7 +297,7 @@ def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
 
 
 def remember(known: OrderedDict[K, V], key: K, value: V) -> None:
-    """Remember something, and of too many the newest."""
+    """Add an entry, and drop the oldest of too many."""
     known[key] = value
     if len(known) > MOST_UNHEARD:
         known.popitem(last=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the base knows of the hazards together: the estimator's fold, made again for draws."""
+"""The base's joint knowledge of hazards: the estimator's evidence, with draws and decisions."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from kbnitp_ros.messages.beliefs import Snapshot
 import numpy as np
 from numpy.typing import ArrayLike
 
-# A path or a report that deployments take note of.
+# A path or a report, applied to a ledger.
 Event = Callable[[MissionRecord], bool]
 
 
 class Knowledge:
-    """The evidence of a mission, and the draws and decisions that it gives."""
+    """The evidence of a mission, with the draws and decisions computed from it."""
 
     def __init__(
         self, grid: Grid, values: Mapping[str, Any], robot_types: Mapping[str, RobotType]
@@ -43,57 +43,57 @@ class Knowledge:
         self._prior: Snapshot | None = None
         # All evidence so far.
         self._events: list[Event] = []
-        # Held by whoever changes what is below.
+        # Guards the fields below.
         self._folding = Lock()
-        # The ledger, the prior that it began with, and how much of the evidence it has taken in.
+        # The ledger, its prior, and the number of evidence items applied to it.
         self._ledger: Ledger | None = None
         self._begun_with: Snapshot | None = None
         self._taken = 0
-        # The draws made last, and the belief that they go with.
+        # The last draws, and the belief that they belong to.
         self._drawn: tuple[Belief, HazardDraws] | None = None
 
     @property
     def goal(self) -> Goal | None:
-        """Return what the mission is to make sure of; None to map the field."""
+        """Return the goal of the mission; None to map the field."""
         return goal_of(self._values, self._grid)
 
     @property
     def stop(self) -> Stop:
-        """Return when it is over before its last robot has left."""
+        """Return the conditions that end the mission early."""
         return stop_of(self._values)
 
     @property
     def lost(self) -> int:
-        """How many robots are known to be lost."""
+        """Return the number of robots known to be lost."""
         return self._deployments.lost
 
     def begin(self, prior: Snapshot) -> None:
-        """Take the first belief of an estimator for the prior."""
+        """Use the first belief of an estimator as the prior."""
         if self._prior is None or self._prior.rules() != prior.rules():
             self._prior = prior
 
     def note_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> None:
-        """Take note of the path of a robot."""
+        """Record the path of a robot."""
         self._note(lambda deployments: deployments.record_path(key, path, content))
 
     def note_report(self, key: DeploymentKey, report: Report) -> None:
-        """Take note of what became of a robot."""
+        """Record the report of a robot."""
         self._note(lambda deployments: deployments.record_report(key, report))
 
     def _note(self, event: Event) -> None:
-        # What the estimator refuses is refused here as well, and told by the estimator.
+        # The estimator refuses it as well, and reports the refusal.
         with suppress(ValueError):
             event(self._deployments)
         self._events.append(event)
 
     @property
     def evidence(self) -> int:
-        """How many paths and reports were taken note of."""
+        """Return the number of paths and reports recorded."""
         return len(self._events)
 
     def draws(self, known: Snapshot) -> HazardDraws | None:
-        """Return draws of the hazards that go with a belief; None if it is not known how."""
-        # Who has them already does not wait for others.
+        """Return draws of the hazards for a belief; None if its evidence is not known."""
+        # Draws that exist need no lock.
         if (draws := self._drawn_with(known)) is not None:
             return draws
         with self._folding:
@@ -104,12 +104,12 @@ class Knowledge:
             return self._drawn_with(known)
 
     def _drawn_with(self, known: Snapshot) -> HazardDraws | None:
-        """Return the draws made last if they go with a belief."""
+        """Return the last draws if they belong to a belief."""
         drawn = self._drawn
         return drawn[1] if drawn and is_same(drawn[0], known.belief) else None
 
     def decision(self, known: Snapshot) -> Decision | None:
-        """Return what may be relied on with a belief; None if that cannot be said."""
+        """Return the decision by a belief; None if its evidence is not known."""
         goal, draws = self.goal, None
         if goal is not None:
             draws = self.draws(known)
@@ -134,5 +134,5 @@ class Knowledge:
 
 
 def is_same(one: Belief, other: Belief) -> bool:
-    """Return whether two beliefs are the same, bit for bit."""
+    """Return whether two beliefs are equal, bit for bit."""
     return one is other or np.array_equal(one.joint, other.joint)

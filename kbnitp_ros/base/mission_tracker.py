@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which paths and beliefs are of one mission, and what a planner takes from its log."""
+"""The mission that paths and beliefs belong to, and its resumption from a log."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from kbnitp_ros.messages.headers import check_mission, LAST_COUNTED_ON, named, s
 
 
 class PathsUnknownError(ValueError):
-    """A belief holds deployments whose paths are not known, or not yet."""
+    """A belief holds deployments whose paths are not known (yet)."""
 
 
 class MissionTracker:
-    """The mission that a node takes part in, and the beliefs of its estimator."""
+    """The mission of a node, and the beliefs of its estimator."""
 
     def __init__(self) -> None:
-        # When it began, in nanoseconds; None as long as no robot is known to have left.
+        # When it began, in nanoseconds; None until a robot is known to have departed.
         self.mission: int | None = None
-        # The belief that holds the most deployments, of these the last; None before the first.
+        # The belief with the most deployments, the last one of equals; None before the first.
         self.newest: Snapshot | None = None
-        # What the estimator of the newest belief was started with; None before the first.
+        # The prior of the estimator of the newest belief; None before the first.
         self._rules: dict[str, Any] | None = None
-        # The missions of all priors so far: one that an estimator states when it starts anew.
+        # The missions of all priors so far: a restarted estimator states another one.
         self._priors: set[int] = set()
-        # How many deployments the first belief held of which no path was known.
+        # Number of deployments of the first belief whose paths were not known.
         self._unknown: int | None = None
 
     def begin(self, mission: int) -> int:
-        """Return the mission to send paths of: this one, unless paths of another were sent."""
+        """Return the mission of new paths: this one, unless paths of another one were sent."""
         if self.mission is None:
             self.mission = mission
         return self.mission
 
     def check_path(self, mission: int) -> None:
-        """Check that a path can be of this mission."""
+        """Check that a path can belong to this mission."""
         check_mission(mission, self.mission)
         if self.mission is None and mission not in self._priors:
             raise ValueError(
@@ -55,9 +55,9 @@ class MissionTracker:
 
     def check_belief(self, snapshot: Snapshot, authors: int, known: int) -> None:
         """Check that the estimator of this mission can have published a belief."""
-        # A belief may come before its publisher is counted, so its contents decide: none holds
-        # more deployments than paths were sent, but the first one heard of an estimator that is
-        # alone. The paths then died with the planner before.
+        # A belief may come before its publisher is counted, so its content decides: it holds no
+        # more deployments than paths were sent. Only the first belief of a single estimator may
+        # hold more: those paths were lost with an earlier planner.
         if snapshot.deployments > MOST_ROBOTS:
             raise ValueError(
                 f'deployments is {snapshot.deployments}: a mission has at most {MOST_ROBOTS}'
@@ -85,16 +85,16 @@ class MissionTracker:
         if own is None:
             if self.newest is None or snapshot.mission in self._priors:
                 return
-            # An estimator that starts anew in a mission under way states another one first.
+            # An estimator that restarts in a running mission states another mission first.
             if authors <= 1 and snapshot.deployments:
                 return
             own = self.newest.mission
-        # The prior of an estimator that started anew is that of a mission begun later.
+        # The prior of a restarted estimator is that of a later mission.
         if snapshot.deployments or snapshot.mission < own:
             check_mission(snapshot.mission, own)
 
     def accept_belief(self, snapshot: Snapshot, known: int) -> bool:
-        """Keep a belief if it is the newest, and say so."""
+        """Keep a belief if it is the newest, and return whether it is."""
         if self._unknown is None:
             self._unknown = max(0, snapshot.deployments - known)
         if snapshot.deployments and self.mission is None:
@@ -109,7 +109,7 @@ class MissionTracker:
 
 
 class Resumption:
-    """The mission of a log, to go on with."""
+    """A mission to be resumed from its log."""
 
     def __init__(
         self, log: MissionLog, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
@@ -119,7 +119,7 @@ class Resumption:
         self._agents = agents
         robot_types = robot_types_of(values, grid)
         self.record = read_resumed(log, grid, values['max_steps'], robot_types)
-        # In the order they were made.
+        # In their order.
         self.orders = self.record.orders
         for key in self.orders:
             if key.agent not in agents:
@@ -130,11 +130,11 @@ class Resumption:
 
     @property
     def last_stamp(self) -> int:
-        """Return the stamp of the last deployment after which others can be counted on."""
+        """Return the stamp of the last deployment after which other robots are counted."""
         return max((key.stamp for key in self.orders if key.stamp <= LAST_COUNTED_ON), default=0)
 
     def note(self, in_flight: DeploymentsInFlight, rounds: Rounds) -> None:
-        """Record all robots that were sent, and what became of them."""
+        """Restore all robots that were sent, and their outcomes."""
         record = self.record
         for key in self.orders:
             path, content = record.paths[key], record.path_contents[key]
@@ -149,7 +149,7 @@ class Resumption:
                 in_flight.end(key, record.reports[key].stamp if outcome.survived else None)
 
     def losses(self) -> Iterator[tuple[DeploymentKey, DeploymentReport]]:
-        """Yield the losses that the planner before this one reported."""
+        """Yield the losses that the former planner reported."""
         given_up = self.record.operator.given_up
         for key in self.orders:
             is_own = self._values['silent_loss'] or key in given_up
@@ -160,7 +160,7 @@ class Resumption:
 
     def missing(self, rounds: Rounds) -> tuple[Plans, int] | None:
         """Return the plans of the newest round that are not on record, and its mission."""
-        # Of one robot, or where each leaves by itself, no part can be missing.
+        # A round of one robot, or of robots that leave independently, has no missing part.
         if len(self._agents) == 1 or self._values['rolling']:
             return None
         operator = self.record.operator

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps the next robots from leaving, and how it is said."""
+"""Conditions that block the next deployment, and their descriptions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kbnitp_ros.messages.progress import MissionState
 
 
 class Obstacle(Enum):
-    """What keeps robots from leaving."""
+    """A condition that blocks the next deployment."""
 
     ACTION_UNRECORDED = auto()
     NO_BELIEF = auto()
@@ -37,67 +37,67 @@ class Obstacle(Enum):
 
     @property
     def is_end(self) -> bool:
-        """Whether the mission is over by it."""
+        """Return whether it ends the mission."""
         return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
 
 
 class AgentPresence(NamedTuple):
-    """What is known of an agent."""
+    """The state of an agent, as the planner sees it."""
 
-    # Whether somebody answers for it.
+    # Whether a node answers for it.
     is_present: bool
-    # Whether it tells when its robots depart.
+    # Whether it reports when its robots depart.
     says_status: bool
-    # Whether it refused its last order, and is sent no other yet.
+    # Whether it refused its last order, and must not be sent another one yet.
     is_left_alone: bool
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """All that decides whether robots leave."""
+    """The state that decides whether robots leave."""
 
     # The planner's parameters by name.
     values: Mapping[str, Any]
     agents: Mapping[str, AgentPresence]
-    # The robots that were sent and not reported.
+    # The deployments in flight.
     in_flight: DeploymentsInFlight
-    # What holds by the operator's actions.
+    # The state set by the operator's actions.
     operator: OperatorState
-    # What an action of the operator waits for; empty if none does.
+    # The record that an operator's action waits for; empty if none does.
     unrecorded_action: str
-    # How many robots were sent, those that only the belief knows of included.
+    # Number of robots sent, those that only the belief knows of included.
     sent: int
-    # How many deployments the newest belief holds; None if there is none.
+    # Number of deployments in the newest belief; None before the first.
     newest: int | None
-    # How many the belief heard last holds: less than the newest if an estimator starts anew.
+    # Number of deployments in the last belief: less than the newest if an estimator restarted.
     last_heard: int
-    # What the estimator has refused of the evidence since that; empty if nothing.
+    # Evidence that the estimator has refused since then; empty if none.
     refusal: str
-    # How many nodes publish beliefs.
+    # Number of nodes that publish beliefs.
     estimators: int
-    # Whether robots can be planned for the goal on the newest belief.
+    # Whether the decision on the newest belief is ready, so that robots can be planned.
     is_decided: bool
-    # Whether it is being computed what may be relied on by that.
+    # Whether that decision is being computed.
     is_deciding: bool
-    # Returns why no more robots leave by the goal and the stops; empty if they do.
+    # Returns why the goal or the stops end the mission; empty if they do not.
     why_over: Callable[[], str]
-    # Returns who does not listen yet before the first robot leaves; empty if all do.
+    # Returns the listeners missing before the first robot leaves; empty if none is.
     missing_listeners: Callable[[], str]
-    # For whose robots paths are searched for.
+    # The agents of the search that runs.
     searched: Sequence[str] = ()
-    # Why nothing that was found is worth a robot.
+    # Why no path that was found is worth a robot.
     why_worthless: str = ''
-    # What waits for the operator's approval.
+    # The plans that wait for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
 
     @property
     def reported(self) -> int:
-        """How many deployments were reported, so that a belief must hold them."""
+        """Number of deployments reported, which a belief must hold."""
         return self.sent - len(self.in_flight)
 
     @property
     def robots(self) -> int:
-        """How many robots are to be deployed; after the end those that have departed."""
+        """Number of robots to deploy; after the end, of those that have departed."""
         if self.operator.is_ended:
             return self.sent - len(self.in_flight.undeparted)
         robots: int = self.values['robots']
@@ -106,8 +106,8 @@ class Circumstances:
     @property
     def unreported(self) -> list[DeploymentKey]:
         """Return the deployments in flight that the next round waits for."""
-        # An agent that has left the graph does not keep the others from their next round, nor do
-        # robots that do not depart any more keep a mission from its end.
+        # An agent that has left the graph does not delay the others, nor do robots that no longer
+        # depart delay the end.
         left_out = self.in_flight.undeparted if self.operator.is_ended else ()
         return [
             key
@@ -117,12 +117,12 @@ class Circumstances:
 
     @property
     def absent(self) -> list[str]:
-        """Return the agents that nobody answers for."""
+        """Return the agents that no node answers for."""
         return [name for name, agent in self.agents.items() if not agent.is_present]
 
     @property
     def mute(self) -> list[str]:
-        """Return the agents that do not say when they depart, where their silence would count."""
+        """Return the agents that do not report departures where these are needed."""
         if self.values['presume_departure'] or not self.values['silent_loss']:
             return []
         return [
@@ -133,18 +133,18 @@ class Circumstances:
 
     @property
     def left_alone(self) -> list[str]:
-        """Return the agents that refused their last order, and are sent no other yet."""
+        """Return the agents that refused their last order and must not be sent another one yet."""
         return [name for name, agent in self.agents.items() if agent.is_left_alone]
 
     @property
     def free_agents(self) -> list[str]:
-        """Return the agents that somebody answers for and whose robots are home."""
+        """Return the agents that are present and have no robot in flight."""
         taken = {*self.in_flight.agents, *self.absent, *self.mute, *self.left_alone}
         return [name for name in self.agents if name not in taken]
 
     @property
     def obstacle(self) -> Obstacle | None:
-        """Return what keeps the next robots from being planned; None when nothing."""
+        """Return the condition that blocks the next deployment; None if there is none."""
         if self.unrecorded_action:
             return Obstacle.ACTION_UNRECORDED
         if self.newest is None and (self.sent or not self.operator.is_ended):
@@ -170,7 +170,7 @@ class Circumstances:
         return None if self.free_agents else Obstacle.NO_FREE_AGENT
 
     def is_plain(self, obstacle: Obstacle) -> bool:
-        """Return whether an obstacle keeps robots from leaving for a while in every mission."""
+        """Return whether every mission meets a condition for a while."""
         if obstacle is Obstacle.BELIEF_BEHIND:
             return not self.refusal
         return obstacle in (
@@ -181,7 +181,7 @@ class Circumstances:
         )
 
     def mission_state(self, obstacle: Obstacle) -> MissionState:
-        """Return how far the mission is while an obstacle keeps robots from leaving."""
+        """Return the state of the mission under a condition."""
         if self.operator.is_ended:
             return MissionState.ENDED
         if obstacle.is_end:
@@ -190,14 +190,14 @@ class Circumstances:
 
 
 class FullNames(NamedTuple):
-    """How names are resolved."""
+    """Resolvers of names."""
 
-    # Return the full name, as those that publish or answer there have it.
+    # Returns the full name under which a topic is published or a service answered.
     of_topic: Callable[[str], str]
     of_service: Callable[[str], str]
 
     def of_topics(self, agents: Iterable[str], name: str) -> str:
-        """Return the topics of agents that have a name, in words."""
+        """Return the topics of agents as a list in words."""
         return some(self.of_topic(f'{agent}/{name}') for agent in agents)
 
 
@@ -247,13 +247,13 @@ def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) 
 
 
 def deployed(now: Circumstances) -> str:
-    """Return how many robots were deployed in a mission that is over."""
+    """Return the number of deployments of a mission that is over."""
     by_operator = ', ended by the operator' * now.operator.is_ended
     return f'{now.newest or 0} of {now.values["robots"]} robots deployed{by_operator}'
 
 
 def not_heard_again(kept: int) -> str:
-    """Return why an estimator may never hold all deployments, of which so many are kept."""
+    """Return why an estimator may never hold all deployments, given how many are kept."""
     return (
         f', and only the last {kept} of each agent are heard again: restart the '
         'estimator with the parameter resume, which names the log'
@@ -261,7 +261,7 @@ def not_heard_again(kept: int) -> str:
 
 
 def first_belief(now: Circumstances, names: FullNames) -> str:
-    """Return that no belief was heard, and of whom one is awaited."""
+    """Describe the wait for the first belief."""
     wait = f'the belief on {belief_topic(now, names)}'
     if not now.estimators:
         return f'{wait}: start an estimator'
@@ -269,7 +269,7 @@ def first_belief(now: Circumstances, names: FullNames) -> str:
 
 
 def next_belief(now: Circumstances, names: FullNames) -> str:
-    """Return which belief is awaited."""
+    """Describe the wait for the next belief."""
     wait = f'a belief that holds {counted(now.reported, "deployment")}'
     if now.last_heard < now.reported and now.in_flight.forgotten:
         again = not_heard_again(now.in_flight.kept)
@@ -279,13 +279,13 @@ def next_belief(now: Circumstances, names: FullNames) -> str:
 
 
 def belief_topic(now: Circumstances, names: FullNames) -> str:
-    """Return on which topic beliefs are heard, and whether anybody publishes them."""
+    """Return the topic of beliefs, and whether it has a publisher."""
     name = names.of_topic('belief')
     return name if now.estimators else f'{name}, which nobody publishes'
 
 
 def report(now: Circumstances, names: FullNames) -> str:
-    """Return which report is awaited first, and what ends the wait."""
+    """Describe the first report awaited, and its deadline."""
     key = min(now.unreported, key=deployment_order)
     agent = names.of_topic(key.agent)
     wait = f'{key} to be reported on {agent}/report'
@@ -303,7 +303,7 @@ def report(now: Circumstances, names: FullNames) -> str:
 
 
 def free_agent(now: Circumstances, names: FullNames) -> str:
-    """Return that an agent is awaited, and why each of the team is not free."""
+    """Explain why no agent is free."""
     absent, mute, left_alone = now.absent, now.mute, now.left_alone
     reasons = [
         f'nobody publishes {names.of_topics(absent, "report")}' if absent else '',

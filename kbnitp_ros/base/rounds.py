@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rounds of a mission: where the robots go that leave together, found in the background."""
+"""Rounds of robots that leave together, planned in the background."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ T = TypeVar('T')
 
 
 def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Future[T]:
-    """Return the future of a computation in a thread, which calls `when_over` at its end."""
+    """Run a computation in a thread that calls `when_over` at its end; return its future."""
     future: Future[T] = Future()
     future.add_done_callback(lambda _: when_over())
 
@@ -38,26 +38,26 @@ def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Futur
         except BaseException as error:
             future.set_exception(error)
 
-    # A process that ends waits for the threads of a pool, but not for this one.
+    # The end of a process waits for the threads of a pool, but not for this one.
     Thread(target=run, daemon=True).start()
     return future
 
 
 class SearchRequest(NamedTuple):
-    """What paths are searched for."""
+    """A request for the paths of a round."""
 
-    # When the belief is from, in nanoseconds, and how many deployments it holds.
+    # The stamp of the belief, nanoseconds, and its number of deployments.
     belief: tuple[int, int]
-    # Whose robots are to leave.
+    # The agents whose robots are to leave.
     agents: list[str]
-    # How many rounds the operator refused in place of this one.
+    # Number of plans that the operator has refused.
     refused: int
-    # How often parameters were changed.
+    # Number of parameter changes.
     changes: int
 
     def lasts(self, now: SearchRequest, is_rolling: bool) -> bool:
-        """Return whether robots may leave now on what was found for this."""
-        # Where robots leave one by one, a belief that came meanwhile is no news.
+        """Return whether plans found for this may still be used."""
+        # Where robots leave one by one, they do not wait for the newest belief.
         return (
             (is_rolling or self.belief == now.belief)
             and {*self.agents} <= {*now.agents}
@@ -66,33 +66,33 @@ class SearchRequest(NamedTuple):
 
 
 class Search(NamedTuple):
-    """A search for the paths of the next round."""
+    """A running search for the paths of the next round."""
 
     request: SearchRequest
     found: Future[PlannedRound]
 
 
-# Of robots that leave together, by deployment.
+# In flight together, by deployment.
 Paths = dict[DeploymentKey, NDArray[np.intp]]
 Plans = dict[DeploymentKey, Plan]
 
 
 @dataclass(frozen=True)
 class PlannedRound:
-    """What a search found."""
+    """The result of a search."""
 
-    # Of robots that leave together.
+    # The plans of a round.
     plans: Plans
-    # Why the mission is over by what they gain; empty if it is not.
+    # Why their gain ends the mission; empty if it does not.
     why_not_worth: str
-    # Why none of them is worth a robot; empty if one is.
+    # Why no plan is worth a robot; empty if one is.
     why_worthless: str
     # How long the search took.
     seconds: float
 
 
 class Rounds:
-    """Plans rounds, each on a belief."""
+    """Plan rounds, each on a belief."""
 
     def __init__(
         self,
@@ -106,11 +106,11 @@ class Rounds:
         self._values = values
         self._warn = warn
         self._is_slow = False
-        # How often the paths of all robots that were sent enter each cell.
+        # Visits of each cell by the paths of all robots sent.
         self._visited = count_visits(grid, [])
 
     def count_path(self, path: NDArray[np.intp], robots: int = 1) -> None:
-        """Count the path of a robot that is sent, or with -1 stays, shape (steps + 1,)."""
+        """Count the path of a robot sent, shape (steps + 1,); with -1 of one that stays."""
         np.add.at(self._visited, path[1:], robots)
 
     def search(
@@ -122,7 +122,7 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         noted: Sequence[NDArray[np.intp]] = (),
     ) -> Callable[[], PlannedRound]:
-        """Return the search for the paths of robots that leave together."""
+        """Start the search for the paths of a round."""
 
         def robot_type(agent: str) -> RobotType:
             return type_to_plan(self._values, agent, self._grid, known.robot_types)
@@ -131,7 +131,7 @@ class Rounds:
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = self._knowledge.goal, self._knowledge.stop
         options = search_options(self._values)
-        # The gains of other objectives and of goals are no nats of information.
+        # Gains of other objectives and of goals are not in nats of information.
         is_mapping = goal is None and options.objective == 'information'
         loss_cost = options.loss_cost if is_mapping else 0.0
         plan = partial(
@@ -176,9 +176,9 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         at_base: Container[DeploymentKey] = (),
     ) -> Plans:
-        """Return the plans of a round whose paths were lost with the mission."""
+        """Return the plans of a round whose paths are missing in the log."""
         if self._knowledge.goal is not None:
-            # Draws of the time of that belief are gone: those who stayed leave in the next round.
+            # Draws of a past belief are not kept: those robots leave in the next round.
             return {}
         agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
         if len(recorded) >= len(agents):
@@ -186,7 +186,7 @@ class Rounds:
         first = next_name(planned_on.stamp, planned_on.mission)
         noted = [path for key, path in recorded.items() if key not in at_base]
         planned = self.search(planned_on, agents, {}, first, refused, noted)().plans
-        # Otherwise it was a round of other agents, or the parameters are others now.
+        # Otherwise the agents or the parameters have changed since.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)
             for key, path in recorded.items()
@@ -195,7 +195,7 @@ class Rounds:
         return {key: plan for key, plan in planned.items() if key not in recorded}
 
     def say_if_slow(self, planned: PlannedRound) -> None:
-        """Say once that robots wait longer for their paths than they are away."""
+        """Warn once if planning takes longer than the robots are away."""
         away = max(
             value_for(self._values, 'step_period', key.agent) * (len(plan.path) - 1)
             for key, plan in planned.plans.items()
@@ -209,7 +209,7 @@ class Rounds:
 
 
 def describe_plan(grid: Grid, plan: Plan) -> str:
-    """Return where a plan leads and what is expected of it."""
+    """Describe the destination and the expected results of a plan."""
     steps_to_base = grid.at(int(plan.path[0])).steps_to_base
     farthest = plan.path[np.argmax(steps_to_base[plan.path])]
     ((x, y),) = grid.centers([farthest]).tolist()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Say how a mission may go: how many robots it takes, how many are lost, how sure it gets."""
+"""Forecast a mission: robots sent and lost, and the certainty reached."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ EXAMPLES = (
     'python3 -m kbnitp_ros forecast runs/small --set robots=60 --worlds 50',
 )
 
-# After how many robots the table has a row, besides the last one.
+# Numbers of robots with a row in the table, besides the last one.
 AFTER = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -137,7 +137,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """Return the forecast of a mission that begins, but for worlds and randomness."""
+    """Return the forecast of a new mission, as a function of worlds and randomness."""
     sections = read_sections(options.params) if options.params else {}
     parameters = values_of(sections, ('planner', 'estimator'))
     for rule in options.set:
@@ -161,7 +161,7 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
 
 
 def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """Return the forecast of a mission that goes on, but for worlds and randomness."""
+    """Return the forecast of a resumed mission, as a function of worlds and randomness."""
     ledger = read_ledger(log := MissionLog(options.log, options.namespace))
     parameters = (
         values_of(read_sections(options.params), ('planner',))
@@ -189,7 +189,7 @@ def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
 def plan_of(
     planner: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]
 ) -> dict[str, Any]:
-    """Return how a mission is planned by the parameters of its planner, as `forecast` takes it."""
+    """Return the planning arguments of `forecast` from the planner's parameters."""
     check_own(planner)
     check_search(planner, grid, believed)
     types = [type_to_plan(planner, agent, grid, believed) for agent in agents_of(planner, grid)]
@@ -204,7 +204,7 @@ def plan_of(
 def run(
     pool: Workers, fly: Callable[[PossibleWorld], Course], drawn: Iterable[PossibleWorld]
 ) -> list[Course]:
-    """Run missions in other processes, and show how many are done; return them in their order."""
+    """Run missions in worker processes with a progress bar; return them in order."""
     worlds, courses = [*drawn], {}
     with tqdm(total=len(worlds), unit='mission', disable=None) as bar:
         for possible, course in pool.run(fly, worlds):
@@ -214,7 +214,7 @@ def run(
 
 
 def lines(found: Forecast) -> Iterator[str]:
-    """Yield what was found, for people."""
+    """Yield the results as text."""
     sought = 'no goal' if found.goal == 'map' else f'goal {found.goal}'
     if found.confidence is not None:
         sought += f' at a confidence of {found.confidence:.4g}'
@@ -257,18 +257,18 @@ def lines(found: Forecast) -> Iterator[str]:
 
 
 def in_markdown(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a caption and a table of words in Markdown."""
+    """Return a caption and a table in Markdown."""
     return Table(caption, heads, [[Cell(each, each) for each in row] for row in rows]).markdown()
 
 
 def quantiles(values: NDArray[np.float64]) -> list[float]:
-    """Return the `QUANTILES` of some values, each a value that came about."""
+    """Return the `QUANTILES` of some values, each an observed value."""
     found: list[float] = np.quantile(values, QUANTILES, method='inverted_cdf').tolist()
     return found
 
 
 def in_percent(share: Share) -> str:
-    """Return a share of missions and its 95 % interval in words."""
+    """Return a share of missions with its 95 % interval, as text."""
     percent, low, high = (f'{100 * each:.0f}' for each in share)
     return f'{percent} % [{low}, {high}]'
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How commands say what they have to say, also where nobody can hear it."""
+"""Printing that survives closed pipes and full disks."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from kbnitp_ros.files import in_words
 
 
 class Main(Protocol):
-    """The main function of a command, which returns the exit code of its process."""
+    """The main function of a command; returns the exit code."""
 
     def __call__(self, argv: Sequence[str] | None = None) -> int:
-        """Run the command with these arguments, those of the process when None."""
+        """Run the command with these arguments; None for those of the process."""
 
 
 class OutputError(Exception):
-    """Standard output takes nothing: it is a closed pipe, or a file on a full disk."""
+    """Standard output is a closed pipe, or a file on a full disk."""
 
 
 def say(*lines: str) -> None:
@@ -33,7 +33,7 @@ def say(*lines: str) -> None:
 
 
 def complain(name: str, error: object) -> None:
-    """Print a line on standard error, which begins with the command; nothing if that is closed."""
+    """Print an error of a command on standard error, if that is open."""
     words = in_words(error) if isinstance(error, BaseException) else error
     try:
         print(f'{name}: {words}', file=sys.stderr, flush=True)
@@ -48,7 +48,7 @@ def command(name: str) -> Callable[[Main], Main]:
         @wraps(main)
         def run(argv: Sequence[str] | None = None) -> int:
             if isinstance(sys.stdout, TextIOWrapper):
-                # The names of files need not be text.
+                # Names of files need not be valid text.
                 sys.stdout.reconfigure(errors='backslashreplace')
             try:
                 try:
@@ -76,7 +76,7 @@ def command(name: str) -> Callable[[Main], Main]:
 
 @contextmanager
 def writing() -> Iterator[None]:
-    """Raise an OutputError where standard output takes nothing."""
+    """Raise an OutputError if standard output cannot be written."""
     try:
         yield
     except OSError as error:
@@ -84,14 +84,14 @@ def writing() -> Iterator[None]:
 
 
 def flush() -> None:
-    """Print what waits for more; raises OutputError."""
+    """Flush standard output; raise OutputError."""
     if sys.stdout is not None:
         with writing():
             sys.stdout.flush()
 
 
 def discard(stream: TextIO) -> None:
-    """Have what cannot be printed disappear, which Python would try to print when it ends."""
+    """Discard unprinted output, which Python would otherwise write at exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

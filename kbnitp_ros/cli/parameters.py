@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of nodes as a command is given them: by a file, by rules, or by a log."""
+"""The parameters of the nodes of a command, from a file, from rules, or from a log."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from kbnitp_ros.log.roles import MissionLog
 # The nodes of the demo.
 NODES = ('recorder', 'estimator', 'agent', 'planner')
 
-# How long after its expected return a silent robot is given up, in seconds: those of the demo
-# need no time for their way, but their processes may be kept waiting by others.
+# Seconds after its expected return at which a silent robot is given up. Robots of the demo take no
+# time, but processes on a busy machine do.
 RETURN_DEADLINE = 1.0
 
-# What the demo sets by itself unless told otherwise. Methods that can learn neither the lethality
-# nor the hazard density are told both; a lethality learnt under a wrong density is wrong, since
-# fewer hazards that are more lethal destroy as many robots.
+# Defaults of the demo. Methods that can learn neither the lethality nor the hazard density are
+# given both: under a wrong density the learnt lethality is wrong as well, since fewer hazards that
+# are more lethal destroy as many robots.
 LEARNT = ('lethality', 'hazard_density')
 DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
 
-# Options that set one parameter of that name in every node that has it.
+# Options that set the parameter of that name in every node that has it.
 OPTIONS = {
     'robots': 'robots',
     'lethality': 'sensor.lethality',
@@ -41,7 +41,7 @@ OPTIONS = {
     'seed': 'seed',
 }
 
-# What the demo always sets, so that a mission can be gone on with and shown beside the truth.
+# Settings of every demo, so that a mission can be resumed and compared with the truth.
 HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
 OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 
@@ -51,7 +51,7 @@ def values_of(
     nodes: Collection[str],
     defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, dict[str, Any]]:
-    """Return the values of each node by the sections of a file, or else by default."""
+    """Return the values of each node from the sections of a file, or the defaults."""
     parameters = {}
     for node in nodes:
         table = parameters_of(node)
@@ -67,7 +67,7 @@ def values_of(
 def set_parameter(
     parameters: Mapping[str, dict[str, Any]], rule: str, command: str, own: Collection[str] = ()
 ) -> None:
-    """Set what a rule [NODE:]NAME=VALUE says, in all nodes that have it or in one."""
+    """Apply a rule [NODE:]NAME=VALUE to all nodes that have the parameter, or to one."""
     target, is_rule, text = rule.partition('=')
     node, of_one, name = target.rpartition(':')
     if not is_rule:
@@ -90,8 +90,8 @@ def set_parameter(
 
 
 def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
-    """Return the values of a node that a log has of it; others are as they were by default."""
-    # What the version that recorded it had not yet is as it was then.
+    """Return the recorded values of a node, with the defaults of that time for others."""
+    # A parameter that the recording version lacked has the value that it had implicitly.
     values = {
         name: parameter.default if recorded.get(name) is None else recorded[name]
         for name, parameter in parameters_of(node).items()
@@ -100,7 +100,7 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
 
 
 def recorded_planner(log: MissionLog) -> dict[str, Any]:
-    """Return the values of the planner of a mission on record."""
+    """Return the recorded values of the planner."""
     recorded = log.parameters
     names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
     if len(names) != 1:
@@ -109,7 +109,7 @@ def recorded_planner(log: MissionLog) -> dict[str, Any]:
 
 
 def asked_on_record(log: MissionLog) -> RecordedGoal | None:
-    """Return what the mission of a log was to make sure of; None if that is not on record."""
+    """Return the goal on record; None if it is not recorded."""
     with suppress(ValueError):
         first, planner = first_belief(log), recorded_planner(log)
         goal = goal_of(planner, first.grid) if first else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes of this package as processes of their own, on a ROS domain of their own."""
+"""Nodes as child processes, in a ROS domain of their own."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from kbnitp_ros.nodes.runtime.graph import udp_only
 # Domains beyond 101 use ports that Linux hands out to others.
 DOMAINS = range(1, 102)
 
-# Fast DDS has ports for no other domains.
+# Fast DDS has ports for no further domains.
 MAX_DOMAIN = 232
 
-# Has the system end a node as Ctrl-C does when the process that started it is killed.
+# Makes the system interrupt a node when its parent process is killed.
 END_WITH_PARENT = ('setpriv', '--pdeathsig', 'SIGINT')
 
-# How long nodes may take to end after a signal, in seconds. A planner first completes its plan,
-# and on a busy machine everything takes ten times as long.
+# Seconds that nodes may take to end after a signal: a planner completes its plan first, and a busy
+# machine is ten times slower.
 PATIENCE = 30.0
 
 
 def environment(domain: int) -> dict[str, str]:
-    """Return the environment of a process that talks ROS on `domain` and on this machine only."""
+    """Return the environment of a process in a ROS domain of this machine only."""
     paths = [str(Path(__file__).parents[2]), os.environ.get('PYTHONPATH', '')]
-    # Neither a profile nor peers of the user's count here.
+    # Profiles and peers of the user do not apply here.
     local = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
     local |= {name: os.environ[name] for name in os.environ.keys() & {'ROS_LOCALHOST_ONLY'}}
     return {
@@ -49,7 +49,7 @@ def environment(domain: int) -> dict[str, str]:
 
 @contextmanager
 def given_domain() -> Iterator[int]:
-    """Yield the ROS domain that ROS_DOMAIN_ID names; hold a free one if it names none."""
+    """Yield the domain of ROS_DOMAIN_ID, or reserve a free one."""
     if given := os.environ.get('ROS_DOMAIN_ID'):
         if not given.isdecimal() or int(given) > MAX_DOMAIN:
             raise OSError(f'ROS_DOMAIN_ID is {given!r}: it must be from 0 to {MAX_DOMAIN}')
@@ -61,7 +61,7 @@ def given_domain() -> Iterator[int]:
 
 @contextmanager
 def free_domain() -> Iterator[int]:
-    """Hold a ROS domain that nothing else on this machine uses."""
+    """Reserve a ROS domain that nothing else on this machine uses."""
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         first_port = 7400 + 250 * domain
         # DDS uses UDP, so the TCP port of the same number serves as a lock.
@@ -73,7 +73,7 @@ def free_domain() -> Iterator[int]:
 
 
 def _in_use(first_port: int) -> bool:
-    """Say whether any of a domain's first 32 participants is there."""
+    """Return whether any of a domain's first 32 participants exists."""
     for participant in range(32):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             if not _bind(probe, first_port + 10 + 2 * participant):
@@ -90,11 +90,11 @@ def _bind(to_bind: socket.socket, port: int) -> bool:
 
 
 class Processes:
-    """Some nodes of this package, all ended when the ``with`` statement is left."""
+    """Child processes that all end with the ``with`` statement."""
 
     def __init__(self, domain: int) -> None:
         self._environment = environment(domain)
-        # The processes started, by the full names of their nodes, whether they have ended or not.
+        # All processes started, by the full names of their nodes.
         self.started: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(
@@ -113,7 +113,7 @@ class Processes:
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
             arguments += ['--remap', f'{name}:={other}']
         for name, value in (parameters or {}).items():
-            # JSON is the YAML that ROS reads a value as.
+            # JSON is the YAML that ROS parses values as.
             arguments += ['--param', f'{name}:={json.dumps(value)}']
         for logger, level in (levels or {}).items():
             arguments += ['--log-level', f'{logger}:={level}']
@@ -122,7 +122,7 @@ class Processes:
         return process
 
     def launch(self, arguments: list[str], output: IO[Any] | None) -> subprocess.Popen[bytes]:
-        """Start a process that runs ``python3 -m kbnitp_ros`` with these arguments."""
+        """Start ``python3 -m kbnitp_ros`` with these arguments."""
         return subprocess.Popen(
             [*END_WITH_PARENT, sys.executable, '-m', 'kbnitp_ros', *arguments],
             env=self._environment,
@@ -131,12 +131,12 @@ class Processes:
         )
 
     def ended(self) -> dict[str, int]:
-        """Return the exit codes of the nodes that have ended, by their full names."""
+        """Return the exit codes of the nodes that have ended, by full name."""
         codes = {name: process.poll() for name, process in self.started.items()}
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, patience: float = PATIENCE) -> dict[str, int]:
-        """End all nodes as Ctrl-C does, those that do not listen within some seconds by force."""
+        """Interrupt all nodes, and kill those that do not end in time."""
         for process in self.started.values():
             process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + patience

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compute the beliefs of a mission's log again and say which of them are not reproduced."""
+"""Compute the beliefs of a log again, and report those that differ."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ EXAMPLES = (
     'python3 -m kbnitp_ros replay runs/small/mission.mcap --repair runs/whole/mission.mcap',
 )
 
-# How many messages that nobody took are told of one by one.
+# Maximum number of unread messages listed.
 REFUSALS = 20
 
-# And how many beliefs.
+# Maximum number of beliefs listed.
 FINDINGS = 3
 
 T = TypeVar('T', LoggedMessage, Recorded)
@@ -81,17 +81,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
-    """Pass on what is read of a log of so many bytes, showing on a terminal how far that is."""
+    """Pass on the messages of a log, with a progress bar on a terminal."""
     with tqdm(total=size, unit='B', unit_scale=True, desc='reading', disable=None) as bar:
         for item in items:
             yield item
             bar.update(item.position - bar.n)
-        # Behind the last message is the index.
+        # The index follows the last message.
         bar.update(size - bar.n)
 
 
 def lines(report: ReplayReport) -> Iterator[str]:
-    """Yield what a replay found: a summary, then what is not reproduced, then what is missing."""
+    """Yield the findings of a replay: summary, differences, and what is missing."""
     evidence = report.evidence
     deployments, survived = len(evidence.reports), evidence.survived
     yield (
@@ -140,7 +140,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
 
 
 def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Iterator[str]:
-    """Yield a line for each of the first findings, and one that counts the others."""
+    """Yield the first findings, and a line that counts the others."""
     for each in found[:most]:
         yield f'{what}: {each}'
     if len(found) > most:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Show a mission's log: a page, pictures, tables and maps."""
+"""Report a mission's log as a page, pictures, tables and maps."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report(log: Path, folder: Path, note: str = '', namespace: str | None = None) -> Mission:
-    """Write the report of a log and say so, with progress bars on a terminal."""
+    """Write the report of a log, with progress bars on a terminal."""
     mission = read(log, namespace)
     curves = curves_with_progress(mission)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
@@ -84,7 +84,7 @@ def report(log: Path, folder: Path, note: str = '', namespace: str | None = None
 
 
 def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
-    """Write the page of two missions and say so, with progress bars on a terminal."""
+    """Write the page of two missions, with progress bars on a terminal."""
     missions = [read(first), read(second)]
     check_one_field(*missions)
     page = comparison_of(*(Pair(each, curves_with_progress(each)) for each in missions))
@@ -99,5 +99,5 @@ def read(log: Path, namespace: str | None = None) -> Mission:
 
 
 def curves_with_progress(mission: Mission) -> Curves:
-    """Return how a mission went, with a progress bar on a terminal."""
+    """Return the curves of a mission, with a progress bar on a terminal."""
     return curves_of(mission, partial(tqdm, unit='belief', desc='curves', disable=None))

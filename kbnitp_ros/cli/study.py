@@ -17,7 +17,7 @@ from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from tqdm import tqdm
 
-# The scenario that is no study.
+# The benchmark, which is not a study.
 BENCHMARK = 'benchmark'
 
 DESCRIPTION = """
@@ -39,12 +39,12 @@ EXAMPLES = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = parse(argv)
-    # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the workers.
+    # Shells start background jobs with SIGINT ignored; SIGTERM must end the workers, too.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     is_benchmark = options.scenario == BENCHMARK
     try:
-        # Pandas and others take a second to import: the help needs none of them.
+        # Pandas takes a second to import, and the help does not need it.
         return run_benchmark(options) if is_benchmark else study(options)
     except KeyboardInterrupt:
         further = '' if is_benchmark else f'; the same command goes on from {options.out}'
@@ -89,7 +89,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def count(text: str, least: int = 1) -> int:
-    """Return the number that `text` is, at least `least`."""
+    """Parse a number of at least `least`."""
     if not text.isdecimal() or int(text) < least:
         raise argparse.ArgumentTypeError(f'{text!r} is no whole number of at least {least}')
     return int(text)
@@ -115,7 +115,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
 
 
 def study(options: argparse.Namespace) -> int:
-    """Run the trials that the folder lacks, then write the report; return the exit code."""
+    """Run the missing trials, then write the report; return the exit code."""
     from kbnitp_ros.study.comparison import write_report
     from kbnitp_ros.study.results import check_memory, Results
     from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
@@ -137,7 +137,7 @@ def study(options: argparse.Namespace) -> int:
             outcomes = folder.outcomes()
             trials = trials_of(scenario)
             missing = [trial for trial in trials if trial not in outcomes]
-            # World after world, so that of a study that is interrupted some worlds are whole.
+            # World after world, so that an interrupted study has complete worlds.
             missing.sort(key=attrgetter('number'))
             with tqdm(
                 initial=len(outcomes),

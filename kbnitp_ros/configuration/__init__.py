@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of all nodes: their table, how values are checked, and what these describe."""
+"""The parameters of all nodes: the table, its checks, and the objects built from the values."""
 
 from kbnitp_ros.configuration.agents import agents_of, value_for
 from kbnitp_ros.configuration.field import grid_of

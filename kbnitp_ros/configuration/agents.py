@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the parameters say that agents, their robots and their sensors behave."""
+"""The agents, robots, sensors and dynamics that the parameters describe."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
 
 
 def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
-    """Return which numbers these parameters leave to be learnt."""
+    """Return the numbers that these parameters leave to be learnt."""
     priors, rates = priors_of(values), [*itertools.chain(*HAZARD_RATES.values())]
     return Unknowns(
         **{name: priors[name] for name in values['learn.numbers'] if name not in rates}
@@ -57,7 +57,7 @@ def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
 
 
 def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
-    """Return how hazards change by these parameters."""
+    """Return the believed dynamics of hazards."""
     try:
         kind = values['hazards.dynamics']
         rates = {
@@ -96,13 +96,13 @@ def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
 
 
 def clustering_of(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
-    """Return how hazards cluster by these parameters; None if they are independent."""
+    """Return the clustering of hazards; None if they are independent."""
     coupling = values['prior.clustering']
     return Clustering(grid, coupling) if coupling else None
 
 
 def execution_of(values: Mapping[str, Any]) -> Execution:
-    """Return how simulated robots depart from their orders."""
+    """Return how simulated robots deviate from their orders."""
     if values['silent_loss'] and values['contact_probability'] > 0.0:
         raise ValueError(
             f'contact_probability is {values["contact_probability"]}, and silent_loss is true: '
@@ -118,7 +118,7 @@ def execution_of(values: Mapping[str, Any]) -> Execution:
 
 
 def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
-    """Return the names of the agents, of which robots leave on this grid."""
+    """Return the names of the agents."""
     agents: tuple[str, ...] = values['agents']
     if not agents or len(set(agents)) < len(agents):
         raise ValueError(
@@ -143,24 +143,24 @@ def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
 
 
 def value_for(values: Mapping[str, Any], name: str, agent: str) -> Any:
-    """Return the value of a parameter for one agent: its own, or else that of all."""
+    """Return an agent's value of a parameter: its own, or else the common one."""
     return values.get(f'team.{agent}.{name}', values[name])
 
 
 def most_steps(values: Mapping[str, Any]) -> int:
-    """Return the most steps that the path of any agent's robot may have."""
+    """Return the largest `max_steps` of any agent."""
     most: int = max(value_for(values, 'max_steps', agent) for agent in values['agents'])
     return most
 
 
 def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
-    """Return how long the path of any of these agents' robots may be, metres; 0: no limit."""
+    """Return the largest `max_distance` of these agents, metres; 0 for no limit."""
     distances = [value_for(values, 'max_distance', agent) for agent in agents]
     return max(distances) if all(distances) else 0.0
 
 
 def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
-    """Return the base that an agent has of its own; None if it has that of all."""
+    """Return an agent's own base; None if it has the common one."""
     name = f'team.{agent}.base'
     cell, position = values.get(name), values.get(f'{name}_position')
     if cell is not None and position:
@@ -176,7 +176,7 @@ def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
 
 
 def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotType:
-    """Return what an agent's robots have of their own."""
+    """Return the type of an agent's robots."""
     sensor = {each.name for each in fields(SensorModel)}
     names = {each.name for each in fields(RobotType)} - {'base'}
     given = {name: f'sensor.{name}' if name in sensor else name for name in names}
@@ -187,11 +187,11 @@ def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotTyp
 
 
 def robot_types_of(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
-    """Return the types of the robots of all agents, on the grid of these parameters."""
+    """Return the robot types of all agents, on the grid of these parameters."""
     return {agent: robot_type_of(values, agent, grid) for agent in values['agents']}
 
 
 def own_robot_types(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
-    """Return `robot_types_of` for the agents whose robots are not like all others."""
+    """Return the robot types of agents that differ from the common one."""
     types = robot_types_of(values, grid)
     return {agent: robot_type for agent, robot_type in types.items() if robot_type.own}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grid that the parameters describe, where it lies, and a hidden world in a file."""
+"""The grid of the parameters, its geographic position, and hidden worlds in files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 
 def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
-    """Return the grid that these parameters describe, as beliefs tell it."""
+    """Return the grid that these parameters describe."""
     position = values['grid.base_position']
     if position and len(position) != 2:
         raise ValueError(
@@ -39,7 +39,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
         'through_corners': corners == 'cut' or (corners == 'auto' and field is None),
     }
     if field is not None:
-        # As it is told, so that all nodes have one grid.
+        # Rounded as in messages, so that all nodes have one grid.
         field = replace(
             field, resolution=rounded_resolution(field.resolution), yaw=rounded_yaw(field.yaw)
         )
@@ -74,7 +74,7 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
 
 
 def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
-    """Return the grid with the bases that agents have of their own."""
+    """Return the grid with the bases of all agents."""
     agents = dict.fromkeys(own[0] for name in values if (own := own_name(name)))
     for agent in agents:
         base = base_of(values, agent, grid)
@@ -95,7 +95,7 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
 
 
 def datum_of(values: Mapping[str, Any]) -> Datum | None:
-    """Return the datum that these parameters give, if any; raises ValueError off the earth."""
+    """Return the geographic datum of these parameters, or None; ValueError if off the earth."""
     return Datum.of(values['datum'])
 
 
@@ -103,7 +103,7 @@ PRESENT = {'.': False, 'x': True}
 
 
 def read_world(path: str | Path, grid: Grid) -> World:
-    """Return the world in a file."""
+    """Read a hidden world from a file."""
     try:
         content = read_yaml(path)
         if not isinstance(content, dict) or set(content) != {'hazard', 'target'}:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What users give for the parameters, in files and on the command line, checked against the table.
+Parameters that users give, in files and on the command line, checked against the table.
 
 ROS hands a node the values only, and passes over in silence what is misspelt or meant for others.
 """
@@ -19,18 +19,18 @@ from kbnitp_ros.configuration.known import check_known
 from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.files import read_yaml
 
-# What a section of a file may be called besides the nodes: some of them, whatever their names.
+# Sections of a file for several nodes at once.
 WILDCARDS = ('*', '**')
 
-# The flags for ROS that matter here, and how else they may be written.
+# The relevant ROS flags, with their other spellings.
 REMAP, RULE, FILE = ('-r', '--remap'), ('-p', '--param'), ('--params-file',)
 
-# Values by parameter name, by the name of the section of a file that gives them.
+# Values by parameter name, by section of a file.
 Sections = dict[str, dict[str, Any]]
 
 
 def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> Sections:
-    """Return what a parameter file gives, checked."""
+    """Read and check a parameter file."""
     try:
         return sections_of(read_yaml(path), names or {})
     except (OSError, ValueError) as error:
@@ -39,14 +39,15 @@ def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> S
 
 
 def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
-    """Return the sections of a parameter file as YAML loads it, checked like `read_sections`."""
+    """Check the sections of a parameter file that YAML has loaded."""
     if not isinstance(config, Mapping):
         raise ValueError(f'it holds {config!r}: it must hold sections, such as /**')
     sections = {}
     for section, values in _sections(config, ''):
         nodes = _nodes_in(section, names)
         if not nodes:
-            # It is of others, unless it has parameters of the node whose name it nearly has.
+            # It belongs to another program, unless a parameter of the node with a similar name is
+            # in it.
             for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
                 if any(parameter_of(node, name) for name in values):
                     raise ValueError(f'section {section!r} is for no node: did you mean {node}?')
@@ -87,7 +88,7 @@ def _leaves(tree: Any, section: str, above: str = '') -> Iterator[tuple[str, Any
 
 
 def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
-    """Return the executables whose nodes a section, or the start of a rule, is for, if any."""
+    """Return the executables that a section or the start of a rule applies to."""
     name = section.rpartition('/')[2]
     if name in WILDCARDS:
         return NODES
@@ -95,7 +96,7 @@ def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
 
 
 def values_for(sections: Sections, node: str) -> dict[str, Any]:
-    """Return the values that ROS gives a node of sections: of those that fit the last counts."""
+    """Return the values that ROS gives a node from sections: the last section that fits wins."""
     values = {}
     for section, given in sections.items():
         if _fits(section, node):
@@ -104,12 +105,12 @@ def values_for(sections: Sections, node: str) -> dict[str, Any]:
 
 
 def _fits(section: str, node: str) -> bool:
-    """Return whether a section is for the node of this full name, as rclpy decides it."""
+    """Return whether a section applies to the node of this full name, as in rclpy."""
     return bool(re.fullmatch(f'/{section.removeprefix("/")}'.replace('/*', r'(/\w+)'), node))
 
 
 def check_given(name: str, arguments: Sequence[str]) -> None:
-    """Check what a node's command line gives for parameters."""
+    """Check the parameters on a node's command line."""
     given = list(_ros_arguments(arguments))
     remaps = dict(rule.split(':=', 1) for flag, rule in given if flag in REMAP and ':=' in rule)
     called = remaps.get('__node', name)
@@ -125,7 +126,7 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
 
 
 def _check_counts(rule: str, parameter: str, files: Sequence[Sections], node: str) -> None:
-    """Check that ROS, to which a rule is one more line of section /**, does not overrule it."""
+    """Check that a rule is not overruled: ROS takes it for a line of section /**."""
     sections = list(dict.fromkeys([*(name for file in files for name in file), '/**']))
     after = sections.index('/**') + 1
     for section in sections[after:]:
@@ -137,13 +138,13 @@ def _check_counts(rule: str, parameter: str, files: Sequence[Sections], node: st
 
 
 def names_given(arguments: Sequence[str]) -> list[str]:
-    """Return what of a command line says how the node and its topics are called."""
+    """Return the arguments that name the node and remap its topics."""
     renamed = [each for each in _ros_arguments(arguments) if each[0] in REMAP]
     return ['--ros-args', *chain.from_iterable(renamed)]
 
 
 def _ros_arguments(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the flags that are for ROS, each with the word that follows it."""
+    """Yield the ROS flags, each with its argument."""
     is_for_ros = False
     for word, following in zip(arguments, [*arguments[1:], '']):
         if word in ('--ros-args', '--'):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which parameters a node has, and the page that documents them."""
+"""The parameters of each node, and the page that documents them."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from kbnitp_ros.configuration.table import NODES, TABLE
 from kbnitp_ros.log.read import current_name
 from kbnitp_ros.plugins import Registry
 
-# What rclpy gives every node.
+# Parameters that rclpy gives every node.
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 
 
 def parameters_of(name: str) -> dict[str, Parameter]:
-    """Return the parameters of the node called `name`, by their names."""
+    """Return the parameters of a node by name."""
     return {parameter.name: parameter for parameter in TABLE if name in parameter.nodes}
 
 
 def parameter_of(node: str, name: str) -> Parameter | None:
-    """Return the parameter of a node that has this name, that of one agent too; None if none."""
+    """Return a node's parameter of this name, or of one agent; None if there is none."""
     known = parameters_of(node)
     own = own_name(name)
     if own is None:
@@ -34,7 +34,7 @@ def parameter_of(node: str, name: str) -> Parameter | None:
 
 
 def check_known(name: str, nodes: Sequence[str]) -> None:
-    """Check that a name is one of the parameters of some of these nodes."""
+    """Check that a name is a parameter of one of these nodes."""
     if (now := current_name(name)) != name:
         raise ValueError(f'parameter {name} is called {now} now')
     if name.split('.')[0] in ROS_PARAMETERS or any(parameter_of(node, name) for node in nodes):
@@ -58,7 +58,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
 
 
 def check_own(values: Mapping[str, Any]) -> None:
-    """Check that what agents have of their own is for agents that there are."""
+    """Check that every agent with own parameters is in the team."""
     for name in values:
         own = own_name(name)
         if own and own[0] not in values['agents']:
@@ -70,7 +70,7 @@ def check_own(values: Mapping[str, Any]) -> None:
 
 
 def reference_page() -> str:
-    """Return the page that documents every parameter, in Markdown."""
+    """Return the reference page of all parameters, in Markdown."""
     lines = [
         '# Parameters',
         '',

@@ -37,12 +37,12 @@ from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map, read_probabilities
 import numpy as np
 
-# From which value on a pixel of a mask belongs to the area, out of 100.
+# Percent from which a pixel of a mask belongs to the area.
 MARKED = 50
 
 
 def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
-    """Return the goal that these parameters describe; None to map the field."""
+    """Return the goal; None to map the field."""
     make = GOALS.find(values['goal.kind'])
     confidence = values['stop.confidence'] or None
     with GOALS.blamed(values['goal.kind']):
@@ -50,7 +50,7 @@ def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
 
 
 def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
-    """Return the cells that the goal names, by number, by position or by a mask."""
+    """Return the cells of the goal, given by number, position or mask."""
     cells, position, mask = (values[f'goal.{name}'] for name in ('cells', 'position', 'mask'))
     if sum(map(bool, (cells, position, mask))) > 1:
         raise ValueError(
@@ -79,12 +79,12 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
 
 
 def stop_of(values: Mapping[str, Any]) -> Stop:
-    """Return when a mission with these parameters is over before its last robot has left."""
+    """Return the conditions that end a mission early."""
     return Stop(values['stop.gain'], values['stop.losses'])
 
 
 def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOptions]) -> None:
-    """Check that the goal can be reached and that the mission can end by its stops."""
+    """Check that the goal can be reached, and that the stops can end the mission."""
     goal = goal_of(values, grid)
     stop_of(values).check(goal, values['robots'])
     for each in options:
@@ -94,7 +94,7 @@ def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOp
 
 
 def search_options(values: Mapping[str, Any]) -> SearchOptions:
-    """Return the options that these parameters describe."""
+    """Return the options of the search."""
     names = {field.name: field.name for field in fields(SearchOptions)} | {'width': 'beam_width'}
     return SearchOptions(**{option: values[name] for option, name in names.items()})
 
@@ -102,14 +102,14 @@ def search_options(values: Mapping[str, Any]) -> SearchOptions:
 def type_to_plan(
     values: Mapping[str, Any], agent: str, grid: Grid, believed: Mapping[str, RobotType]
 ) -> RobotType:
-    """Return the type of an agent's robots: sensors as believed, the rest as parameters say."""
+    """Return the robot type of an agent, with the believed sensors."""
     sensors = believed.get(agent, ORDINARY)
     as_believed = {each.name: getattr(sensors, each.name) for each in fields(SensorModel)}
     return replace(robot_type_of(values, agent, grid), **as_believed)
 
 
 def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
-    """Check that the planner can search with these parameters in the memory there is."""
+    """Check that the search fits in memory."""
     types = [type_to_plan(values, agent, grid, believed) for agent in agents_of(values, grid)]
     options = search_options(values)
     check_goal(values, grid, [options.of_type(each) for each in types])
@@ -121,12 +121,12 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
 
 MAPS = ('hazard', 'target', 'kappa')
 
-# In what fields must be the same for what is believed of one to be believed of the other.
+# Properties in which two fields must agree for one to take over the other's belief.
 SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
 
 def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
-    """Return the prior that the parameters of an estimator describe."""
+    """Return the prior of the estimator."""
     files = {name: values[f'prior.{name}_map'] for name in MAPS}
     log = values['prior.log']
     if log:
@@ -143,7 +143,7 @@ def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
     }
     prior = numbers | maps
     if 'hazard' in maps and 'target' not in maps and numbers['hazard'] < 1.0:
-        # The numbers say how likely a target is without a hazard, which the map leaves as it is.
+        # The numbers, not the map, give the probability of a target without a hazard.
         background = numbers['target'] - numbers['kappa'] * numbers['hazard']
         background = min(max(background / (1.0 - numbers['hazard']), 0.0), 1.0)
         prior['target'] = prior['kappa'] * maps['hazard'] + background * (1.0 - maps['hazard'])
@@ -151,7 +151,7 @@ def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
 
 
 def earlier_belief(log: str, grid: Grid) -> Belief:
-    """Return what a mission came to believe, of the same field."""
+    """Read the final belief of another mission in the same field."""
     known = last_belief(MissionLog(log))
     if known is None:
         raise ValueError(f'{log} has no belief on record')
@@ -162,7 +162,7 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
 
 
 def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
-    """Return the estimator of these parameters on this grid, before the first deployment."""
+    """Return the estimator before the first deployment."""
     unknowns = unknowns_of(values)
     for name in unknowns.priors:
         if all(

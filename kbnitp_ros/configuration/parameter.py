@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a parameter is: its name, its default, what its values must be."""
+"""A parameter: its name, default and allowed values."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ NAME = '[A-Za-z][A-Za-z0-9_]*'
 
 
 def own_name(name: str) -> tuple[str, str] | None:
-    """Return the agent and the parameter that ``team.AGENT.NAME`` names; None of other names."""
+    """Split ``team.AGENT.NAME`` into agent and parameter; None for other names."""
     own = re.fullmatch(rf'team\.({NAME})\.(.+)', name)
     return (own[1], own[2]) if own else None
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return which of the names known may have been meant, as a question; empty when none."""
-    # A name within groups, such as lethality, is further from the whole ones than it looks.
+    """Return the nearest known names as a question; empty if none is near."""
+    # A short name such as lethality is far from the same name within groups.
     meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
     meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
     return f'did you mean {" or ".join(meant)}? ' if meant else ''
@@ -37,7 +37,7 @@ KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: '
 class Parameter:
     """One row of the table."""
 
-    # As in ROS, the dot a level.
+    # As in ROS, with a dot for each level.
     name: str
     # Its type is the parameter's type.
     default: Any
@@ -48,35 +48,34 @@ class Parameter:
     element: type | None = None
     # Lowest and highest value allowed.
     limits: tuple[float, float] | None = None
-    # A value below the limits that stands for none, such as 0 for no limit of a size.
+    # A value below the limits that means none, such as 0 for no maximum.
     off: float | None = None
-    # The values allowed; empty when any is. Those of a registry grow by what other packages add.
+    # The values allowed; empty for any. Those of a registry grow with plugins.
     choices: Collection[str] = ()
-    # A text that a number may be in place of a value; empty for none.
+    # A text allowed in place of a number; empty for none.
     word: str = ''
-    # What a text must match, as a regular expression; empty when it need not.
+    # A regular expression that a text must match; empty for any text.
     pattern: str = ''
     # Whether it is fixed once the node runs.
     read_only: bool = True
-    # Whether one agent may have another value than the others, as ``team.AGENT.NAME``; NAME is
-    # `of_agent`.
+    # Whether an agent may have its own value, as ``team.AGENT.NAME``; NAME is `of_agent`.
     per_agent: bool = False
 
     @property
     def of_agent(self) -> str:
-        """Return its name as what one agent has: a base is of no grid then."""
+        """Return its name below an agent, without the group `grid`."""
         return self.name.removeprefix('grid.')
 
     @property
     def kind(self) -> str:
-        """Return what a value must be, in words."""
+        """Describe its type."""
         if self.element is None:
             return KINDS[type(self.default)] + (self.word and f' or {self.word}')
         return f'a list, each {KINDS[self.element]}'
 
     @property
     def allowed(self) -> str:
-        """Return what a value of the right type must also be, in words; empty when nothing."""
+        """Describe the further limits of its values; empty if there are none."""
         if self.limits is not None:
             return f'{self._off_or}from {self.limits[0]} to {self.limits[1]}'
         if self.choices != ():
@@ -89,21 +88,21 @@ class Parameter:
 
     @property
     def must_be(self) -> str:
-        """Return what a value must be, in words."""
+        """Describe what a value must be."""
         return ', '.join(filter(None, (self.kind, self.allowed)))
 
     @property
     def changeable(self) -> str:
-        """Return whether it can be changed, in words; empty when it cannot."""
+        """Describe whether it can change while the node runs; empty if it cannot."""
         return '' if self.read_only else ' Can be changed while the node runs.'
 
     @property
     def summary(self) -> str:
-        """Return what it is, its default and what it must be."""
+        """Describe its type, default and limits."""
         return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
 
     def read(self, text: str) -> Any:
-        """Return the value that a text typed on a command line stands for, as `check` does."""
+        """Parse a text from the command line, and check it."""
         if self.element is None and isinstance(self.default, str):
             return self.check(text)
         try:
@@ -113,10 +112,10 @@ class Parameter:
         return self.check(value)
 
     def check(self, value: Any) -> Any:
-        """Return `value` as this parameter's type; whole numbers are taken for numbers."""
+        """Return `value` as this parameter's type; whole numbers become numbers."""
         if self.element is None:
             return self._check_one(value, type(self.default))
-        # rclpy hands an empty YAML list over as None.
+        # rclpy turns an empty YAML list into None.
         values = () if value is None else value
         if isinstance(values, (str, bytes, Mapping)) or not hasattr(values, '__iter__'):
             raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')

@@ -20,10 +20,10 @@ LONGEST_SIDE = 1000
 MOST_AGENTS = 100
 MOST_CELLS = LONGEST_SIDE**2
 
-# The topic of what the operator decides.
+# The topic of the operator's actions.
 OPERATOR = 'operator'
 
-# The numbers that can be learnt: what they are, and what is believed of them at first.
+# The numbers that can be learnt: their meanings and their priors.
 LEARN = {
     'lethality': ('sensor.lethality', (0.0, 1.0)),
     'malfunction': ('sensor.malfunction', (0.0, 1.0, 2.0, 30.0)),
@@ -35,7 +35,7 @@ LEARN = {
     ),
     'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
     'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
-    # a of 0 and b of 1: log-uniform.
+    # a = b = 0 or 1: log-uniform.
     'vanish': ('hazards.vanish', (0.001, 0.1, 0.0, 1.0)),
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
 }
