@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 from kbnitp_ros.core import (
     Belief,
-    brier_score,
     continue_mission,
     Decision,
     Estimator,
@@ -16,12 +15,11 @@ from kbnitp_ros.core import (
     Grid,
     HazardDraws,
     Learnt,
-    log_loss,
     SimulatedMission,
     Truth,
     World,
 )
-from kbnitp_ros.core.field.belief import binary_entropy
+from kbnitp_ros.core.field.belief import binary_entropy, log_losses, surprisal
 from kbnitp_ros.study.scenario import ALONE, Asked, NUMBERS, Scenario, Strategy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -188,16 +186,23 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     beliefs, known = zip(*knowledge(start, mission, is_own))
     worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
-    joint_entropy = [belief.joint_entropy() for belief in beliefs]
+    # By belief: (beliefs, cells).
+    hazard = np.stack([belief.hazard for belief in beliefs])
+    target = np.stack([belief.target for belief in beliefs])
+    hazardous = np.stack([world.hazard for world in worlds])
+    with_target = np.stack([world.target for world in worlds])
+    of_hazard, of_target = (binary_entropy(maps).sum(axis=1) for maps in (hazard, target))
+    joint = np.stack([belief.joint.ravel() for belief in beliefs])
+    joint_entropy = surprisal(joint).sum(axis=1)
     measured: dict[str, Iterable[float]] = {
-        'entropy_hazard': [binary_entropy(belief.hazard).sum() for belief in beliefs],
-        'entropy_target': [binary_entropy(belief.target).sum() for belief in beliefs],
-        'entropy': [belief.entropy() for belief in beliefs],
+        'entropy_hazard': of_hazard,
+        'entropy_target': of_target,
+        'entropy': of_hazard + of_target,
         'joint_entropy': joint_entropy,
-        'hazard_log_loss': [log_loss(b.hazard, w.hazard) for b, w in zip(beliefs, worlds)],
-        'target_log_loss': [log_loss(b.target, w.target) for b, w in zip(beliefs, worlds)],
-        'hazard_brier': [brier_score(b.hazard, w.hazard) for b, w in zip(beliefs, worlds)],
-        'target_brier': [brier_score(b.target, w.target) for b, w in zip(beliefs, worlds)],
+        'hazard_log_loss': log_losses(hazard, hazardous),
+        'target_log_loss': log_losses(target, with_target),
+        'hazard_brier': ((hazard - hazardous) ** 2).sum(axis=1),
+        'target_brier': ((target - with_target) ** 2).sum(axis=1),
         'robots_lost': np.cumsum([0, *lost]),
         'planned_information': [np.nan, *(each.plan.information for each in mission)],
         'realised_information': -np.diff(joint_entropy, prepend=np.nan),
@@ -215,8 +220,8 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
         )
     return MissionResult(
         carried([*zip(*(measured[name] for name in measures_of(scenario)))], scenario.robots),
-        np.stack([beliefs[-1].hazard, beliefs[-1].target]),
-        np.stack([worlds[-1].hazard, worlds[-1].target]),
+        np.stack([hazard[-1], target[-1]]),
+        np.stack([hazardous[-1], with_target[-1]]),
         carried(
             [[as_learnt(numbers.get(name)) for name in NUMBERS] for numbers in known],
             scenario.robots,

@@ -228,8 +228,14 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
         If the truth has another shape.
 
     """
-    given = np.where(truth_of(probability, truth), probability, 1.0 - probability)
-    return float(-np.log(given.clip(min=SMALLEST)).sum())
+    return float(log_losses(probability, truth_of(probability, truth)))
+
+
+def log_losses(probability: NDArray[np.float64], truth: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the log losses of several maps, shapes (..., cells)."""
+    given = np.where(truth, probability, 1.0 - probability)
+    losses: NDArray[np.float64] = (-np.log(given.clip(min=SMALLEST))).sum(axis=-1)
+    return losses
 
 
 def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:

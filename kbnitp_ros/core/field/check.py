@@ -181,6 +181,8 @@ def cost(name: str, value: float) -> float:
 def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     """Return `values`, of any shape, as booleans."""
     array = np.array(values)
+    if array.dtype == np.bool_:
+        return array
     bad = ~np.isin(array, (0, 1))
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')

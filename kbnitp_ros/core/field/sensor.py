@@ -100,14 +100,22 @@ def log_predicted_survival(
     log_survival: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return log S of n visits, S = (1 - z) s0^n + z s1^n (:eq:`predicted-survival`)."""
-    log_power = times_log(np.asarray(counts)[..., None], log_survival)
-    weight = np.stack([1.0 - hazard, hazard], axis=-1)
-    loss = np.sum(weight * -np.expm1(log_power), axis=-1)
+    _, lost, survived = powers(*log_survival.tolist(), int(np.max(counts, initial=0)))
+    lost, survived, safe = lost[:, counts], survived[:, counts], 1.0 - hazard
+    loss = safe * lost[0] + hazard * lost[1]
     with np.errstate(divide='ignore'):
         # 1 - loss cancels where nearly nobody survives, the plain sum where nearly everybody does.
         return np.where(
-            loss < 0.5, np.log1p(-loss), np.log(np.sum(weight * np.exp(log_power), axis=-1))
+            loss < 0.5, np.log1p(-loss), np.log(safe * survived[0] + hazard * survived[1])
         )
+
+
+# Each update and each plan asks for these several times.
+@lru_cache(maxsize=64)
+def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], ...]:
+    """Return log s_z^n, 1 - s_z^n and s_z^n for n up to `most`, each of shape (2, most + 1)."""
+    log_power = times_log(np.arange(most + 1), np.array([[safe], [deadly]]))
+    return log_power, 0.0 - np.expm1(log_power), np.exp(log_power)
 
 
 def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -181,7 +189,8 @@ class RobotType:
 
     def model(self, common: SensorModel) -> SensorModel:
         """Return their sensor model, from that of all others."""
-        return replace(common, **self.sensors)
+        sensors = self.sensors
+        return replace(common, **sensors) if sensors else common
 
 
 ORDINARY = RobotType()

@@ -276,6 +276,8 @@ class Execution:
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Draw the way a robot goes."""
         drawn = rng.random((len(path) - 1, 3))
+        if not self.early_return and not self.detour:
+            return path, np.arange(1, len(path))
         walk = [int(path[0])]
         passed: list[int] = []
         for step, (turns, strays, which) in enumerate(drawn):

@@ -71,7 +71,7 @@ def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: 
     log_safe = float(objective.model.log_survival[0])
     if exp(log_safe) == 0.0:
         return value + slack
-    reach, max_steps = reach_of(grid, options), options.max_steps
+    reach, max_steps = reach_of(grid, options.max_steps, options.max_distance), options.max_steps
     visits = min(options.max_visits, max_steps)
     added, survivable = visit_sums(objective.belief, objective.model, reach.cells, visits)
     counts = np.bincount(path[1:], minlength=grid.cells)[reach.cells]
@@ -139,9 +139,7 @@ def visit_sums(
     w = np.divide(spread, np.exp(log_mean), out=np.zeros_like(spread), where=alive)
     readings = readings_of(model, max_visits, ())
     nothing_read = np.ones((cells.size, 1))
-    for n in visits[1:]:
-        count = np.full(cells.size, n)
-        w[:, n] += new_information(readings, belief.joint[cells], nothing_read, count)
+    w[:, 1:] += new_information(readings, belief.joint[cells], nothing_read)
     added = np.stack([w, -log_mean, -log_square], axis=-1)
     return np.where(alive[..., None], added, 0.0), alive.sum(axis=1) - 1
 

@@ -131,14 +131,27 @@ def added_information(
             f'path has cells from {cells.min()} to {cells.max()}: '
             f'the belief has the cells 0 to {belief.cells - 1}'
         )
-    visits = Visits.of(cells)
+    return information_and_survival(belief, model, cells, outcomes, alpha, interest)[0]
+
+
+def information_and_survival(
+    belief: Belief,
+    model: SensorModel,
+    path: NDArray[np.intp],
+    outcomes: JointOutcomes,
+    alpha: float = SHANNON,
+    interest: NDArray[np.float64] | None = None,
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the information added, and the chance of a return in each outcome, (outcomes,)."""
+    visits = Visits.of(path)
     joint, earlier = outcomes.of_cells(visits.cells)
     hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
     log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
     survival = np.exp(log_survival.sum(axis=1))
     readings = readings_of(model, int(visits.counts.max()), outcomes.most_readings)
     exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
-    added = new_information(readings, joint, earlier, visits.counts, alpha)
+    added = new_information(readings, joint, earlier, alpha)
+    added = added[:, np.arange(visits.cells.size), visits.counts - 1]
     if interest is not None:
         added = added * interest[visits.cells]
     if alpha == SHANNON:
@@ -147,7 +160,7 @@ def added_information(
         outcome = behavioral_entropy(survival, alpha)
         open_outcome = outcome_left_open(exposures, alpha, beta_of(alpha))
     of_each = outcome + survival * added.sum(axis=1) - open_outcome
-    return float((outcomes.probability * of_each).sum())
+    return float((outcomes.probability * of_each).sum()), survival
 
 
 @typed
@@ -199,7 +212,7 @@ class Candidate(NamedTuple):
     def along(cls, path: NDArray[np.intp], objective: Objective) -> Candidate:
         """Return a path, shape (steps + 1,), with its exact value (:eq:`objective-value`)."""
         belief, model = objective.belief, objective.model
-        lost = -np.expm1(path_log_survival(belief, model, path))
+        lost = -np.expm1(path_log_survival(belief, model, as_path(path)))
         alpha = objective.alpha
         interest = None if alpha == SHANNON else objective.interest
         information = added_information(belief, model, path, objective.outcomes, alpha, interest)

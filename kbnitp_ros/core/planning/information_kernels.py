@@ -6,7 +6,7 @@ from __future__ import annotations
 from math import exp, expm1, log
 from typing import NamedTuple
 
-from kbnitp_ros.core.field.compiled import compiled
+from kbnitp_ros.core.field.compiled import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,33 +42,33 @@ def new_readings(
     readings: Readings,
     joint: NDArray[np.float64],
     earlier: NDArray[np.float64],
-    visits: NDArray[np.intp],
     alpha: float,
     beta: float,
     information: NDArray[np.float64],
 ) -> None:
     """Return new readings (:eq:`reading-information`, :eq:`behavioral-information`)."""
+    survival = readings.survival
     for cell in range(joint.shape[0]):
-        n, survival = visits[cell], readings.survival
-        without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
-        target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
-        information[cell] = 0.0
-        if without + target == 0.0:
-            continue
-        target /= without + target
-        for state in range(earlier.shape[1]):
-            if earlier[cell, state] > 0.0:
-                then, now = readings.after[state, n], readings.after[state, 0]
-                if alpha == 1.0:
-                    more = reading_information(target, then, readings)
-                    more -= reading_information(target, now, readings)
-                else:
-                    more = fall(target, then, readings, alpha, beta)
-                    more -= fall(target, now, readings, alpha, beta)
-                information[cell] += earlier[cell, state] * more
+        for n in range(1, survival.shape[0]):
+            without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
+            target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
+            information[cell, n - 1] = 0.0
+            if without + target == 0.0:
+                continue
+            target /= without + target
+            for state in range(earlier.shape[1]):
+                if earlier[cell, state] > 0.0:
+                    then, now = readings.after[state, n], readings.after[state, 0]
+                    if alpha == 1.0:
+                        more = reading_information(target, then, readings)
+                        more -= reading_information(target, now, readings)
+                    else:
+                        more = fall(target, then, readings, alpha, beta)
+                        more -= fall(target, now, readings, alpha, beta)
+                    information[cell, n - 1] += earlier[cell, state] * more
 
 
-@compiled
+@inlined
 def reading_information(target: float, state: int, readings: Readings) -> float:
     """Return I(X; Y) of a state for P(X = 1) = `target`, nats (:eq:`reading-information`)."""
     entropy: float = 0.0
@@ -137,7 +137,7 @@ def coin(p: float, q: float, alpha: float, beta: float) -> float:
     return entropy
 
 
-@compiled
+@inlined
 def fall(target: float, state: int, readings: Readings, alpha: float, beta: float) -> float:
     """Return by how much the readings of a state are expected to lower the entropy."""
     fallen = coin(target, 1.0 - target, alpha, beta)

@@ -229,7 +229,7 @@ def new_ranking(places: int, is_limited: bool) -> Ranking:
     )
 
 
-@compiled
+@inlined
 def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
     """Put a candidate among the best, the best first, unless one of them has its mark."""
     scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
@@ -335,13 +335,13 @@ def find_best(
                     * (term[row, 1 + outcome] + gain_term[rank, before, 1 + outcome])
                 )
                 likeliest = max(likeliest, survival)
-            if hoped_value(brought, lost, likeliest, loss_cost, unread) * units < least:
+            if least > -inf and least > units * hoped_value(
+                brought, lost, likeliest, loss_cost, unread
+            ):
                 continue
             left_open, left_open_completed = 0.0, 0.0
             for k in range(powers):
-                moment = factor[row, k] * gain_factor[rank, before, k]
-                left_open += weight[k] * moment
-                left_open_completed += completion[k] * moment
+                left_open += weight[k] * (factor[row, k] * gain_factor[rank, before, k])
             next_mark = mark[row] + marks[rank]
             mean = factor[row, 0] * gain_factor[rank, before, 0]
             spread = term[row, 0] + gain_term[rank, before, 0]
@@ -353,6 +353,10 @@ def find_best(
                 insert(value, next_mark, length, 16 * slot + column, by_value)
             if not heuristic.size or not fits:
                 continue
+            for k in range(powers):
+                left_open_completed += completion[k] * (
+                    factor[row, k] * gain_factor[rank, before, k]
+                )
             completed_survival = completion[powers + 1]
             completed_term = completion[powers + 3]
             brought = completed_survival * (brought + (1.0 - lost) * completed_term)
@@ -365,7 +369,7 @@ def find_best(
                 insert(value, next_mark, length, 16 * slot + column, by_heuristic)
 
 
-@compiled
+@inlined
 def merge(
     by_value: Ranking,
     by_heuristic: Ranking,
@@ -439,7 +443,7 @@ def write_completions(
             moments[start + rank] = moments[reach.start[step - 1] + rank]
 
 
-@compiled
+@inlined
 def follow(
     reach: Reach, trail: Trail, origins: NDArray[np.int32], step: int, rank: int, slot: int
 ) -> None:
@@ -508,6 +512,28 @@ def search(
             if writes_completions:
                 least = max(least, values[step, slot] - 1.0)
     return origins, values
+
+
+@compiled
+def moment_gains(hazard: Floats, power: Floats, p_log_p: Floats) -> tuple[Floats, Floats]:
+    """Return moments' factors and the change of spread (:eq:`moment-power`, :eq:`moment-log`)."""
+    max_visits = power.shape[1] - 1
+    moments = np.empty((hazard.size, max_visits, power.shape[2]))
+    spreads = np.empty((hazard.size, max_visits))
+    for cell in range(hazard.size):
+        deadly, safe, before = hazard[cell], 1.0 - hazard[cell], 0.0
+        for n in range(max_visits + 1):
+            mean = safe * power[0, n, 0] + deadly * power[1, n, 0]
+            spread = safe * p_log_p[0, n] + deadly * p_log_p[1, n]
+            spread = spread / mean if mean > 0.0 else 0.0
+            if n > 0:
+                spreads[cell, n - 1] = spread - before
+            before = spread
+            for k in range(power.shape[2] if n > 0 else 0):
+                earlier = safe * power[0, n - 1, k] + deadly * power[1, n - 1, k]
+                moment = safe * power[0, n, k] + deadly * power[1, n, k]
+                moments[cell, n - 1, k] = moment / earlier if earlier > 0.0 else 0.0
+    return moments, spreads
 
 
 @compiled

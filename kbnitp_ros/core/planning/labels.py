@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import inf
 
 from kbnitp_ros.core.field.grid import Grid, longest
-from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
+from kbnitp_ros.core.field.sensor import log_predicted_survival, powers, times_log
 from kbnitp_ros.core.planning.information import Candidate, DECIMALS
-from kbnitp_ros.core.planning.information_kernels import Readings
 from kbnitp_ros.core.planning.label_kernels import (
     Floats,
     Gains,
     LabelProblem,
+    moment_gains,
     Places,
     Reach,
     search,
@@ -33,9 +34,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def reach_of(grid: Grid, options: SearchOptions) -> Reach:
+# A mission plans for one or a few bases all the time.
+@lru_cache(maxsize=8)
+def reach_of(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     """Return the reach of paths within `max_steps` and `max_distance`."""
-    max_steps, max_distance = options.max_steps, options.max_distance
     cells = np.flatnonzero(grid.in_reach(max_steps, max_distance))
     distance = grid.steps_to_base[cells]
     order = np.argsort(distance, kind='stable')
@@ -63,20 +65,16 @@ def reach_of(grid: Grid, options: SearchOptions) -> Reach:
 
 def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
     """Return the gains of visits in `cells`, shape (n,)."""
-    model, outcomes = objective.model, objective.outcomes
+    model, outcomes, alpha = objective.model, objective.outcomes, objective.alpha
     visits = np.arange(max_visits + 1)
-    belief = objective.belief
-    hazard = belief.hazard[cells]
-    nothing_read = np.eye(1, outcomes.states)
-    shape = (outcomes.probability.size, cells.size, visits.size)
-    log_survival = np.broadcast_to(
-        log_predicted_survival(hazard[:, None], visits, model.log_survival), shape
-    ).copy()
+    belief, hazard = objective.belief, objective.belief.hazard[cells]
+    log_survival = log_predicted_survival(hazard[:, None], visits, model.log_survival)
+    log_survival = log_survival[None].repeat(outcomes.probability.size, 0)
     readings = readings_of(model, max_visits, outcomes.most_readings)
-    read = np.zeros(shape)
-    read[..., 1:] = _read(
-        readings, belief.joint[cells], nothing_read.repeat(cells.size, 0), objective.alpha
-    )
+    nothing_read = np.zeros((cells.size, outcomes.states))
+    nothing_read[:, 0] = 1.0
+    read = np.zeros(log_survival.shape)
+    read[..., 1:] = new_information(readings, belief.joint[cells], nothing_read, alpha)
     here, there = outcomes.places_of(cells)
     if here.size:
         joint = outcomes.joint[:, there]
@@ -84,58 +82,37 @@ def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> 
             joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None], visits, model.log_survival
         )
         _, earlier = outcomes.of_cells(cells[here])
-        read[:, here, 1:] = _read(readings, joint, earlier, objective.alpha)
+        read[:, here, 1:] = new_information(readings, joint, earlier, alpha)
 
     alive = log_survival[..., 1:] > -np.inf
     with np.errstate(invalid='ignore'):
         # Once nobody survives nothing more can be lost.
         log_ratio = np.where(alive, np.diff(log_survival), 0.0)
     added = np.diff(read) * objective.interest[cells, None]
-    survival = np.moveaxis(np.exp(log_ratio) * alive, 0, -1)
-    if objective.alpha == SHANNON:
+    survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
+    of_model = _powers(*model.log_survival.tolist(), max_visits, alpha == SHANNON)
+    moment, spread = moment_gains(hazard, *of_model)
+    if alpha == SHANNON:
         added -= log_ratio
-        moment, spread = _moments(hazard, model, visits, EXPONENTS)
         factor = [moment, survival]
     else:
-        moment, spread = _moments(hazard, model, visits, BEHAVIORAL_EXPONENTS)
         spread = np.zeros_like(spread)
         powers = survival[..., None] ** BEHAVIORAL_EXPONENTS
         factor = [moment, powers.reshape(*survival.shape[:2], -1), survival]
-    term = [spread[..., None], np.moveaxis(added, 0, -1)]
+    term = [spread[..., None], added.transpose(1, 2, 0)]
     return Gains(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
 
 
-def _read(
-    readings: Readings,
-    joint: NDArray[np.float64],
-    earlier: NDArray[np.float64],
-    alpha: float,
-) -> NDArray[np.float64]:
-    """Return what 1, 2, ... visits read, shape (..., cells, max_visits)."""
-    visits = [np.full(joint.shape[-3], count) for count in range(1, len(readings.survival))]
-    read = [new_information(readings, joint, earlier, each, alpha) for each in visits]
-    return np.stack(read, axis=-1)
-
-
-def _moments(
-    hazard: NDArray[np.float64],
-    model: SensorModel,
-    visits: NDArray[np.intp],
-    exponents: NDArray[np.float64],
+@lru_cache(maxsize=64)
+def _powers(
+    safe: float, deadly: float, max_visits: int, is_shannon: bool
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return moments' factors and the change of spread (:eq:`moment-power`, :eq:`moment-log`)."""
-    safe, deadly = 1.0 - hazard[:, None], hazard[:, None]
-    log_power = times_log(visits[:, None], model.log_survival)
-    power = np.exp(times_log(exponents, log_power[:, :, None]))
-    moment = safe[..., None] * power[:, 0] + deadly[..., None] * power[:, 1]
-    before = moment[:, :-1]
-    ratio = np.divide(moment[:, 1:], before, out=np.zeros_like(before), where=before > 0.0)
+    """Return the powers of s_z^n, (2, max_visits + 1, powers), and s_z^n log s_z^n."""
+    log_power, _, _ = powers(safe, deadly, max_visits)
+    exponents = EXPONENTS if is_shannon else BEHAVIORAL_EXPONENTS
+    power = np.exp(times_log(exponents, log_power[..., None]))
     # The first power is p itself.
-    p_log_p = times_log(power[:, :, 0], log_power)
-    spread = safe * p_log_p[:, 0] + deadly * p_log_p[:, 1]
-    mean = moment[..., 0]
-    spread = np.divide(spread, mean, out=np.zeros_like(spread), where=mean > 0.0)
-    return ratio, np.diff(spread)
+    return power, times_log(power[..., 0], log_power)
 
 
 # Closed paths that are ranked by their exact value: twice `width`, or these if that is less.
@@ -177,7 +154,7 @@ class LabelSearch:
         max_visits = min(options.max_visits, max_steps)
         self._objective, self._width = objective, max(1, width // 4)
         outcomes = objective.outcomes.probability
-        self.reach = reach_of(grid, options)
+        self.reach = reach_of(grid, max_steps, options.max_distance)
         earlier = objective.outcomes.states
         # States of readings with the visits of one more robot.
         own = dict(objective.outcomes.most_readings).get(Camera.of(objective.model), 0) + 1
@@ -227,8 +204,8 @@ class LabelSearch:
         """Return the values of closed paths, and these, the best first, of equal visits one."""
         is_visit = np.arange(paths.shape[1]) <= steps[:, None]
         is_visit[:, 0] = False
-        _, first = np.unique((self.problem.marks[paths] * is_visit).sum(axis=1), return_index=True)
-        first.sort()
+        marks = (self.problem.marks[paths] * is_visit).sum(axis=1).tolist()
+        first = sorted({mark: row for row, mark in reversed([*enumerate(marks)])}.values())
         paths, steps = paths[first], steps[first]
         values = self.exact(paths, steps)
         order = np.lexsort((steps, -values))
@@ -301,6 +278,7 @@ def check_memory(
         )
 
 
+@lru_cache(maxsize=8)
 def scattered(cells: int, bits: int) -> NDArray[np.int64]:
     """Return a mark for each cell whose sums tell apart how often each was visited (splitmix)."""
     x = np.arange(1, cells + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)

@@ -109,19 +109,17 @@ def new_information(
     readings: Readings,
     joint: NDArray[np.float64],
     earlier: NDArray[np.float64],
-    visits: NDArray[np.intp],
     alpha: float = SHANNON,
 ) -> NDArray[np.float64]:
-    """Return what a robot that survives n visits reads of cells on top of earlier readings."""
-    found = np.empty(joint.shape[:-2])
+    """Return what 1, 2, ... survived visits read on top of earlier readings, (..., visits)."""
+    found = np.empty((*joint.shape[:-2], len(readings.survival) - 1))
     new_readings(
         readings,
         np.ascontiguousarray(joint).reshape(-1, 2, 2),
         np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
-        np.broadcast_to(visits, found.shape).ravel(),
         alpha,
         beta_of(alpha),
-        found.reshape(-1),
+        found.reshape(-1, found.shape[-1]),
     )
     return found
 
@@ -177,9 +175,11 @@ class JointOutcomes:
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the joints and the readings of any cells."""
         outcomes = self.probability.size
-        joint = np.tile(self.belief.joint[cells], (outcomes, 1, 1, 1))
+        joint = self.belief.joint[cells][None].repeat(outcomes, 0)
         readings = np.zeros((outcomes, cells.size, self.states))
         readings[:, :, 0] = 1.0
+        if not self.cells.size:
+            return joint, readings
         here, there = self.places_of(cells)
         joint[:, here] = self.joint[:, there]
         readings[:, here] = self.readings[:, there].reshape(outcomes, there.size, self.states)
@@ -192,10 +192,13 @@ class JointOutcomes:
         return here, there[here]
 
 
+# Certain, and no cells.
+NOBODY = np.ones(1), np.empty(0, dtype=np.intp), np.empty((1, 0, 2, 2)), np.empty((1, 0))
+
+
 def nobody_deployed(belief: Belief) -> JointOutcomes:
     """Return the only joint outcome of no robots: all is as believed."""
-    none = np.empty(0, dtype=np.intp)
-    return JointOutcomes(belief, np.ones(1), none, np.empty((1, 0, 2, 2)), np.empty((1, 0)))
+    return JointOutcomes(belief, *NOBODY)
 
 
 def after_deployment(

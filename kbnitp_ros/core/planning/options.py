@@ -116,5 +116,5 @@ class SearchOptions:
 
     def of_type(self, robot_type: RobotType) -> SearchOptions:
         """Return the options for robots of a type, some of which are its own."""
-        own = robot_type.own
-        return replace(self, **{name: own[name] for name in vars(self) if name in own})
+        own = {name: own for name, own in robot_type.own.items() if name in vars(self)}
+        return replace(self, **own) if own else self

@@ -252,7 +252,7 @@ class PathFinder(Value):
         check_cameras(cameras)
         options = self.options
         if options.planner == 'random':
-            check_walk_memory(reach_of(self.grid, options))
+            check_walk_memory(reach_of(self.grid, options.max_steps, options.max_distance))
         if width := LABELS.get(options.planner):
             before = robots - 1
             # As many as there can be, without powers of two that nobody can count.
@@ -260,7 +260,7 @@ class PathFinder(Value):
             visits = min(options.max_visits, options.max_steps)
             counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
             check_memory(
-                reach_of(self.grid, options),
+                reach_of(self.grid, options.max_steps, options.max_distance),
                 options,
                 width(options),
                 outcomes,
@@ -272,6 +272,8 @@ class PathFinder(Value):
 
 def check_distance(grid: Grid, options: SearchOptions) -> None:
     """Check that a robot can leave the base and come back within the distance."""
+    if not options.max_distance:
+        return
     within_steps = grid.in_reach(options.max_steps)
     within_both = grid.in_reach(options.max_steps, options.max_distance)
     if within_steps.sum() > 1 and within_both.sum() == 1:
@@ -302,7 +304,7 @@ def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk, the same again for the same belief and earlier visits."""
-    reach = reach_of(finder.grid, finder.options)
+    reach = reach_of(finder.grid, finder.options.max_steps, finder.options.max_distance)
     check_walk_memory(reach)
     known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
     rng = np.random.default_rng(np.frombuffer(known, dtype='<u4'))

@@ -15,8 +15,7 @@ from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.bound import check_bound, upper_bound
 from kbnitp_ros.core.planning.information import (
     DECIMALS,
-    path_information,
-    path_log_survival,
+    information_and_survival,
     team_information,
 )
 from kbnitp_ros.core.planning.labels import reach_of
@@ -73,8 +72,9 @@ class Plan(Value):
     @classmethod
     def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
         """Return the plan to take `path`, shape (steps + 1,)."""
-        survival = float(np.exp(path_log_survival(belief, model, path)))
-        return cls(path, path_information(belief, model, path), survival)
+        nobody = nobody_deployed(belief)
+        information, survival = information_and_survival(belief, model, path, nobody)
+        return cls(path, information, float(survival[0]))
 
 
 @typed
@@ -155,7 +155,7 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
             f'planner is {options.planner}, which seeks no information, so its plans have no '
             'bound: choose the planner beam or relaxed, or plan without a bound'
         )
-    check_bound(reach_of(grid, options), options, robots)
+    check_bound(reach_of(grid, options.max_steps, options.max_distance), options, robots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,13 +172,11 @@ class TeamMember:
         cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
     ) -> TeamMember:
         """Return a robot of a type that goes alone, from what those like all others have."""
-        own = replace(
-            finder,
-            grid=finder.grid.at(robot_type.base),
-            options=finder.options.of_type(robot_type),
-        )
-        own_model = robot_type.model(model)
-        return cls(own, Objective.alone(own.grid, belief, own_model, own.options))
+        grid, options = finder.grid.at(robot_type.base), finder.options.of_type(robot_type)
+        own = finder
+        if grid is not finder.grid or options is not finder.options:
+            own = replace(finder, grid=grid, options=options)
+        return cls(own, Objective.alone(grid, belief, robot_type.model(model), options))
 
     def given(self, outcomes: JointOutcomes) -> TeamMember:
         """Return the robot when others have left before."""
@@ -345,6 +343,8 @@ class Team:
 
     def first(self, robots: int) -> Team:
         """Return the first so many of them, at least 1; all if they are fewer."""
+        if robots >= self.agents:
+            return self
         types = self.types[:robots]
         return replace(self, agents=len(types), types=types)
 
@@ -414,11 +414,13 @@ def plan_team(
         outcomes = after_deployment(outcomes, robot_type.model(model), cells)
 
     def find(options: SearchOptions) -> list[Plan]:
-        own = replace(finder, options=options)
+        own = finder if options is finder.options else replace(finder, options=options)
         members = {
-            robot_type: TeamMember.of(robot_type, own, belief, model).given(outcomes)
-            for robot_type in team.types
+            robot_type: TeamMember.of(robot_type, own, belief, model)
+            for robot_type in dict.fromkeys(team.types)
         }
+        if in_flight:
+            members = {each: member.given(outcomes) for each, member in members.items()}
         if bound:
             (robot,) = members.values()
             return [plan_alone(robot.finder, robot.objective, bound)]

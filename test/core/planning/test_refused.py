@@ -5,7 +5,7 @@ from itertools import pairwise, product
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kbnitp_ros.core import Belief, Grid, ORDINARY, plan, SearchOptions, SensorModel
+from kbnitp_ros.core import Belief, Grid, ORDINARY, plan, SensorModel
 from kbnitp_ros.core.planning.labels import reach_of
 from kbnitp_ros.core.planning.planners import count_visits, random_walk
 from kbnitp_ros.core.planning.regions import keepout_cells, regions_of, without
@@ -139,7 +139,7 @@ def test_random_walks_are_uniform():
         if all(b in grid.neighbors(a) for a, b in pairwise((1, *walk, 1)))
     ]
     rng = np.random.default_rng(1)
-    reach, draws = reach_of(grid, SearchOptions(max_steps=4)), 100 * len(walks)
+    reach, draws = reach_of(grid, 4), 100 * len(walks)
     drawn = [tuple(random_walk(reach, 4, rng)[1:-1].tolist()) for _ in range(draws)]
     counts = np.array([drawn.count(walk) for walk in walks])
     assert counts.sum() == draws
@@ -150,7 +150,7 @@ def test_random_walks_are_uniform():
 
 @for_each('max_visits', [1, 2])
 def test_random_walks_enter_no_cell_too_often(max_visits):
-    reach = reach_of(WALLED, SearchOptions(max_steps=12))
+    reach = reach_of(WALLED, 12)
     rng = np.random.default_rng(2)
     for _ in range(20):
         walk = WALLED.check_path(random_walk(reach, max_visits, rng), 12)
