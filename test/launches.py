@@ -63,6 +63,15 @@ def nodes_of(mission):
     return found
 
 
+def nodes_of_demo(demo):
+    """Return the nodes that a demo has started, by name, as process numbers."""
+    return {
+        name: int(child)
+        for child in Path(f'/proc/{demo.pid}/task/{demo.pid}/children').read_text().split()
+        for name in re.findall(r'kbnitp_ros\0(\w+)', Path(f'/proc/{child}/cmdline').read_text())
+    }
+
+
 def reports_in(log):
     """Return how many deployments are reported on disk; 0 before the recorder has begun."""
     try:

@@ -34,7 +34,7 @@ from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
-from launches import reports_in
+from launches import nodes_of_demo, reports_in
 from laws import for_each
 import numpy as np
 import pytest
@@ -73,17 +73,6 @@ def running(tmp_path):
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-
-
-def nodes_of(process):
-    """Return the processes that a demo started, by node."""
-    children = Path(f'/proc/{process.pid}/task/{process.pid}/children').read_text().split()
-    commands = {child: Path(f'/proc/{child}/cmdline').read_text() for child in children}
-    return {
-        name: int(child)
-        for child, command in commands.items()
-        for name in re.findall(r'kbnitp_ros\0(\w+)', command)
-    }
 
 
 WHOLE = [
@@ -527,7 +516,7 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running, c
 ])  # fmt: skip
 def test_demo_fails_when_a_node_dies(running, node):
     process, _ = running
-    nodes = nodes_of(process)
+    nodes = nodes_of_demo(process)
     os.kill(nodes[node], signal.SIGKILL)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
@@ -546,7 +535,7 @@ def is_running(pid):
 @pytest.mark.processes
 def test_nodes_end_well_when_the_demo_is_killed(running):
     process, log = running
-    nodes = nodes_of(process)
+    nodes = nodes_of_demo(process)
     assert len(nodes) == 4
     process.kill()
     deadline = time.monotonic() + PATIENCE

@@ -513,7 +513,7 @@ def test_it_answers_first(opened):
     page = opened(1400, 1000)
     tiles = page.locator('#answers article')
     questions = tiles.locator('h3').all_inner_texts()
-    assert questions == asked_in('docs/reading.md')[: len(questions)]
+    assert questions == [*asked_in('docs/reading.md')]
     for tile in tiles.all():
         assert tile.bounding_box()['y'] + tile.bounding_box()['height'] < 1000
     field = page.locator('#map').bounding_box()
@@ -524,9 +524,51 @@ def test_it_answers_first(opened):
 
 
 def asked_in(page):
-    """Return the questions that a page lists in a table."""
+    """Return the questions that a page lists in a table, with the places of the answers."""
     text = (Path(__file__).parents[2] / page).read_text()
-    return re.findall(r'^\| (.*\?(?: \(.*\))?) \|', text, re.MULTILINE)
+    return dict(re.findall(r'^\| (.*\?(?: \(.*\))?) \| (.*) \|$', text, re.MULTILINE))
+
+
+@pytest.mark.full
+@for_each('scheme, width', product(('light', 'dark'), (1400, 390)))
+def test_each_question_leads_to_the_place_that_the_documentation_names(
+    opened, shown, scheme, width
+):
+    page = opened(width, scheme=scheme)
+    for question, place in asked_in('docs/reading.md').items():
+        tile = page.locator('#answers article').filter(has_text=question)
+        assert tile.is_visible()
+        for name in re.findall(r'\*(.+?)\*', place):
+            named = page.locator('h2, label, button').filter(has_text=re.compile(rf'^\s*{name}$'))
+            assert named.is_visible(), name
+        link = tile.locator('a')
+        assert link.count() == (question != 'What to do next?')
+        if link.count():
+            link.click()
+            target = page.locator(link.get_attribute('href'))
+            controls = page.locator('#controls').bounding_box()
+            top = target.bounding_box()['y']
+            assert controls['y'] + controls['height'] <= top < 1000, question
+    assert page.is_checked('#colour-robots-lost')
+
+
+def test_tiles_say_what_their_lists_say(opened):
+    page = opened()
+    tiles = page.locator('#answers article').all_inner_texts()
+
+    def count(list_name, text=''):
+        return page.locator(f'#{list_name} tbody tr').filter(has_text=text).count()
+
+    assert f'{count("safe")} of {GRID.free.sum()} cells' in tiles[0]
+    numbers = re.search(r'(\d+) found.*; (\d+) more with 50', tiles[1], re.DOTALL).groups()
+    assert sum(map(int, numbers)) == count('findings', 'target')
+    assert re.search(r'(\d+) cells?\n', tiles[2])[1] == str(count('findings', 'hazard'))
+    lost = count('deployments', 'lost')
+    assert f'{lost} of {count("deployments")} robots lost' in tiles[6]
+    most, x, y = re.search(rf'expected of {lost}: (.*?) at \((.*?), (.*?)\)', tiles[7]).groups()
+    losses = coloured(page, 'robots-lost')
+    assert np.nanmax(losses) == pytest.approx(float(most), abs=0.05)
+    assert GRID.centers([np.nanargmax(losses)])[0] == pytest.approx([float(x), float(y)])
 
 
 def test_arrow_keys_move_without_a_focus_and_leave_other_fields_alone(opened, shown):
@@ -713,7 +755,7 @@ def test_two_missions_are_drawn_as_on_record(opened, two):
     )
     assert lines == [31, 13]
     heads = page.locator('#answers h3').all_inner_texts()
-    assert heads == asked_in('docs/reading.md')[: len(heads)]
+    assert heads == [*asked_in('docs/reading.md')][: len(heads)]
 
 
 def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):

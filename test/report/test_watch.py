@@ -3,17 +3,23 @@
 
 from contextlib import contextmanager
 import http.client
+import os
 import re
 import shutil
+import signal
+import subprocess
+import sys
 import time
 
 from kbnitp_ros.cli import watch
 from kbnitp_ros.cli.watch import main, serving
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.write import LogWriter
+from launches import nodes_of_demo
 from mission_log import record, record_to
 from missions import sent_by_single
 import numpy as np
+import pytest
 
 SENT = sent_by_single(6).sent
 
@@ -97,6 +103,44 @@ def test_a_log_that_is_replaced_is_shown_anew_and_two_may_look(browser, tmp_path
         shutil.move(shorter, path)
         for each in (page, other):
             until(each, 'document.getElementById("moment")?.max === "3"')
+
+
+@pytest.mark.full
+def test_a_demo_is_followed_when_its_recorder_is_killed_and_when_it_is_resumed(browser, tmp_path):
+    demo = [sys.executable, '-m', 'kbnitp_ros', 'demo']
+    options = ['--robots', '40', '--size', '4', '--max-steps', '6', '--set', 'step_period=0.05']
+    log = tmp_path / 'demo' / 'mission.mcap'
+    shown = """[document.getElementById("map").data[0].z,
+        document.getElementById("answers").innerText, document.getElementById("moment").max]"""
+    with subprocess.Popen(
+        [*demo, *options, '--out', log.parent], stderr=subprocess.DEVNULL
+    ) as running:
+        while not log.exists():
+            assert running.poll() is None
+            time.sleep(0.05)
+        with opened(browser, log) as page:
+            page.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
+            begun = page.evaluate(shown)
+            until(page, f'Number(document.getElementById("moment").max) > {begun[2]} + 2')
+            later = page.evaluate(shown)
+            os.kill(nodes_of_demo(running)['recorder'], signal.SIGKILL)
+            assert running.wait(60) == 1
+            says(page, 'its recorder has ended or was killed')
+            resumed = subprocess.Popen([*demo, '--resume', log], stderr=subprocess.DEVNULL)
+            says(page, 'Following the log')
+            assert resumed.wait(120) == 0
+            says(page, 'is finished')
+            until(page, 'document.getElementById("moment").max === "40"')
+            ended = page.evaluate(shown)
+    for one, other in ((begun, later), (later, ended)):
+        assert all(before != after for before, after in zip(one, other))
+    assert 'of 40 robots lost' in ended[1]
+    assert {each.name for each in log.parent.iterdir()} == {
+        'metadata.yaml',
+        'mission.mcap',
+        'mission_1.mcap',
+        'report',
+    }
 
 
 def test_the_end_of_the_command_is_told(browser, tmp_path):
