@@ -138,6 +138,9 @@ class Follower:
         self._file = 0
         self._grown_at = time.monotonic()
         self._show(self._waiting())
+        # A file that is no log is refused; a log that breaks later is told of.
+        with suppress(FileNotFoundError):
+            self._look()
 
     def _waiting(self) -> str:
         return rendered('waiting', title=f'Mission {title_of(self.log)}', log=self.log)

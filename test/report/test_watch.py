@@ -172,12 +172,14 @@ def test_what_cannot_be_served_is_refused(tmp_path, monkeypatch, capsys):
     path = record(tmp_path / 'mission.mcap', SENT)
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'empty').mkdir()
+    (tmp_path / 'notes.txt').write_text('no robot was lost')
     with serving(path, None, watch.HOST, 0) as address:
         port = re.search(r':(\d+)/', address)[1]
         for arguments, told in (
             ([], 'no log is in runs/: name the log'),
             (['nowhere'], 'nowhere'),
             (['empty'], 'empty holds no log'),
+            (['notes.txt'], 'notes.txt is no MCAP file'),
             ([str(path), '--port', port], f'127.0.0.1:{port} cannot be listened on'),
             ([str(path), '--port', '70000'], '--port is 70000: it must be from 0 to 65535'),
         ):
