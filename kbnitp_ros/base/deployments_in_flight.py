@@ -160,6 +160,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def known(self, mission: int) -> int:
         """Return the number of known deployments of a mission, from any planner."""
+        return self.sent + sum(each == mission for each in self._others.values())
 
     @property
     def forgotten(self) -> int:
