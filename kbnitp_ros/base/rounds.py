@@ -92,7 +92,7 @@ class PlannedRound:
 
 
 class Rounds:
-    """Plan rounds, each on a belief."""
+    """A planner of rounds, each on a belief."""
 
     def __init__(
         self,

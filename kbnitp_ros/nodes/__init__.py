@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a mission: what they do over ROS with what core, base and robot compute."""
+"""The nodes of a mission: core, base and robot over ROS."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated agents: their robots go into a hidden world, and some come back."""
+"""The node of simulated agents, whose robots enter a hidden world."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kbnitp_ros.nodes.simulation import AgentPaths, PATIENCE, SimulatedAgent, Si
 
 
 class AgentNode(FieldNode):
-    """Send a simulated robot along each path of one agent, or of all, and report how it ended."""
+    """Send a simulated robot along each path of one agent, or of all, and report its outcome."""
 
     def __init__(self) -> None:
         super().__init__('agent')
@@ -40,7 +40,7 @@ class AgentNode(FieldNode):
         self.create_poll(self._look)
 
     def _look(self) -> None:
-        """Take paths, which are kept until then, as soon as somebody takes the reports."""
+        """Accept paths, which are kept until then, once the reports have subscribers."""
         if self._is_deaf:
             if missing := self.missing_listeners([agent.reports for agent in self._agents]):
                 self.diagnostics.state = waiting_for(missing)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the planner says may be relied on, and whether the mission is over by that."""
+"""The planner's decisions on its goal, and the end of the mission by them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from rclpy.task import Future
 
-# Why there is no answer.
+# Why a call of safest_path has no answer.
 UNKNOWN = 'no belief is known together with all its evidence'
 
 
 class Decisions:
-    """The decisions of the planner."""
+    """The decisions of the planner on its goal."""
 
     def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:
         self.knowledge = Knowledge(grid, node.values, own_robot_types(node.values, grid))
@@ -38,13 +38,13 @@ class Decisions:
         self._newest: Snapshot | None = None
         self._decision: Decision | None = None
         self._is_decided = False
-        # How many beliefs and changes of parameters there were, and of how many, and of how much
-        # evidence, the decision is that was begun last.
+        # Number of beliefs and parameter changes so far; then that number, and the amount of
+        # evidence, at the start of the last decision.
         self._news = 0
         self._begun_with = 0, 0
         self._deciding: futures.Future[Decision | None] | None = None
         self._finding: futures.Future[SafestPath] | None = None
-        # Why no more robots leave by what was planned on the newest belief, and what was said.
+        # Why the plans on the newest belief end the mission, and the last message about it.
         self._not_worth = ''
         self._said = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
@@ -53,7 +53,7 @@ class Decisions:
         node.create_poll(self._decide)
 
     def restore(self, record: RecordedMission) -> None:
-        """Take in the prior and the evidence on record."""
+        """Restore the prior and the evidence on record."""
         if record.prior:
             self.knowledge.begin(record.prior)
         for key in record.orders:
@@ -62,7 +62,7 @@ class Decisions:
                 self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:
-        """Take note of a belief, the newest."""
+        """Use a belief, the newest."""
         if not newest.deployments:
             self.knowledge.begin(newest)
         self._newest = newest
@@ -70,7 +70,7 @@ class Decisions:
         self._decide()
 
     def review(self) -> None:
-        """Decide again, by the parameters as they will be at the next look."""
+        """Decide again, by the parameters at the next poll."""
         self._is_decided, self._not_worth = False, ''
         self._news += 1
 
@@ -81,8 +81,8 @@ class Decisions:
 
     @property
     def is_deciding(self) -> bool:
-        """Return whether a decision is being computed, or will be at the next look."""
-        # On a belief that does not go with the evidence nothing is decided until there is more.
+        """Return whether a decision is being computed, or will be at the next poll."""
+        # A belief that does not match the evidence is decided on once more evidence arrives.
         return self._deciding is not None or self._situation != self._begun_with
 
     @property
@@ -90,7 +90,7 @@ class Decisions:
         return self._news, self.knowledge.evidence
 
     def _decide(self) -> None:
-        """Have the decision computed that is lacking, and take the one that was."""
+        """Start a missing decision, and publish one that is ready."""
         if self._deciding is not None and self._deciding.done():
             decision, self._deciding = self._deciding.result(), None
             if decision is not None and self._begun_with[0] == self._news:
@@ -117,7 +117,7 @@ class Decisions:
         return why
 
     def note_not_worth(self, why: str | NoPathError) -> None:
-        """Take note of why what was planned on the newest belief is not flown; empty if it is."""
+        """Record why the plans on the newest belief are not worth a robot; empty if they are."""
         self._not_worth = str(why)
 
     def _publish(self, decision: Decision) -> None:

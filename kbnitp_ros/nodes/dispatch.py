@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sends the planner's robots, and hears what becomes of them."""
+"""The planner's orders, and the reports and statuses that follow."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from rclpy.subscription import Subscription
 
 
 class Dispatch:
-    """The planner's robots, from their orders to their reports."""
+    """The robots of the planner, from their orders to their reports."""
 
     def __init__(
         self,
@@ -58,21 +58,21 @@ class Dispatch:
             agent: node.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
             for agent in agents
         }
-        # Those that were sent and not reported.
+        # The robots in flight.
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
-        # Those that were given up and may come home.
+        # The robots that were given up and may still return.
         self.late = LateReturns(self._values)
         # The agents that refused their last orders.
         self.refusals = Refusals()
         # Losses of robots that are not known to have departed.
         self._early = Early(node, self._on_report)
-        # Names the last deployment, in nanoseconds.
+        # The stamp of the last deployment, in nanoseconds.
         self.last_stamp = 0
-        # Where robots go that were sent and are not known to have departed, in words.
+        # Descriptions of paths whose robots are not known to have departed.
         self._goals: dict[DeploymentKey, str] = {}
 
     def restore(self, resumed: Resumption) -> None:
-        """Publish the paths on record again: those sent before are known to nobody else now."""
+        """Publish the recorded paths again: no other publisher has them now."""
         record = resumed.record
         for key in resumed.orders:
             if not record.departures.is_refused(key):
@@ -87,7 +87,7 @@ class Dispatch:
                 self.give_up(key, Source.OPERATOR, steps_survived)
 
     def listen(self) -> None:
-        """Hear what becomes of robots from now on."""
+        """Subscribe to the agents' topics."""
         self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
         for agent in self._agents:
             self._node.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
@@ -96,7 +96,7 @@ class Dispatch:
                 self._node.hear_agent(Recorded, agent, partial(self._on_recorded, agent))
 
     def _hear_paths(self, agent: str) -> Subscription:
-        """Take the paths of an agent, which another planner may send."""
+        """Subscribe to the paths of an agent, which another planner may publish."""
         return self._node.hear_agent(Path, agent, partial(self._on_path, agent))
 
     @property
@@ -117,7 +117,7 @@ class Dispatch:
             self.last_stamp = max(self.last_stamp, key.stamp)
 
     def give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
-        """Report a robot lost that is out."""
+        """Report a robot in flight as lost."""
         self._tell_departure(key)
         path, contact = self.in_flight[key].path, self._values['contact_probability']
         lost = lost_after_contact(path, steps_survived, contact)
@@ -126,13 +126,13 @@ class Dispatch:
         self.late.expect(key, path)
 
     def give_up_overdue(self) -> None:
-        """Report robots lost that should have been back for long."""
+        """Report robots as lost that are long overdue."""
         if self._values['silent_loss']:
             for key in self.in_flight.overdue(self._node.elapsed()):
                 self.give_up(key, Source.SILENCE)
 
     def tell_departures(self) -> None:
-        """Tell on the console which robots have departed."""
+        """Log the departures."""
         for key in [key for key in self._goals if self.in_flight.has_departed(key)]:
             self._tell_departure(key)
 
@@ -149,7 +149,7 @@ class Dispatch:
             if not report.survived:
                 self.in_flight.check_loss(key)
             if is_awaited := key in self.in_flight:
-                # The estimator would refuse it too, and the robot is still out.
+                # The estimator would refuse it too, and the robot is still in flight.
                 path = self.in_flight[key].path
                 max_steps = value_for(self._values, 'max_steps', agent)
                 observation_of(report, key, path, self._node.grid, max_steps)
@@ -173,7 +173,7 @@ class Dispatch:
         self._act()
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
-        """Take note of what an agent does with an order."""
+        """Record an agent's status of an order."""
         try:
             key, status = read_status(message, agent)
             robot = self.in_flight.get(key)
@@ -194,7 +194,7 @@ class Dispatch:
         self.tell_departures()
 
     def _on_path(self, agent: str, message: Path) -> None:
-        """Take note of a path: the recorder may have that of another planner on disk."""
+        """Record a path: another planner's path may be on disk in place of the own one."""
         try:
             grid = self._node.grid
             key, cells = read_path(grid, agent, message)
@@ -219,7 +219,7 @@ class Dispatch:
             self._node.diagnostics.refuse(f'{agent}/recorded', error)
             return
         if self.in_flight.record(key, message.content):
-            # Whoever sent it keeps it for those who ask later.
+            # Its publisher keeps it for nodes that join later.
             self._node.destroy_subscription(self._sent_paths[agent])
             self._sent_paths[agent] = self._hear_paths(agent)
         self.tell_departures()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives a robot, what detects for it, and its links: Nav2, detectors, the network."""
+"""Nav2, detectors and network links of a real robot."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 from rclpy.action.client import ActionClient, ClientGoalHandle
 from rclpy.task import Future
 
-PERIOD = 1.0  # seconds from one question to the next
+PERIOD = 1.0  # Seconds between two requests.
 
 
 class Lifecycle:
-    """Asks another node, by its full name, for its lifecycle state."""
+    """The lifecycle state of another node, requested by its full name."""
 
     def __init__(self, node: MissionNode, name: str) -> None:
         self._node = node
@@ -44,18 +44,18 @@ class Lifecycle:
 
     @property
     def is_there(self) -> bool:
-        """Whether the node is there and has a lifecycle."""
+        """Return whether the node exists and has a lifecycle."""
         return self._client.service_is_ready()
 
     @property
     def awaited(self) -> str:
-        """Return what the node must tell before it is active; empty if it is, or tells nothing."""
+        """Return the state that is awaited; empty if the node is active, or has no lifecycle."""
         if not self.is_there:
             return ''
         now = time.monotonic()
         if now > self._asked_at + PERIOD:
             if now > self._asked_at + 2 * PERIOD:
-                # What it said before nobody asked for a while may hold no more.
+                # A state from before a pause in the requests may be outdated.
                 self._state = None
             self._asked_at = now
             answer = self._client.call_async(GetState.Request())
@@ -79,7 +79,7 @@ REQUEST, FLAGS, ADDRESS = struct.Struct('16s24x'), struct.Struct('16xH'), struct
 
 
 def addresses() -> dict[str, str]:
-    """Return the IPv4 address of each interface that has a link, by name; that of lo is none."""
+    """Return the IPv4 address of each interface with a link, by name, lo left out."""
     found = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         for _, name in socket.if_nameindex():
@@ -96,36 +96,36 @@ def addresses() -> dict[str, str]:
 
 
 class Links:
-    """What DDS knows of the links of this computer; to be made before the node."""
+    """The links that DDS knows; to be created before the node."""
 
-    # A node that starts without a link listens on lo alone, and stays deaf when one comes up. One
-    # whose address changes is not found under the new one.
+    # A node that starts without a link listens on lo alone, and stays deaf when one comes up. A
+    # node whose address changes is not found under the new one.
 
     def __init__(self) -> None:
         self._known = addresses()
 
     @property
     def are_missing(self) -> bool:
-        """Whether there was none when the node started."""
+        """Return whether there was no link when the node started."""
         return not self._known
 
     @property
     def news(self) -> str:
-        """Return which addresses there are that DDS does not know; empty if it knows all."""
+        """Return the addresses that DDS does not know; empty if it knows all."""
         new = addresses().items() - self._known.items()
         return ', '.join(f'{name} has {address}' for name, address in sorted(new))
 
 
-# What the parameter detection_type may be; not all installations have the package of the second.
+# Values of the parameter detection_type; the package of the second is not always installed.
 TYPES = {'bool': 'std_msgs/msg/Bool', 'detection2d_array': 'vision_msgs/msg/Detection2DArray'}
 
 
 class Detection(NamedTuple):
-    """What was said at once."""
+    """One detection."""
 
     # Whether there is a target.
     seen: bool
-    # When it was looked for, in nanoseconds; None when that is not told.
+    # Time of the image, nanoseconds; None if it is not stamped.
     stamp: int | None
 
 
@@ -142,7 +142,7 @@ def detection_class(name: str) -> type:
 
 
 def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
-    """Return what a message of the detector says, by the parameters of its type."""
+    """Parse a message of the detector, by the parameters of its type."""
     if values['detection_type'] == 'bool':
         return Detection(bool(message.data), None)
     wanted, least = values['detection_class'], values['detection_score']
@@ -153,11 +153,11 @@ def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
         for result in detection.results
     )
     stamp = read_stamp('header.stamp', message.header.stamp)
-    # A driver that fills no header says nothing of the time.
+    # A driver that fills no header tells no time.
     return Detection(seen, stamp or None)
 
 
-# How far the poses of a path that a controller follows are apart at most, in metres.
+# Largest distance between poses of a path for a controller, in metres.
 SPACING = 0.1
 
 ENDINGS = {
@@ -166,7 +166,7 @@ ENDINGS = {
 }
 
 
-# By the parameter driver, the action's name: its type, and the node of Nav2 that serves it.
+# By the parameter driver: the type of the action, and the node of Nav2 that serves it.
 DRIVERS: dict[str, tuple[Any, str]] = {
     'follow_waypoints': (FollowWaypoints, 'waypoint_follower'),
     'navigate_through_poses': (NavigateThroughPoses, 'bt_navigator'),
@@ -192,7 +192,7 @@ def dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
-    """Return a pose for each point, turned the way the robot comes; the first, the way it goes."""
+    """Return a pose at each point, along the way that leads to it; the first along the way out."""
     moves = np.diff(points, axis=0)
     directions = np.arctan2(moves[:, 1], moves[:, 0]).tolist()
     return [
@@ -208,16 +208,16 @@ def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
 
 
 class Driver:
-    """Sends a robot along legs, one goal at a time."""
+    """A client that drives the robot along legs, one goal at a time."""
 
     def __init__(
         self, node: MissionNode, name: str, namespace: str, grid: Grid, patience: float
     ) -> None:
-        # Whether a goal is under way.
+        # Whether a goal is active.
         self.is_busy = False
-        # Why the last goal was not reached; empty if it was.
+        # Why the last goal failed; empty if it succeeded.
         self.failure = ''
-        # Whether that is because somebody else cancelled it.
+        # Whether another client cancelled it.
         self.was_cancelled = False
         self._node = node
         self._grid = grid
@@ -228,29 +228,29 @@ class Driver:
         self._goal_along = partial(goal_along, action)
         self._client = ActionClient(node, action, self.name)
         self._lifecycle = Lifecycle(node, f'{self.name.rpartition("/")[0]}/{server}')
-        # Whether the last goal tried was accepted; None before the answer.
+        # Whether the last goal was accepted; None before the answer.
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
         self._handle: ClientGoalHandle | None = None
-        # Counts the goals, so that what is said of one that is over changes nothing.
+        # Counts the goals, so that late answers to earlier ones are ignored.
         self._number = 0
         self._heard = 0.0
 
     @property
     def awaited(self) -> str:
-        """Return whom it waits for before it can drive; empty when for nobody."""
+        """Return what it waits for before it can drive; empty if nothing."""
         if self._client.server_is_ready():
             return ''
         return f'the action server {self.name} (parameters driver and nav_namespace)'
 
     def not_ready(self, place: tuple[float, float], stamp: int) -> str:
-        """Return what Nav2 lacks to take the first goal of a robot; empty when nothing."""
-        # An action server of Nav2 is there before it is active, and rejects goals until then.
+        """Return what Nav2 lacks for the first goal of a robot; empty if nothing."""
+        # An action server of Nav2 exists before it is active, and rejects goals until then.
         if awaited := self.awaited or self._lifecycle.awaited:
             return awaited
         if self._lifecycle.is_there:
             return ''
-        # A server without a lifecycle is tried: by a goal that ends where the robot is.
+        # A server without a lifecycle is tried with a goal that ends where the robot is.
         if self._takes_goals:
             self._takes_goals = None
             return ''
@@ -287,7 +287,7 @@ class Driver:
         answer.add_done_callback(self._node.guarded(partial(self._on_answer, number)))
 
     def look(self) -> None:
-        """Notice when the action server is gone or says nothing; to be called again and again."""
+        """Check that the action server is there and gives feedback; to be called repeatedly."""
         if not self.is_busy:
             return
         if not self._client.server_is_ready():
@@ -301,7 +301,7 @@ class Driver:
             self.cancel()
 
     def cancel(self) -> None:
-        """Have the robot stop where it is."""
+        """Stop the robot where it is."""
         if self._handle is not None:
             self._handle.cancel_goal_async()
         self._number += 1
@@ -310,7 +310,7 @@ class Driver:
     def _on_answer(self, number: int, answer: Future) -> None:
         handle = answer.result()
         if number != self._number:
-            # Given up before it was accepted.
+            # Cancelled before it was accepted.
             if handle.accepted:
                 handle.cancel_goal_async()
             return

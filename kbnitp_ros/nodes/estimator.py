@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator: folds paths and reports into a belief, and shows it."""
+"""The estimator: computes the belief from paths and reports, and publishes it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 
-# A deployment, the cells of its path, the hash of its message, and when its mission began.
+# A deployment, the cells of its path, the hash of its message, and the start of its mission.
 SentPath = tuple[DeploymentKey, NDArray[np.intp], int, int]
 
 CLOCK = 'the clock to start on /clock (parameter use_sim_time)'
@@ -53,13 +53,13 @@ class EstimatorNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        # The report reads it in the log: what is wrong is said before the mission.
+        # The report reads it from the log, so errors are found before the mission.
         datum_of(self.values)
         estimator = estimator_of(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
-        # That of the paths in the ledger; None as long as there is none.
+        # The mission of the paths in the ledger; None while there is none.
         self._mission: int | None = None
         self._departures = Departures()
         if self.values['resume']:
@@ -67,7 +67,7 @@ class EstimatorNode(FieldNode):
             check_same_field(log, self.grid, robot_types)
             self._take_in(log)
         agents = agents_of(self.values, self.grid)
-        # In this order whoever knows of belief knows of its views as well.
+        # In this order, a node that has discovered belief has discovered its views as well.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
             self._tell_nav2()
@@ -98,7 +98,7 @@ class EstimatorNode(FieldNode):
         self._awaiting = self.create_poll(self._publish_first)
 
     def _tell_nav2(self) -> None:
-        """Have Nav2's costmap filters take the map of hazards for their mask."""
+        """Announce the map of hazards as the mask of Nav2's costmap filters."""
         from nav2_msgs.msg import CostmapFilterInfo
 
         filter_type, base = self.values['filter.type'], self.values['filter.base']
@@ -111,12 +111,12 @@ class EstimatorNode(FieldNode):
         publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _take_in(self, log: MissionLog) -> None:
-        """Take in the paths and reports on record; those that are known change nothing."""
+        """Restore the paths and reports on record; known ones change nothing."""
         if self._mission is None:
             self._mission = read_mission(log)
         evidence = log.read('path', 'report', 'status')
         for role, logged in self.tell_progress(evidence, f'taking in {log.path}'):
-            # What was refused when it came is refused again.
+            # Evidence that was refused before is refused again.
             with suppress(ValueError):
                 if role.name == 'status':
                     self._departures.take(*logged.said)
@@ -131,11 +131,12 @@ class EstimatorNode(FieldNode):
             self.diagnostics.state = waiting_for(missing or CLOCK)
         else:
             if log := self.values['resume']:
-                # The recorder may have heard robots that were gone before they were heard here.
+                # The recorder may have received messages of nodes that ended before this one
+                # started.
                 self._take_in(resumed_log(log, self.roles))
             self._started = now
             self._awaiting.cancel()
-            # From the prior a log can be computed again.
+            # A log can be recomputed from the prior.
             self._publish(self._prior)
             if self._ledger.deployments:
                 self._publish(self._ledger)
@@ -143,7 +144,7 @@ class EstimatorNode(FieldNode):
 
     def _on_matched(self, status: QoSPublisherMatchedInfo) -> None:
         if status.current_count_change > 0:
-            # It has not heard the beliefs before.
+            # It has not received the earlier beliefs.
             self._new.name_all()
 
     def _read_path(self, agent: str, message: Path) -> SentPath | None:
@@ -164,7 +165,7 @@ class EstimatorNode(FieldNode):
         try:
             changed = self._ledger.record_path(key, cells, content)
         finally:
-            # Reports that do not fit the path have been dropped.
+            # Reports that do not match the path have been dropped.
             self._say_what_is_pending()
         self._accept(key, changed)
 
@@ -186,7 +187,7 @@ class EstimatorNode(FieldNode):
             self._departures.end(key, report.stamp if report.survived else None)
             read = [step for step, (_, reading) in enumerate(report.readings, 1) if reading >= 0]
             last, steps = max(read, default=0), len(report.readings)
-            # A robot that is home need not look there.
+            # A robot at home need not look there.
             if changed and steps - last > 1:
                 self.get_logger().warning(
                     f'{key} has read nothing after step {last} of {steps}: its detector failed, '
@@ -195,7 +196,7 @@ class EstimatorNode(FieldNode):
             self._accept(key, changed)
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
-        """Take note of what an agent does: no belief depends on it but by reports."""
+        """Record an agent's status; the belief depends on reports alone."""
         try:
             is_new = self._departures.take(*read_status(message, agent))
         except ValueError as error:
@@ -208,18 +209,18 @@ class EstimatorNode(FieldNode):
                 self._views.show_out(self._ledger)
 
     def _count_out(self) -> None:
-        """Count the robots that are out; departures may be heard before their paths."""
+        """Count the robots in flight; a departure may arrive before its path."""
         self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
-        """Return whether a path of a mission ends the one of the paths held."""
-        # Paths before the first belief may be of several missions, as of an old bag: the newest
+        """Return whether a path of a mission ends the mission of the current paths."""
+        # Paths before the first belief may be of several missions, as in an old bag: the newest
         # counts.
         is_newer = self._mission is not None and mission > self._mission
         return (is_newer and not self._started) or 0 < mission == self._started != self._mission
 
     def _join(self, mission: int) -> None:
-        """Take part in a mission, unless it is another one than that of the paths held."""
+        """Join a mission, or check that it is the one of the current paths."""
         if self._is_begun_by(mission):
             ledger = self._prior.copy()
             ledger.copy_pending_of(self._ledger)
@@ -246,13 +247,13 @@ class EstimatorNode(FieldNode):
                 self._views.show_out(self._ledger)
             self._say_what_is_held()
         if changed and key in self._ledger.contradicted:
-            # The return that was held until now counts no longer.
+            # The return that counted until now no longer does.
             self.diagnostics.refuse(f'{key.agent}/report', self._ledger.contradicted[key])
         else:
             self.diagnostics.accept()
 
     def _tell_ending(self, key: DeploymentKey) -> None:
-        """Tell on the console how a deployment ended, and what is known now."""
+        """Log the outcome of a deployment, and the new entropy."""
         ledger = self._ledger
         outcome = ledger.outcomes[key]
         steps = outcome.steps_survived
@@ -275,7 +276,7 @@ class EstimatorNode(FieldNode):
         self._say_how_sure(ledger)
 
     def _say_how_sure(self, ledger: Ledger) -> None:
-        """Tell how far chance takes the belief, and warn where it is not to be relied on."""
+        """Publish the sampling error and the model check, and warn if either is bad."""
         estimator, was_weak = ledger.estimator, self._weak_density
         self._weak_density = density_note(ledger)
         if self._weak_density and not was_weak:
@@ -295,7 +296,7 @@ class EstimatorNode(FieldNode):
         self._say_what_is_pending()
 
     def _say_what_is_pending(self) -> None:
-        """Tell how many reports lack their path, and warn if they are more than robots."""
+        """Publish the number of reports without a path, and warn if there are more than robots."""
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
         if pending > MOST_AGENTS:
@@ -311,7 +312,7 @@ class EstimatorNode(FieldNode):
         )
 
     def finish(self) -> None:
-        """Show the last belief."""
+        """Publish the last views."""
         self._views.publish()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the recorder hears: topics, and the parameters of the nodes of a mission."""
+"""The recorder's subscriptions, and the parameters of the nodes of a mission."""
 
 from __future__ import annotations
 
@@ -27,37 +27,37 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-# How many messages of a topic are remembered before it has a second subscription, by which some of
-# them may come again. Each of two may be a whole queue behind the other.
+# Number of messages of a topic remembered in case a second subscription delivers them again:
+# either may be a whole queue behind the other.
 RECENT = 1000
 
-# A topic, the bytes that came on it and what rclpy knows of them.
+# A topic, a serialized message on it, and its info from rclpy.
 Message = tuple['HeardTopic', bytes, dict[str, Any]]
 
 
 @dataclass
 class HeardTopic:
-    """A topic that the recorder hears, and what of it is on record."""
+    """A topic with its subscriptions, and the messages of it on record."""
 
     # Full names; a topic has one type.
     name: str
     type_name: str
-    # What it is to the mission; None if nothing.
+    # Its role in the mission; None if it has none.
     role: Role | None = None
-    # One for each reliability and durability offered, by these two. A publisher that comes back
-    # with others is heard by one more subscription, so that no message is lost while one is
-    # replaced, and no history comes twice.
+    # One subscription for each reliability and durability offered. A publisher that returns with
+    # another profile gets a further subscription, so that no message is lost during a change and
+    # no history arrives twice.
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
-    # Which messages came last: time sent and hash of the bytes.
+    # The last messages: source time and hash of the bytes.
     recent: dict[tuple[int, int], None] = field(default_factory=dict)
-    # For the paths of an agent and what the operator decides: tells which are on the disk.
+    # Of an agent's paths and the operator's actions: acknowledges those on disk.
     recorded: Publisher | None = None
-    # Of those that are written and not acknowledged on `recorded` yet: stamp in nanoseconds, hash
-    # of the content, and when the mission began, in nanoseconds.
+    # Written and not acknowledged on `recorded` yet: stamp in nanoseconds, hash of the content,
+    # and start of the mission in nanoseconds.
     unacknowledged: list[tuple[int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
-        """Say whether a message has not come by another subscription, and remember it."""
+        """Return whether no other subscription has delivered a message, and remember it."""
         message = sent, hash(data)
         if message in self.recent:
             return False
@@ -67,12 +67,12 @@ class HeardTopic:
         return True
 
     def arrived(self) -> list[Iterator[Message]]:
-        """Return, by subscription, the messages that wait to be read, but none from now on."""
+        """Return the unread messages by subscription, up to now."""
         now = time.time_ns()
         return [self._taken(each, now) for each in self.subscriptions.values()]
 
     def _taken(self, subscription: Subscription, end: int) -> Iterator[Message]:
-        """Take the messages that came by a subscription until a time, in nanoseconds."""
+        """Read the messages of a subscription up to a time, in nanoseconds."""
         handle, kind = subscription.handle, subscription.msg_type
         received = 0
         with handle:
@@ -83,7 +83,7 @@ class HeardTopic:
 
 
 def time_received(message: Message) -> int:
-    """Return when a message came, in nanoseconds."""
+    """Return when a message was received, in nanoseconds."""
     _, _, info = message
     return int(info['received_timestamp'])
 
@@ -100,23 +100,22 @@ def message_class(type_name: str) -> type:
     return found
 
 
-# In seconds: when a node is asked first, so that it has found whom to answer; when one that does
-# not answer is asked again; and when it is left alone.
+# Seconds until a node is asked first, so that it has discovered this one; until one that does not
+# answer is asked again; and until it is given up.
 ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
 
-# What ROS calls a node whose publishers are known already, but not its name; and for good what is
-# no ROS node.
+# ROS's names of a node whose name is not known yet, and of a participant that is no ROS node.
 NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
 
-# Called with the full name of a node and its parameters, and with what was refused and why.
+# Called with the full name of a node and its parameters, and with refusals.
 Tell = Callable[[str, dict[str, Any]], None]
 Refuse = Callable[[str, object], None]
 
 
 class ParameterWatch:
-    """Asks the nodes of a namespace for their parameters, and never waits for an answer."""
+    """Requests for the parameters of all nodes of a namespace; none waits for its answer."""
 
     def __init__(self, node: Node, namespace: str, tell: Tell, refuse: Refuse) -> None:
         self._node = node
@@ -133,14 +132,14 @@ class ParameterWatch:
         )
 
     def look(self) -> None:
-        """Ask those that are to be asked; to be called again and again."""
+        """Send the requests that are due; to be called repeatedly."""
         present = Counter(
             full_name(namespace, name)
             for name, namespace in self._node.get_node_names_and_namespaces()
         )
         self._due |= (present - self._present).keys()
         self._present = present
-        # Those that are being asked are due again when that is over.
+        # Nodes with an open request are due again when it ends.
         for name in self._due - self._inquiries.keys():
             self._due.remove(name)
             if not name.startswith(self._namespace):
@@ -161,7 +160,7 @@ class ParameterWatch:
         return name in self._present
 
     def is_over(self, name: str) -> bool:
-        """Return whether a node has once told its parameters, will not or is not to be asked."""
+        """Return whether a node needs no more requests: it has answered, refuses, or is exempt."""
         if name == NAMELESS:
             self._nameless_since = self._nameless_since or time.monotonic()
             return time.monotonic() > self._nameless_since + GIVE_UP
@@ -176,16 +175,16 @@ class ParameterWatch:
             validate_full_topic_name(event.node)
         except NameValidationException:
             self._refuse('/parameter_events', f'no node is called {shown(event.node)}')
-        # What anybody says of a node that is not there is no reason to look for it.
+        # Claims about an absent node are no reason to look for it.
         if event.node in self._present:
             self._due.add(event.node)
 
 
 class Inquiry:
-    """Asks one node for all its parameters."""
+    """A request for all parameters of one node."""
 
     def __init__(self, node: Node, name: str, tell: Tell, refuse: Refuse) -> None:
-        # Whether it has answered, or has not for too long.
+        # Whether it has an answer, or has been given up.
         self.over = False
         self._node = node
         self._name = name
@@ -198,7 +197,7 @@ class Inquiry:
         self._end_at = now + GIVE_UP
 
     def pursue(self) -> None:
-        """Ask if the node can be asked, unless an answer may still come."""
+        """Send the request if the node is ready and no answer can still arrive."""
         now = time.monotonic()
         self.over = self.over or now > self._end_at
         ready = self._names.service_is_ready() and self._values.service_is_ready()
@@ -222,6 +221,6 @@ class Inquiry:
             self._tell(self._name, dict(zip(names, values)))
 
     def destroy(self) -> None:
-        """Take no more answers."""
+        """Accept no more answers."""
         self._node.destroy_client(self._names)
         self._node.destroy_client(self._values)

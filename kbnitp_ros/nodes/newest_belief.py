@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest belief of the planner's mission, and what it tells of robots sent before."""
+"""The newest belief of the planner's mission, and the robots that only the belief knows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from kbnitp_ros.nodes.runtime.node import FieldNode
 
 
 class NewestBelief:
-    """Hears the beliefs that robots are sent on; `take` is called with each that is the newest."""
+    """A subscription to beliefs that passes each newest one to `take`."""
 
     def __init__(
         self,
@@ -38,13 +38,13 @@ class NewestBelief:
         self._take = take
         # The mission, and the newest belief.
         self.tracker = MissionTracker()
-        # How many robots that were sent only the belief knows of.
+        # Number of robots sent that only the belief knows of.
         self.sent_unknown = 0
-        # How many deployments the belief heard last holds.
+        # Number of deployments in the last belief received.
         self.last_heard = 0
-        # What the estimator has refused of the evidence since; empty if nothing.
+        # Evidence that the estimator has refused since; empty if none.
         self.refusal = ''
-        # Whether it was told that an estimator will never hold all deployments.
+        # Whether the planner was warned that an estimator will never hold all deployments.
         self._is_incomplete_told = False
 
     @property
@@ -54,11 +54,11 @@ class NewestBelief:
 
     @property
     def robot_types(self) -> Mapping[str, RobotType]:
-        """Return the types of agents' robots as the belief has them, as far as they are known."""
+        """Return the known robot types of the agents in the belief."""
         return self.newest.robot_types if self.newest else {}
 
     def listen(self) -> None:
-        """Hear beliefs from now on."""
+        """Subscribe to beliefs."""
         self._subscription = self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
         self._node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
 
@@ -70,7 +70,7 @@ class NewestBelief:
                 self.refusal = f'{status.name} says: {said}'
 
     def listen_anew(self) -> None:
-        """Ask for the belief of the estimators that stay when one of several has left."""
+        """Subscribe again after one of several estimators has left."""
         self.tracker.newest = None
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
@@ -95,7 +95,8 @@ class NewestBelief:
             )
             self.sent_unknown = unknown
         held = self.last_heard = snapshot.deployments
-        # One that has the log publishes its prior, and then a belief in all that is on record.
+        # An estimator that resumes a log publishes its prior first, then a belief with all
+        # evidence on record.
         if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
             self._is_incomplete_told = True
             self._node.diagnostics.refuse(
@@ -126,7 +127,7 @@ class NewestBelief:
                 )
 
     def _known(self, mission: int) -> int:
-        """Return how many deployments of a mission may be in a belief, as far as known here."""
-        # Each agent may have had a robot out when the planner before this one died.
+        """Return how many deployments of a mission a belief may hold, as far as known here."""
+        # Each agent may have had a robot in flight when the former planner died.
         out_before = len(self._agents) if self.sent_unknown else 0
         return self._in_flight.known(mission) + out_before

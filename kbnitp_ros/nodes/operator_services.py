@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the planner shows its operator, and the services by which the operator decides."""
+"""The planner's proposals, and the services of its operator."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-# Of any of the services: each has success and message.
+# The response of any of the services: success and message.
 Response = Any
 
 
@@ -38,7 +38,7 @@ class Proposals:
     """The plans of the next round, on AGENT/proposal until they are approved or refused."""
 
     def __init__(self, node: MissionNode, grid: Grid, agents: Sequence[str]) -> None:
-        # Empty when nothing is proposed; the request that they were made for.
+        # Empty when there is no proposal; and the request that it answers.
         self.plans: Plans = {}
         self.made_for: SearchRequest | None = None
         self._node = node
@@ -50,11 +50,11 @@ class Proposals:
 
     @property
     def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
-        """Return the paths that are proposed."""
+        """Return the proposed paths."""
         return {key: plan.path for key, plan in self.plans.items()}
 
     def show(self, plans: Plans, request: SearchRequest) -> None:
-        """Propose plans that were made for a request."""
+        """Propose the plans found for a request."""
         self.withdraw()
         self.plans, self.made_for = plans, request
         for key, plan in plans.items():
@@ -64,14 +64,14 @@ class Proposals:
             )
 
     def withdraw(self) -> None:
-        """Propose nothing."""
+        """Withdraw the proposals."""
         for key in self.plans:
             self._publishers[key.agent].publish(Path(header=header(key.stamp)))
         self.plans = {}
 
 
 class Operator:
-    """Takes the actions of the operator, one after another."""
+    """The services of the operator, who takes one action at a time."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Operator:
         self._proposals = proposals
         self._hold = hold
         self._act = act
-        # What is not on disk yet, and the hash of its message.
+        # The action that is not on disk yet, and the hash of its message.
         self._pending: tuple[OperatorAction, int, Response, Future] | None = None
         self._publisher = node.create_publisher(OperatorActionMessage, 'operator', qos.EVIDENCE)
         node.create_service(SetBool, 'pause', self._on_pause)
@@ -100,13 +100,13 @@ class Operator:
             node.hear(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
 
     def restore(self, action: OperatorAction, data: bytes) -> None:
-        """Take an action on record, and publish it again for those who join late."""
+        """Restore an action on record, and publish it again for nodes that join late."""
         if self.state.apply(action):
             self._publisher.publish(data)
 
     @property
     def awaited(self) -> str:
-        """Return what an action waits for; empty when none does."""
+        """Return what an action waits for; empty if none does."""
         if self._pending is None:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')
@@ -116,7 +116,7 @@ class Operator:
         )
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
-        # An action that is pending may change that.
+        # A pending action may change that.
         if not self._pending and request.data == self.state.is_paused:
             state = 'is paused' if request.data else 'is not paused'
             return answered(response, not self.state.is_ended, f'the mission {state} already')
@@ -159,7 +159,7 @@ class Operator:
     def _decide(
         self, response: Response, what: Action, paths: Paths | None = None, steps: int = 0
     ) -> Response | Future:
-        """Take an action, unless it cannot be taken now; return the answer, or its future."""
+        """Accept or refuse an action; return the response, or its future."""
         if self.state.is_ended and what != Action.GIVE_UP:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
@@ -186,7 +186,7 @@ class Operator:
             future.set_result(self._take(action, response))
 
     def _take(self, action: OperatorAction, response: Response) -> Response:
-        """Have an action hold from now on."""
+        """Apply an action."""
         self.state.apply(action)
         self._hold(self.state.is_holding)
         self._node.get_logger().info(f'the operator {action}')
@@ -199,6 +199,6 @@ class Operator:
 
 
 def answered(response: Response, success: bool, message: str) -> Response:
-    """Return the answer of a service."""
+    """Return a response of a service."""
     response.success, response.message = success, message
     return response

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner: sends the robots of its agents where the most is to be learnt."""
+"""The planner: sends robots where their paths bring the most information or the goal nearest."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ from kbnitp_ros.nodes.views import BoundedProgress
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-# A field of which paths reach less than this part is worth a warning.
+# Share of the field within reach below which the planner warns.
 MOST = 0.5
 
 
@@ -74,12 +74,11 @@ class PlannerNode(FieldNode):
         self._bounds = BoundedProgress(self) if self.values['bound'] else None
         self._peers = Peers(self, self._agents)
         self._proposals = Proposals(self, self.grid, self._agents)
-        # That for the paths of the next round; those that were found are kept while robots may
-        # not leave.
+        # The search for the next round; its result is kept while robots must wait.
         self._search: Search | None = None
-        # How often parameters were changed.
+        # Number of parameter changes.
         self._changes = 0
-        # For what nothing was found that is worth a robot, and why.
+        # The request for which no path was worth a robot, and why.
         self._worthless_for: SearchRequest | None = None
         self._why_worthless = ''
         self._holding = Holding(self)
@@ -97,14 +96,14 @@ class PlannerNode(FieldNode):
         self._holding.tell(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
-        # Before the beliefs: none holds a path that was not heard.
+        # Before the beliefs, which hold published paths only.
         self._dispatch.listen()
         self._beliefs.listen()
         self.create_look(self._look_at_graph)
         self.create_poll(self._go_on)
 
     def _restore(self, resumed: Resumption) -> None:
-        """Go on with the mission of a log."""
+        """Resume the mission of a log."""
         record = resumed.record
         for stamp, action in record.operator.actions.items():
             self._operator.restore(action, record.messages[stamp])
@@ -114,7 +113,7 @@ class PlannerNode(FieldNode):
             self._send(*missing)
 
     def _log_reachability(self) -> None:
-        """Say what no path comes to; a warning if that is most of the field."""
+        """Log what no path reaches, as a warning if it is most of the field."""
         log, max_steps = self.get_logger(), most_steps(self.values)
         bases = [base_of(self.values, agent, self.grid) for agent in self._agents]
         distance = most_distance(self.values, self._agents)
@@ -125,7 +124,7 @@ class PlannerNode(FieldNode):
             log.info(note)
 
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse parameters that the mission cannot have now."""
+        """Refuse parameters that a running mission cannot change to."""
         new = {each.name: each.value for each in changes}
         try:
             check_changes(new, self.values, self.grid, self._beliefs.robot_types, self._sent)
@@ -134,7 +133,7 @@ class PlannerNode(FieldNode):
         return SetParametersResult(successful=True)
 
     def _note_change(self, _: Sequence[Parameter]) -> None:
-        """Discard what was planned by other parameters."""
+        """Discard plans made with other parameters."""
         self._changes += 1
         self._decisions.review()
 
@@ -153,11 +152,11 @@ class PlannerNode(FieldNode):
 
     @property
     def _sent(self) -> int:
-        """How many robots were sent, those that only the belief knows of included."""
+        """Return the number of robots sent, those that only the belief knows of included."""
         return self._in_flight.sent + self._beliefs.sent_unknown
 
     def _act(self, action: OperatorAction) -> None:
-        """Do what follows from an action of the operator."""
+        """Apply an action of the operator."""
         if action.action == Action.GIVE_UP:
             for key in action.paths:
                 if key in self._in_flight:
@@ -165,7 +164,7 @@ class PlannerNode(FieldNode):
         self._deploy()
 
     def _circumstances(self) -> Circumstances:
-        """Return what decides whether robots leave, as it is now."""
+        """Return the state that decides whether robots leave."""
         newest = self._beliefs.newest
         return Circumstances(
             values=self.values,
@@ -195,12 +194,12 @@ class PlannerNode(FieldNode):
         )
 
     def _missing_listeners(self) -> str:
-        """Return who does not listen yet; nobody once all have."""
+        """Return the listeners still missing; empty once all were there."""
         if self._is_heard:
             return ''
         missing = self.missing_listeners(self._dispatch.publishers)
         if not missing and 'agent' in self.values['await_nodes']:
-            # In a field that changes every simulating agent listens to the paths of all.
+            # In a field that changes, each simulating agent subscribes to the paths of all.
             absent = [agent for agent in self._agents if not self._peers.is_present(agent)]
             if absent:
                 missing = f'agent to answer for {some(absent)} (parameter await_nodes)'
@@ -208,7 +207,7 @@ class PlannerNode(FieldNode):
         return missing
 
     def _deploy(self) -> None:
-        """Send the next robots, unless something must come first."""
+        """Send the next robots, unless a condition blocks them."""
         now = self._circumstances()
         if obstacle := now.obstacle:
             self._tell(now, obstacle)
@@ -238,7 +237,7 @@ class PlannerNode(FieldNode):
         self._send(plans, newest.mission)
 
     def _tell(self, now: Circumstances, obstacle: Obstacle) -> None:
-        """Tell what keeps robots from leaving, and at once another state of the mission."""
+        """Show what blocks the next deployment, and publish a new state of the mission at once."""
         names = FullNames(self.resolve_topic_name, self.resolve_service_name)
         what = describe_obstacle(now, obstacle, names)
         self.diagnostics.state = done(what) if obstacle.is_end else waiting_for(what)
@@ -255,7 +254,7 @@ class PlannerNode(FieldNode):
             self._tell_end(sentence)
 
     def _tell_end(self, how: str) -> None:
-        """Tell once how the mission ended, and until when the base stays."""
+        """Log once how the mission ended, and until when the base stays."""
         if how == self._end_told:
             return
         self._end_told = how
@@ -267,7 +266,7 @@ class PlannerNode(FieldNode):
             )
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
-        """Return the plans of the robots to leave next; those that are proposed if they are it."""
+        """Return the plans of the next robots: the proposed ones if they still apply."""
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
         now = SearchRequest(belief, agents, len(refused), self._changes)
@@ -285,7 +284,7 @@ class PlannerNode(FieldNode):
             search = None
         if search is None:
             self._proposals.withdraw()
-            # It is that of the belief: a restarted planner then sends the same message again.
+            # The stamp of the belief: a restarted planner then sends the same message again.
             held = -1 if newest.newest is None else newest.newest.stamp
             last = self._dispatch.last_stamp
             stamp = next_name(newest.stamp, newest.mission, held, last)

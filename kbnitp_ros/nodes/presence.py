@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who else is there: other processes of a name, other recorders, agents, and who holds robots."""
+"""Other recorders, planners, estimators and agents in the graph, and the hold on departures."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from std_msgs.msg import Bool
 
 INSTANCE = 'instance'
 
-# Seconds without diagnostics after which a node is taken for dead. DDS knows of one that was
-# killed for much longer, and one that lives says something every second.
+# Seconds without diagnostics after which a node counts as dead: DDS lists a killed node for much
+# longer, and a live one publishes every second.
 SILENT = 3.0
 
-# Of how many other instances the newest are kept.
+# Maximum number of other instances remembered, the newest.
 MOST_INSTANCES = 10
 
 
@@ -35,19 +35,19 @@ class Instance:
 
     # The full name of its node.
     name: str
-    # What its diagnostics told last.
+    # The values of its last diagnostics.
     values: Mapping[str, str]
-    # When that was, as `time.monotonic` tells it.
+    # When they came, by `time.monotonic`.
     heard_at: float
 
 
 class Instances:
-    """Listens for diagnostics that name an instance other than the one of this process."""
+    """The diagnostics of other instances than this process."""
 
     def __init__(
         self, node: MissionNode, is_meant: Callable[[str, Mapping[str, str]], bool]
     ) -> None:
-        # Names the instance of this process.
+        # The identifier of this process.
         self.own = uuid4().hex
         self._is_meant = is_meant
         self._heard: dict[str, Instance] = {}
@@ -66,26 +66,24 @@ class Instances:
 
     @property
     def alive(self) -> list[Instance]:
-        """Return the others that were heard just now."""
+        """Return the other instances with recent diagnostics."""
         since = time.monotonic() - SILENT
         return [each for each in self._heard.values() if each.heard_at >= since]
 
 
-# A publisher alone may be of a killed process, and anybody can send diagnostics alone.
-
-
-# Every recorder publishes it from its start to its end, and no other node does.
+# Published by every recorder from start to end, and by no other node. A publisher alone may be of
+# a killed process, and diagnostics alone may be of anybody.
 OPERATORS = 'operator/recorded'
 
-# What the diagnostics of one tell that records: its log, and since when, in nanoseconds.
+# Diagnostics of a recorder: its log, and the start of the recording in nanoseconds.
 LOG = 'log'
 BEGUN = 'begun'
 
-# The most characters of these; more is nothing that a recorder tells.
+# Maximum numbers of characters of these values.
 LONGEST_PATH = 4096
 LONGEST_TIME = 20
 
-# How long a recorder listens for others before its word counts, in seconds.
+# Seconds that a recorder looks for others before its acknowledgements count.
 LOOK = 1.5
 
 
@@ -97,7 +95,7 @@ class Recorders:
         self._topic = node.resolve_topic_name(OPERATORS)
         self._namespace = full_name(node.get_namespace(), '')
         self._looks_until = 0.0
-        # Those that are heard.
+        # Their diagnostics.
         self.instances = Instances(node, self._is_recording)
 
     def _is_recording(self, name: str, values: Mapping[str, str]) -> bool:
@@ -108,7 +106,7 @@ class Recorders:
 
     @property
     def publishers(self) -> Counter[str]:
-        """Return how often each node publishes what only recorders do, this process left out."""
+        """Return how often each node publishes the recorders' topic, this process left out."""
         own = sum(each.topic_name == self._topic for each in self._node.publishers)
         if self._node.count_publishers(self._topic) <= own:
             return Counter()
@@ -117,7 +115,7 @@ class Recorders:
 
     @property
     def alive(self) -> list[Instance]:
-        """Return those that record now, no more of a name than publish."""
+        """Return the active recorders, at most as many of a name as publish."""
         alive = []
         if heard := self.instances.alive:
             publishers = self.publishers
@@ -128,14 +126,14 @@ class Recorders:
         return alive
 
     def begin(self, log: object) -> None:
-        """Tell that this process records from now on."""
+        """Announce that this process records."""
         begun = {INSTANCE: self.instances.own, LOG: str(log), BEGUN: str(time.time_ns())}
         self._node.diagnostics.values |= begun
         self._looks_until = time.monotonic() + LOOK
 
     @property
     def why_silent(self) -> str:
-        """Return why the word of this recorder does not count: that of the first one does."""
+        """Return why acknowledgements of this recorder do not count: the first one's do."""
         if time.monotonic() < self._looks_until:
             return 'word from another recorder'
         own = rank(self._node.diagnostics.values)
@@ -145,7 +143,7 @@ class Recorders:
 
 
 def rank(values: Mapping[str, str]) -> tuple[int, str]:
-    """Return when a recorder began, and what tells it from others that did."""
+    """Return the start of a recorder, with its identifier to break ties."""
     return int(values[BEGUN]), values[INSTANCE]
 
 
@@ -154,15 +152,15 @@ def records(recorders: list[Instance]) -> str:
     return ' and '.join(f'node {each.name} records to {each.values[LOG]}' for each in recorders)
 
 
-# How often the planner looks for the names of other planners before it reports them.
+# Number of looks for the names of other planners before they are reported.
 LOOKS = 20
 
 
 class Peers:
-    """Who takes part in the mission besides the planner, as last seen in the graph."""
+    """The other participants of the mission, as last seen in the graph."""
 
     def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
-        # How many nodes publish beliefs.
+        # Number of nodes that publish beliefs.
         self.estimators = 0
         self._node = node
         self._agents = agents
@@ -172,11 +170,11 @@ class Peers:
         self._looks: Counter[str] = Counter()
 
     def is_present(self, agent: str) -> bool:
-        """Return whether somebody answers for an agent."""
+        """Return whether a node answers for an agent."""
         return self._answering.get(agent, 0) > 0
 
     def says_status(self, agent: str) -> bool:
-        """Return whether somebody tells when robots of an agent depart."""
+        """Return whether a node reports when robots of an agent depart."""
         return self._node.count_authors(f'{agent}/status', STATUS) > 0
 
     def look(self) -> bool:
@@ -195,7 +193,7 @@ class Peers:
         return 0 < self.estimators < before
 
     def _look_for_agents(self) -> None:
-        """Notice which agents somebody answers for, and who answers for one that is taken."""
+        """Check which agents have a node, and warn of agents with several."""
         for agent in self._agents:
             # The planner itself reports robots that are given up.
             answering = self._node.count_authors(f'{agent}/report', REPORT) - 1
@@ -216,14 +214,14 @@ class Peers:
                 )
 
     def _look_for_planners(self) -> None:
-        """Notice when others publish paths of an agent, and say which nodes do."""
+        """Warn of other planners that publish paths of an agent, with their names."""
         for agent in self._agents:
             before = self._planners.get(agent, 1)
             planners = self._node.count_authors(f'{agent}/path', PATH)
             if planners > max(before, 1):
                 nodes = self._node.authors(f'{agent}/path', PATH)
                 self._looks[agent] += 1
-                # DDS tells the name of a node a moment after its publishers, if it has one.
+                # DDS knows the publishers of a node a moment before its name.
                 if NAMELESS in nodes and self._looks[agent] < LOOKS:
                     continue
                 self._node.diagnostics.refuse(
@@ -235,7 +233,7 @@ class Peers:
             self._planners[agent] = planners
 
     def _look_for_unknown_agents(self) -> None:
-        """Notice who reports for an agent that is none of the team."""
+        """Warn of reports for an agent outside the team."""
         for topic, types in self._node.get_topic_names_and_types():
             agent = topic.removeprefix(f'{self._node.above}/').removesuffix('/report')
             is_known = '/' in agent or agent in self._agents or agent in self._unknown_agents
@@ -251,15 +249,15 @@ class Peers:
 HOLD = 'hold'
 BOOL = 'std_msgs/msg/Bool'
 
-# Least time between two answers to others, in seconds.
+# Minimum seconds between two answers to others.
 MIN_PAUSE = 0.1
 
-# How long the graph may take to name the author of a message that was received, in seconds.
+# Seconds that the graph may take to name the author of a message.
 MAX_UNNAMED = 30.0
 
 
 class Hold:
-    """The planner's word on departures: none without it, in a pause, or if others publish it."""
+    """The planner's hold on departures: also while it is unknown, or others publish it."""
 
     def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
         self._node = node
@@ -279,7 +277,7 @@ class Hold:
             return f'the planner to tell on {self._topic} whether robots may depart'
         if self.is_held:
             return f'the operator to end the pause ({self._topic} is true)'
-        # A planner that was killed stays in the graph beside its successor, of the same name.
+        # A killed planner stays in the graph beside its successor of the same name.
         if self._node.count_authors(self._topic, BOOL) > 1:
             others = sorted({*self._node.authors(self._topic, BOOL)})
             if len(others) > 1:
@@ -288,7 +286,7 @@ class Hold:
 
 
 class Holding:
-    """The planner's publisher of `hold`; another value is answered with the planner's own."""
+    """The planner's publisher of `hold`, which answers other values with its own."""
 
     def __init__(self, node: MissionNode) -> None:
         self._node = node
@@ -324,7 +322,7 @@ class Holding:
         if now > self._heard_at + MAX_UNNAMED:
             return
         others = self._node.authors(self._publisher.topic_name, BOOL)
-        # An own value from before the last change is received, too.
+        # An own value from before the last change arrives as well.
         if len(others) > 1:
             self._heard_at = -inf
             self._node.diagnostics.refuse(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paths that an agent is sent, each as it is on record, and the next one of a real robot."""
+"""The paths of an agent that the recorder has acknowledged, and the next one of a real robot."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from kbnitp_ros.robot.journal import Deployment, Journal
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 
-# Of several paths of one stamp all nodes take the one that the recorder names. An acknowledgement
-# before its path is not kept, since anybody can send any number: the publisher keeps it and is
-# asked again.
+# Of several paths with one stamp all nodes follow the one that the recorder names. An
+# acknowledgement that comes before its path is not kept, since anybody can send any number: the
+# publisher keeps it and is asked again.
 
 
 P = TypeVar('P')
 
-# Seconds after which AGENT/recorded is asked for again, at first and at the most.
+# First and longest pause before AGENT/recorded is asked for again, in seconds.
 ASK_FIRST, ASK_LAST = 1.0, 60.0
 
 
 class RecordedPaths(Generic[P]):
-    """The paths that an agent is sent."""
+    """The paths sent to an agent, each followed once it is recorded."""
 
     def __init__(
         self,
@@ -43,16 +43,16 @@ class RecordedPaths(Generic[P]):
         self._agent = agent
         self._read = read
         self._take = take
-        # Paths that the recorder has not named, by stamp and content.
+        # Paths that are not acknowledged, by stamp and content.
         self._pending: dict[tuple[int, int], P] = {}
-        # What follows from departures that the recorder has not named, by stamp and content.
+        # Callbacks of departures that are not acknowledged, by stamp and content.
         self._departures: dict[tuple[int, int], Callable[[], None]] = {}
         self._has_missed = False
         self._interval = ASK_FIRST
         self._ask_at = 0.0
 
     def listen(self) -> None:
-        """Take paths from now on."""
+        """Subscribe to the paths."""
         self._node.hear_agent(Path, self._agent, self._on_path)
         if self._node.values['recorded']:
             self._recorded = self._hear_recorded()
@@ -60,12 +60,12 @@ class RecordedPaths(Generic[P]):
 
     @property
     def pending(self) -> int:
-        """How many paths the recorder has not named."""
+        """Return the number of paths that are not acknowledged."""
         return len(self._pending)
 
     @property
     def awaited(self) -> str:
-        """Return what the first of these waits for; empty when there is none."""
+        """Return what the first of these waits for; empty if there is none."""
         if not self._pending:
             return ''
         stamp, _ = next(iter(self._pending))
@@ -75,7 +75,7 @@ class RecordedPaths(Generic[P]):
         )
 
     def when_recorded(self, stamp: int, content: int, depart: Callable[[], None]) -> None:
-        """Have a robot move when its departure is on record; at once without that parameter."""
+        """Call back when a departure is on record; at once if await_nodes has no recorder."""
         if self._node.values['recorded']:
             self._departures[stamp, content] = depart
         else:
@@ -133,22 +133,22 @@ class RecordedPaths(Generic[P]):
         self._node.diagnostics.refuse(f'{self._agent}/path', error)
 
     def _ask_again(self) -> None:
-        """Have the recorder say again what it said before a path came."""
+        """Request the acknowledgements from before a path came again."""
         if self._pending and self._has_missed and time.monotonic() > self._ask_at:
             self._interval = min(2 * self._interval, ASK_LAST)
             self._node.destroy_subscription(self._recorded)
             self._recorded = self._hear_recorded()
 
 
-# Seconds without a new path after which what a publisher kept for those who join late has come.
+# Seconds without a new path after which the history of a publisher has arrived.
 SETTLED = 0.3
 
 
 class PendingPaths:
-    """The paths that a robot was sent and has not left on."""
+    """The paths that a robot has not left on."""
 
-    # Paths come again when the robot or the base was restarted. The base sends none while it waits
-    # for an earlier one, so the robot leaves on the newest that is not in the journal.
+    # Paths arrive again after a restart of the robot or the base. The base sends no path while an
+    # earlier one is open, so the robot leaves on the newest that is not in the journal.
 
     def __init__(
         self,
@@ -158,7 +158,7 @@ class PendingPaths:
         accept: Callable[[Deployment], None],
         refuse: Callable[[Deployment, str], object],
     ) -> None:
-        # Whether paths are taken.
+        # Whether paths are accepted.
         self.is_listening = False
         self._node = node
         self._agent = agent
@@ -168,12 +168,12 @@ class PendingPaths:
         self._max_steps = value_for(node.values, 'max_steps', agent)
         self._pending: dict[int, Deployment] = {}
         self._sent = RecordedPaths(node, agent, self._read_path, self._take_path)
-        # Has a robot move when its departure is on record.
+        # Calls back when a departure is on record.
         self.when_recorded = self._sent.when_recorded
         self._last = 0.0
 
     def listen(self) -> None:
-        """Take paths from now on."""
+        """Subscribe to the paths."""
         self.is_listening = True
         self._sent.listen()
 
@@ -199,7 +199,7 @@ class PendingPaths:
         self._accept(deployment)
 
     def _why_earlier(self, mission: int) -> str:
-        """Return that a mission is an earlier one than that of the journal; empty if it is not."""
+        """Return that a mission is older than the journal's; empty if it is not."""
         own = self._journal.mission
         if own is None or mission >= own:
             return ''
@@ -210,7 +210,7 @@ class PendingPaths:
         )
 
     def _known(self, stamp: int) -> Deployment | None:
-        """Return the deployment of this name, driven or not, if it is known."""
+        """Return the deployment with this key, driven or not, if it is known."""
         driven = (
             deployment for deployment in self._journal.deployments if deployment.stamp == stamp
         )
@@ -218,27 +218,27 @@ class PendingPaths:
 
     @property
     def newest(self) -> Deployment | None:
-        """Return the deployment to leave on; None when there is none."""
+        """Return the deployment to leave on; None if there is none."""
         return self._pending[max(self._pending)] if self._pending else None
 
     @property
     def pending(self) -> int:
-        """Return how many paths the robot has not left on."""
+        """Return the number of paths that the robot has not left on."""
         return len(self._pending) + self._sent.pending
 
     @property
     def awaited(self) -> str:
-        """Return what the robot must wait for before it leaves; empty when for nothing."""
+        """Return what the robot must wait for before it leaves; empty if nothing."""
         if not self._pending:
             return self._sent.awaited
-        # What the recorder said of later paths is asked for again if it came before them.
+        # Acknowledgements of later paths that came too early are requested again.
         settled = 2 * ASK_FIRST if self._sent.pending else SETTLED
         if time.monotonic() < self._last + settled:
             return 'the last of the paths to come'
         return ''
 
     def superseded(self) -> list[Deployment]:
-        """Return the deployments that this robot will not leave on, since a newer one came."""
+        """Return the deployments that a newer one replaces."""
         driven = (
             self._journal.deployments[-1].stamp
             if self._journal.deployments
@@ -247,7 +247,7 @@ class PendingPaths:
         return [self._pending[stamp] for stamp in sorted(self._pending)[:-1] if stamp > driven]
 
     def close(self, deployment: Deployment) -> None:
-        """Take note that a deployment is in the journal, and leave out all before it."""
+        """Remove a deployment that is in the journal, and all before it."""
         self._pending = {
             stamp: each for stamp, each in self._pending.items() if stamp > deployment.stamp
         }

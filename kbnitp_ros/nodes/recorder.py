@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder: writes every message of the mission to a log, as it came off the wire."""
+"""The recorder: writes every message of the mission to a log, byte for byte."""
 
 from __future__ import annotations
 
@@ -58,20 +58,21 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-# In these roles others act on messages at once, also when they read the log.
+# Roles whose messages other nodes act on at once, also from the log.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
-# Without whom there is no mission.
+# The nodes without which there is no mission.
 AWAITED = {'path': 'a planner to publish AGENT/path', 'belief': 'an estimator to publish belief'}
 
-# No mission begins before these are heard, and they are when their nodes' configuration is known.
+# A mission begins once these are subscribed to, which they are once their nodes' parameters are
+# known.
 AFTER_CONFIGURATION = (*ACTED_ON, 'belief')
 
-# How often what is no evidence is put onto the disk, in seconds.
+# Seconds between two syncs of messages that are no evidence.
 SYNC_PERIOD = 0.5
 
-# Of how many topics that are none of the mission's it is asked at a look who publishes them: with
-# thousands of them in the graph each answer takes half a millisecond.
+# Maximum number of foreign topics to inspect per look: with thousands of topics in the graph each
+# query takes half a millisecond.
 LOOKED_AT_ONCE = 500
 
 
@@ -107,21 +108,21 @@ class RecorderNode(MissionNode):
         self._recorders = Recorders(self)
         self._recorders.begin(self._log.path)
         self._why_silent = self._recorders.why_silent
-        # Of `operator/recorded`, by which other nodes find recorders in the graph.
+        # Publisher of `operator/recorded`, by which other nodes find recorders in the graph.
         self._operators = self.create_publisher(Recorded, OPERATORS, qos.EVIDENCE)
         self._log.add_metadata(RECORD, self.roles.record)
         self._log.add_metadata(RUN, run_record(get_rmw_implementation_identifier()))
         self._unsynced = True
         self._shown_at = time.monotonic()
         self._tracker = MissionTracker()
-        # Of each path and operator's action on record, by topic, stamp and mission: the hash of
-        # the first, which counts.
+        # The hash of the first message of each path and action on record, which counts, by topic,
+        # stamp and mission.
         self._first: dict[tuple[str, int, int], int] = {}
         self._paths: Counter[int] = Counter()
-        # Which paths are on record, whatever their mission.
+        # The paths on record, of any mission.
         self._ordered: set[DeploymentKey] = set()
         self._departures = Departures()
-        # How the names that nodes state for roles differ from those here, by node.
+        # Differences between the topics of roles that nodes state and those here, by node.
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
@@ -131,17 +132,17 @@ class RecorderNode(MissionNode):
                     content = content_hash(logged.message)
                     self._note(logged.topic, role, key.stamp, mission, content)
                 else:
-                    # What was refused when it came is refused again.
+                    # Evidence that was refused before is refused again.
                     with suppress(ValueError):
                         self._departures.take(*logged.said)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, HeardTopic] = {}
-        # Topics whose publishers are all heard, and what cannot be recorded.
+        # Topics with all publishers subscribed to, and topics that cannot be recorded.
         self._settled: set[str] = set()
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
-        # Beliefs that came before the paths of their deployments, and losses before departures.
+        # Beliefs ahead of the paths of their deployments, and losses ahead of departures.
         self._early = Early(self, self._write_checked)
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
@@ -153,13 +154,13 @@ class RecorderNode(MissionNode):
         self.create_poll(self._sync, SYNC_PERIOD)
 
     def finish(self) -> None:
-        """Record what has arrived."""
+        """Record the messages that have arrived."""
         self._write_arrived()
         self._early.try_again(is_last=True)
         self.get_logger().info(f'the log of the mission is {self._log.path}')
 
     def _write_arrived(self) -> None:
-        """Write what has arrived, in the order it came."""
+        """Write the messages that have arrived, in their order."""
         self._write_arrived_on(self._topics.values())
 
     def _write_arrived_on(self, topics: Iterable[HeardTopic]) -> None:
@@ -169,7 +170,7 @@ class RecorderNode(MissionNode):
             self._show_life()
 
     def _show_life(self) -> None:
-        """Be heard however much waits to be written: another recorder may replace a silent one."""
+        """Publish diagnostics while writing a backlog, or another recorder may take over."""
         now = time.monotonic()
         if now > self._shown_at + PERIOD:
             self._shown_at = now
@@ -183,17 +184,17 @@ class RecorderNode(MissionNode):
             super().close()
 
     def _check_log(self) -> None:
-        """See that the log is where it was and whose word counts."""
+        """Check that the log is in its place, and whether its acknowledgements count."""
         self._log.check_in_place()
         if (why := self._recorders.why_silent) != self._why_silent:
             self._why_silent = why
             self._tell_what_waited()
 
     def _discover(self) -> None:
-        """Subscribe to what is published and not heard yet."""
-        # The estimator publishes as soon as belief has its readers, so the maps, which it created
-        # before, must be known and subscribed to before belief is: two looks that agree show all
-        # that was created before anything they show, and belief comes last backwards.
+        """Subscribe to new topics and publishers."""
+        # The estimator publishes as soon as belief has its readers, so its maps, created earlier,
+        # must be subscribed to before belief is. Two equal looks show all that was created before
+        # anything in them; belief comes last in the reverse order.
         found: dict[str, Any] = {}
         others: list[str] = []
         looked = True
@@ -212,7 +213,7 @@ class RecorderNode(MissionNode):
             self._hear(topic, found[topic])
 
     def _unheard(self) -> tuple[list[str], list[str]]:
-        """Return the topics of which publishers may not be heard: the mission's, and others."""
+        """Return the topics that may have new publishers: the mission's, and others."""
         own: list[str] = []
         others: list[str] = []
         for topic, types in self.get_topic_names_and_types():
@@ -226,12 +227,12 @@ class RecorderNode(MissionNode):
         return own, others
 
     def _published(self, topics: Iterable[str]) -> dict[str, Any]:
-        """Return the publishers of those topics that have any."""
+        """Return the publishers of the topics that have any."""
         publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in topics}
         return {topic: known for topic, known in publishers.items() if known}
 
     def _next_of(self, topics: list[str]) -> list[str]:
-        """Return the topics, or, of very many, those that come after the last ones returned."""
+        """Return the topics or, of very many, the next ones in turn."""
         ordered = sorted(topics)
         start = bisect_right(ordered, self._last_looked)
         taken = (ordered[start:] + ordered[:start])[:LOOKED_AT_ONCE]
@@ -239,7 +240,7 @@ class RecorderNode(MissionNode):
         return taken
 
     def _hear(self, name: str, publishers: Sequence[Any]) -> None:
-        """Subscribe to a topic as often as its publishers need."""
+        """Subscribe to a topic, once for each profile of its publishers."""
         for publisher in publishers:
             type_name = publisher.topic_type
             if (name, type_name) in self._refused:
@@ -248,7 +249,7 @@ class RecorderNode(MissionNode):
             profile = qos.unread_kept(publisher.qos_profile)
             role = self.roles.by_topic.get(name)
             if role is not None and role.name in AFTER_CONFIGURATION:
-                # No node of the mission hears less, and what it does not hear is no evidence.
+                # Nodes of the mission subscribe to no less, and the rest is no evidence.
                 profile = qos.unread_kept(qos.EVIDENCE)
                 if not self._watch.is_over(node):
                     return
@@ -272,7 +273,7 @@ class RecorderNode(MissionNode):
             self._settled.add(name)
 
     def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> HeardTopic:
-        """Return a topic, on record from now on."""
+        """Return a topic, recorded from now on."""
         if name in self._topics:
             topic = self._topics[name]
             if type_name != topic.type_name:
@@ -285,7 +286,7 @@ class RecorderNode(MissionNode):
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = HeardTopic(name, type_name, role)
         if role is not None and role.name in ('path', 'status'):
-            # Each with a history of its own, which is as deep as DDS has it.
+            # Each with its own history, as deep as DDS has it.
             name = f'{role.agent}/recorded'
             topic.recorded = self.create_publisher(Recorded, name, qos.EVIDENCE)
         elif role is not None and role.name == 'operator':
@@ -294,7 +295,7 @@ class RecorderNode(MissionNode):
         return topic
 
     def _state(self) -> NodeState:
-        """Return what is recorded, and whom it waits for."""
+        """Return what is recorded, and what is awaited."""
         recording = f'recording {len(self._topics)} topics'
         if self._differing:
             node, differs = next(iter(self._differing.items()))
@@ -329,10 +330,10 @@ class RecorderNode(MissionNode):
 
     def _on_message(self, topic: HeardTopic, data: bytes, info: Any) -> None:
         role = topic.role.name if topic.role else ''
-        # Of these many keep nobody waiting; but the paths that were read with them do.
+        # So many messages delay nobody; only the paths read with them do.
         is_seldom_awaited = role in ('belief', 'status')
         if is_seldom_awaited:
-            # They are judged by the paths that are known, and callbacks come in any order.
+            # They are checked against the known paths, and callbacks come in any order.
             self._write_arrived_on(
                 each for each in self._topics.values() if each.role and each.role.name == 'path'
             )
@@ -342,8 +343,8 @@ class RecorderNode(MissionNode):
         is_evidence = role in ACTED_ON and not is_seldom_awaited
         is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
-            # One sync serves all that waits: the paths of a round come together, and so does a
-            # whole history. What was published before this is then on the disk before it counts.
+            # One sync serves all that waits: the paths of a round arrive together, and so does a
+            # whole history. All that was published before an acknowledgement is then on disk.
             self._write_arrived()
             self._sync()
             self._tell_recorded()
@@ -354,7 +355,7 @@ class RecorderNode(MissionNode):
             self._write_checked((topic, data, info))
 
     def _write_checked(self, message: Message, deadline: float | None = None) -> None:
-        """Write a message that is sound; keep one until a time that is ahead of what it needs."""
+        """Write a valid message; keep one that is ahead of what it refers to, up to a deadline."""
         topic, data, info = message
         try:
             if len(data) > MAX_MESSAGE:
@@ -372,14 +373,14 @@ class RecorderNode(MissionNode):
         self.diagnostics.accept()
 
     def _is_of_this_mission(self, topic: HeardTopic, data: bytes) -> bool:
-        """Return whether diagnostics, which all missions tell on one topic, are of this one."""
+        """Return whether diagnostics, which all missions share, are of this mission."""
         if topic.name != DIAGNOSTICS or self._namespace == '/':
             return True
         status = deserialize_message(data, message_class(topic.type_name)).status
         return any(each.name.startswith(self._namespace) for each in status)
 
     def _check(self, topic: HeardTopic, data: bytes) -> None:
-        """Check that what others act on, also when they read the log, can be of this mission."""
+        """Check that a message that others act on can be of this mission."""
         role = topic.role
         if role is None:
             return
@@ -416,8 +417,9 @@ class RecorderNode(MissionNode):
             self._tracker.accept_belief(said, known)
 
     def _check_status(self, topic: HeardTopic, key: DeploymentKey, status: AgentStatus) -> None:
-        """Check what an agent says of an order, and have a departure told to be on the disk."""
-        # Of two departures of one deployment, by two robots of one name, only the first is told.
+        """Check an agent's status, and acknowledge a departure once it is on disk."""
+        # Of two departures of one deployment, by two robots of one name, only the first is
+        # acknowledged.
         if key not in self._ordered:
             raise PathsUnknownError(
                 f'deployment {key} is {status.state.name}, and its path is not on record'
@@ -427,7 +429,7 @@ class RecorderNode(MissionNode):
             topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
 
     def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
-        """Return the hash of the first path or action of this name that is on record."""
+        """Return the hash of the first path or action with this key on record."""
         key = name, stamp, mission
         if key not in self._first and role.name == 'path':
             self._paths[mission] += 1
@@ -435,7 +437,7 @@ class RecorderNode(MissionNode):
         return self._first.setdefault(key, content)
 
     def _tell_recorded(self) -> None:
-        """Tell the agents which of their paths are on the disk, unless that does not count."""
+        """Acknowledge the paths on disk, if this recorder's acknowledgements count."""
         if self._differing or self._why_silent:
             return
         for topic in self._topics.values():
@@ -445,7 +447,7 @@ class RecorderNode(MissionNode):
                 ]
 
     def _tell(self, topic: HeardTopic, stamp: int, content: int, mission: int) -> bool:
-        """Say that a path or action is on the disk; return False if that must wait."""
+        """Acknowledge a path or action on disk; return False if that must wait."""
         if topic.type_name == PATH:
             try:
                 self._tracker.check_path(mission)
@@ -475,7 +477,7 @@ class RecorderNode(MissionNode):
             self._unsynced = True
 
     def _compare_roles(self, node: str, stated: Sequence[str]) -> None:
-        """See whether a node has the same names for the roles of the mission."""
+        """Check that a node states the same topics for the roles of the mission."""
         names = dict(each.partition('=')[::2] for each in stated)
         differs = self.roles.difference(self.roles.meant_by(node, names))
         if differs and differs != self._differing.get(node):
@@ -486,14 +488,14 @@ class RecorderNode(MissionNode):
         self._tell_what_waited()
 
     def _tell_what_waited(self) -> None:
-        """Tell what is on the disk once the word of this recorder counts."""
+        """Send the pending acknowledgements once they count."""
         self.diagnostics.state = self._state()
         self._sync()
         self._tell_recorded()
 
 
 def offered_by(publishers: Sequence[Any], type_name: str) -> str:
-    """Return the QoS of a topic's publishers of this type, as a log keeps it."""
+    """Return the QoS of a topic's publishers of this type, in the format of a log."""
     return qos_profiles_yaml(
         each.qos_profile for each in publishers if each.topic_type == type_name
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The agent of a real robot: it drives by Nav2, and reports what its journal says of the way."""
+"""The node of a real robot: drives it by Nav2, and reports from its journal."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ from visualization_msgs.msg import Marker
 # Maximum number of detections kept until it is known where the robot was.
 MAX_UNREAD = 1000
 
-# The exit code of a robot that DDS lets nobody hear before it is started again.
+# The exit code of a robot that DDS cannot connect before a restart.
 NEW_LINKS = os.EX_TEMPFAIL
 
 
 class RobotNode(FieldNode):
-    """Send one real robot along each path of its agent, by Nav2, and report how that went."""
+    """Send one real robot along each path of its agent, by Nav2, and report the outcome."""
 
     @property
     def grid(self) -> Grid:
@@ -70,7 +70,7 @@ class RobotNode(FieldNode):
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
         )
-        # What tells where the robot is, and what that is called.
+        # The source of the robot's pose, and its name.
         self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
         self._whereis: Transforms | Fixes
         datum, frame = datum_of(values), values['base_frame']
@@ -83,18 +83,18 @@ class RobotNode(FieldNode):
                 "parameter position is 'fix', and datum is empty: it must say where on the earth "
                 'the frame map lies'
             )
-        # None when it is not known.
+        # None if it is unknown.
         self._place: Place | None = None
-        # What is wrong by now, by what it is about, and what of it the console was told.
+        # Current problems by subject, and those that were logged.
         self._troubles = {self._source: 'nothing was heard yet'}
         self._is_driving = False
-        # Whether it has said that it departs, and that is not on record.
+        # Whether it has reported a departure that is not on record yet.
         self._is_at_gate = False
-        # When the goal that was driven last was seen to have ended, in nanoseconds; 0 before.
+        # End of the last goal as seen here, in nanoseconds; 0 before.
         self._ended_at = 0
         self._stays_until: int | None = None
         self._try_again_at = 0.0
-        # The time of the last look, as the system tells it and as ROS does.
+        # The time of the last look, by the system's clock and by ROS.
         self._looked = 0, 0
         self._resume()
         if self._links.are_missing:
@@ -119,7 +119,7 @@ class RobotNode(FieldNode):
             self.hear_newest(TFMessage, topic, take, profile)
 
     def _resume(self) -> None:
-        """Go on from the journal: say again what was said, and be where the robot was."""
+        """Resume from the journal: publish again, and continue where the robot was."""
         if self._journal.corruption:
             self.get_logger().warning(self._journal.corruption)
             self.diagnostics.values['journal'] = self._journal.corruption
@@ -143,10 +143,10 @@ class RobotNode(FieldNode):
             self.grid, deployment.cells[-1], self.values['tf_timeout'], self.values['max_speed']
         )
         kept, speed = self.values['tf_timeout'], self.values['max_speed']
-        # In less time the robot cannot leave its cell and come back to where it sees it.
+        # In less time the robot cannot leave its cell and return to where it is localized.
         gap = min(kept, 2 * MARGIN * self.grid.resolution / speed) if speed else kept
         self._whereabouts = Whereabouts(round(kept * SECOND), round(gap * SECOND))
-        # What was seen and is not counted for a step yet, and between which times.
+        # Detections not assigned to a step yet, each with the interval of its time.
         self._unread: list[tuple[int, int, bool]] = []
         self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
@@ -156,7 +156,7 @@ class RobotNode(FieldNode):
         return DeploymentKey(self._agent, deployment.stamp)
 
     def _say_status(self, stamp: int, state: OrderState, time_said: int, reason: str = '') -> None:
-        """Say what is done with the order of a path, or say it again."""
+        """Publish the status of an order, or publish it again."""
         key = DeploymentKey(self._agent, stamp)
         self._statuses.publish(status_message(key, state, time_said, reason))
 
@@ -170,7 +170,7 @@ class RobotNode(FieldNode):
             self.diagnostics.refuse(self._source, error)
 
     def _locate(self) -> None:
-        """See where the robot is, and if it is out which cells it has come to."""
+        """Localize the robot and, if it is out, record the cells it has entered."""
         try:
             self._place = self._whereis.place(self.now(), self.values['tf_timeout'])
         except ValueError as error:
@@ -195,7 +195,7 @@ class RobotNode(FieldNode):
             self._count_readings(self._deployment)
 
     def _lose(self, time_lost: int, error: ValueError) -> None:
-        """Read nothing at a time when it is not known where the robot is, and say why."""
+        """Discard detections while the robot's place is unknown, and say why."""
         if self._deployment is not None:
             self._whereabouts.note(time_lost, NONE)
         self._say(self._source, str(error))
@@ -206,20 +206,20 @@ class RobotNode(FieldNode):
             self._itinerary.enter(cell)
 
     def _step(self, cell: int) -> None:
-        """Make a step of the walk; what is read from now on is read there."""
+        """Record a step of the walk; later detections belong to it."""
         assert self._deployment is not None
         self._deployment.steps.append(Step(cell, self.now()))
         self._keep(partial(self._journal.step, self._deployment, len(self._deployment.steps)))
 
     def _doubt(self, deployment: Deployment, why: str) -> None:
-        """Read nothing any more: it would count for a cell that the robot may not be in."""
+        """Stop recording readings: the robot's cell is uncertain."""
         warning = f'{self._key(deployment)}: its walk is doubted, and nothing more is read: {why}'
         self.get_logger().warning(warning)
         self.diagnostics.values['doubt'] = warning
         self._keep(partial(self._journal.doubt, deployment, self.now()))
 
     def _keep(self, write: Callable[[], None]) -> bool:
-        """Have something on the disk, or say why it is not: it is kept in memory until then."""
+        """Write to the disk; on failure report it, and keep the record in memory."""
         try:
             write()
         except OSError as error:
@@ -229,7 +229,7 @@ class RobotNode(FieldNode):
         return True
 
     def _say(self, about: str, trouble: str) -> None:
-        """Show what is wrong; empty when nothing is any more."""
+        """Publish a problem; an empty text clears it."""
         if trouble and not self._troubles.get(about):
             self.get_logger().warning(f'{about}: {trouble}')
         elif not trouble and self._troubles.get(about):
@@ -238,7 +238,7 @@ class RobotNode(FieldNode):
         self.diagnostics.warning = '; '.join(filter(None, self._troubles.values()))
 
     def _on_detection(self, message: object, published: int) -> None:
-        """Take what was seen, to be counted for a step once it is known where the robot was."""
+        """Keep a detection until the robot's place at its time is known."""
         try:
             detection = read_detection(message, self.values)
             since, until = self._time_of(detection.stamp, published)
@@ -250,10 +250,10 @@ class RobotNode(FieldNode):
         self._locate()
 
     def _time_of(self, stamp: int | None, published: int) -> tuple[int, int]:
-        """Return between which ROS times a detection was made, in nanoseconds."""
+        """Return the interval of ROS time in which a detection was made, in nanoseconds."""
         looked_at, looked = self._looked
         if stamp is None and self.get_parameter('use_sim_time').value:
-            # Of a message that waited for longer it is not known.
+            # The time of a message that waited for longer is unknown.
             return (looked if published >= looked_at else 0), self.now()
         what = 'it was published' if stamp is None else 'header.stamp is'
         made = published if stamp is None else stamp
@@ -266,8 +266,8 @@ class RobotNode(FieldNode):
         return made, made
 
     def _count_readings(self, deployment: Deployment) -> None:
-        """Count what was seen for the steps in which the robot was then."""
-        # Where that is not certain, nothing is read: it would count for another cell.
+        """Assign detections to the steps during which they were made."""
+        # A detection that may be of another cell is discarded.
         unread, self._unread = self._unread, []
         for since, until, seen in unread:
             number = self._whereabouts.step_within(since, until)
@@ -275,7 +275,7 @@ class RobotNode(FieldNode):
                 self._unread.append((since, until, seen))
             elif number != NONE and not deployment.is_doubted:
                 step = deployment.steps[number - 1]
-                # All that is said in a cell is one reading: whether anything was seen.
+                # All detections in a cell make one reading: whether anything was seen.
                 if step.reading < seen:
                     step.reading = int(seen)
                     self._keep(partial(self._journal.step, deployment, number))
@@ -297,7 +297,7 @@ class RobotNode(FieldNode):
         )
 
     def _wait(self) -> NodeState:
-        """Have the robot leave when it can; return what it does."""
+        """Let the robot leave when it can; return its state."""
         if not self._pending.is_listening:
             if missing := self.missing_listeners([self._reports]):
                 return waiting_for(missing)
@@ -319,7 +319,7 @@ class RobotNode(FieldNode):
         return self._go_on(deployment)
 
     def _refuse(self, deployment: Deployment, reason: str) -> bool:
-        """Stay at the base for good, whatever that path is; say whether it is in the journal."""
+        """Refuse a path for good; return whether that is in the journal."""
         stamp, now = deployment.stamp, self.now()
         if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
             return False
@@ -328,7 +328,7 @@ class RobotNode(FieldNode):
         return True
 
     def _depart(self, deployment: Deployment) -> bool:
-        """Say that the robot departs, once that is in the journal; say whether it is."""
+        """Report the departure once it is in the journal; return whether it is."""
         deployment.departed = self.now()
         if not self._keep(partial(self._journal.depart, deployment)):
             return False
@@ -342,7 +342,7 @@ class RobotNode(FieldNode):
         return True
 
     def _leave(self, deployment: Deployment) -> None:
-        """Have the robot move, unless it has turned back."""
+        """Start the drive, unless the robot has turned back."""
         if self._deployment is deployment:
             self._is_at_gate = False
             steps = len(deployment.path) - 1
@@ -354,12 +354,12 @@ class RobotNode(FieldNode):
 
     @property
     def _unplaced(self) -> str:
-        """Return why it is not known where the robot is."""
+        """Return why the robot's place is unknown."""
         name = 'TF' if self._source == '/tf' else 'a fix'
         return f'{name}: {self._troubles[self._source]}'
 
     def _not_ready(self) -> str:
-        """Return what keeps the robot from leaving; empty when nothing does."""
+        """Return what keeps the robot from leaving; empty if nothing does."""
         if self.now() <= 0:
             return 'the clock to start'
         if self._place is None:
@@ -373,7 +373,7 @@ class RobotNode(FieldNode):
         return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
     def _go_on(self, deployment: Deployment) -> NodeState:
-        """Have the robot do what is next; return what it does."""
+        """Take the next action of the robot; return its state."""
         if self._is_at_gate:
             return self._wait_at_gate(deployment)
         itinerary = self._itinerary
@@ -396,7 +396,7 @@ class RobotNode(FieldNode):
         if self._place is None:
             return waiting_for(self._unplaced)
         if self._is_driving:
-            # TF may lag behind what drives the robot.
+            # TF may lag behind the controller.
             self._ended_at = self._ended_at or self.now()
             is_behind = self._place.stamp < self._ended_at
             if is_behind and self.now() < self._ended_at + self.values['tf_timeout'] * SECOND:
@@ -433,7 +433,7 @@ class RobotNode(FieldNode):
         )
 
     def _end_leg(self, place: Place) -> None:
-        """Judge how a goal ended."""
+        """Handle the end of a goal."""
         itinerary, failure = self._itinerary, self._driver.failure
         if not failure:
             try:
@@ -456,7 +456,7 @@ class RobotNode(FieldNode):
             return
         was_homebound = itinerary.heads_home
         if self._driver.was_cancelled and not was_homebound:
-            # Whoever did so does not want it to go on.
+            # The client that cancelled it does not want the drive to go on.
             itinerary.go_home()
         else:
             itinerary.fail()
@@ -465,7 +465,7 @@ class RobotNode(FieldNode):
         self.get_logger().warning(f'{failure}; {then}')
 
     def _distance(self, place: Place) -> float:
-        """Return how far a place is from the middle of the base, in metres."""
+        """Return the distance of a place from the middle of the base, in metres."""
         ((x, y),) = self.grid.centers([self.grid.base]).tolist()
         return hypot(place.x - x, place.y - y)
 
@@ -510,11 +510,11 @@ class RobotNode(FieldNode):
         self._readings.publish(readings_marker(self.grid, observation, now))
 
     def finish(self) -> None:
-        """Have the robot stop, since nobody would see any more where it goes."""
+        """Stop the robot: nobody would follow where it goes."""
         self._driver.cancel()
 
     def close(self) -> None:
-        """Put what is known onto the disk."""
+        """Write what is known to the disk."""
         self._keep(self._journal.write)
         self._journal.close()
         super().close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hidden world that robots and time may change, and the agents that send robots into it."""
+"""A hidden world that robots and time may change, and its simulated agents."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ from rclpy.qos import QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-# How long a robot waits for paths that may come before its own, in seconds: acknowledgements that
-# were missed are asked for again after 1 s and 2 s.
+# Seconds that a robot waits for paths that may come before its own: missing acknowledgements are
+# requested again after 1 s and 2 s.
 PATIENCE = 5.0
 
 
 class HiddenField:
-    """What becomes of robots in a field, as core's run_mission has it."""
+    """Outcomes of robots in a hidden field, as in core's run_mission."""
 
     # Hazards that change are a fold of all paths in deployment order, so a robot leaves when those
     # before it are known. Where all agents take part in each round in their order, robot n of an
@@ -71,7 +71,7 @@ class HiddenField:
         agents: Sequence[str],
         generator: Callable[[str, int], np.random.Generator],
     ) -> None:
-        # The field by now.
+        # The present field.
         self.world = world
         self._grid = grid
         self._dynamics = dynamics
@@ -79,7 +79,7 @@ class HiddenField:
         self._models = models
         self._agents = agents
         self._generator = generator
-        # Paths known, and how many of them were made, by agent; those that wait for others.
+        # The known paths, and the number of robots that left, by agent; and waiting paths.
         self._known = dict.fromkeys(agents, 0)
         self._made = dict.fromkeys(agents, 0)
         self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
@@ -96,7 +96,7 @@ class HiddenField:
             self._since[key] = time.monotonic()
 
     def leaving(self) -> list[tuple[DeploymentKey, Traverse]]:
-        """Return the robots that leave now, and what becomes of them."""
+        """Return the robots that leave now, with their outcomes."""
         leaving = []
         while self._waiting and not self.awaited:
             first = min(self._waiting, key=deployment_order)
@@ -110,12 +110,12 @@ class HiddenField:
 
     @property
     def is_static(self) -> bool:
-        """Whether hazards stay."""
+        """Return whether hazards stay."""
         return self._dynamics.effect == 'static'
 
     @property
     def awaited(self) -> str:
-        """Return the agent whose path the next robot waits for; empty when it waits for none."""
+        """Return the agent whose path the next robot waits for; empty if there is none."""
         if not self._waiting or self.is_static:
             return ''
         first = min(self._waiting, key=deployment_order)
@@ -148,7 +148,7 @@ class HiddenField:
 
 
 class Simulation:
-    """The field as it really is, the same for all agents of a team."""
+    """The real field, shared by all agents of a team."""
 
     def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
@@ -182,14 +182,13 @@ class Simulation:
             for name in ('hazard', 'target')
             if node.values['publish_truth']
         }
-        # What becomes of robots that the field does not wait for, and those that move as soon as
-        # that is known.
+        # Outcomes of robots that leave at once, and robots that move once their outcome is known.
         self._out: dict[DeploymentKey, Traverse] = {}
         self._moving: set[DeploymentKey] = set()
         for key in record.orders:
             self._restore(key, record)
         self._publish_truth()
-        # What becomes of robots that leave, by agent; of those of other nodes nothing is told.
+        # Callbacks with the outcomes, by agent; agents of other nodes have none.
         self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
         if not self.field.is_static:
             node.create_poll(self._leave_all)
@@ -200,7 +199,7 @@ class Simulation:
             publisher.publish(occupancy_grid(self.grid, truth, self.node.now()))
 
     def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
-        """Have a robot leave when those before it have left that may change the field."""
+        """Start a deployment once all earlier ones that can change the field have started."""
         self._moving.add(key)
         if key not in self._out:
             self.field.take(key, path)
@@ -218,14 +217,14 @@ class Simulation:
                 self.leave[key.agent](key, made)
 
     def is_over(self, observation: Observation | None) -> bool:
-        """Return whether nothing more is to be heard of a robot on record."""
-        # A silent robot was only given up: it may be on its way home.
+        """Return whether a robot on record is done."""
+        # A silent robot was only given up, and may be on its way home.
         return observation is not None and (
             observation.survived or not self.node.values['silent_loss']
         )
 
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
-        """Take in a deployment on record, unless its robot is still to depart."""
+        """Restore a deployment on record, unless its robot is still to depart."""
         is_static = self.field.is_static
         if record.departures.is_refused(key) or (is_static and not record.has_departed(key)):
             return
@@ -236,7 +235,7 @@ class Simulation:
         self._out |= self.field.leaving()
 
     def generator(self, agent: str, robot: int) -> np.random.Generator:
-        """Return the randomness of an agent's robot, counted from 0 as they depart."""
+        """Return the generator of an agent's robot, counted from 0 in departure order."""
         child = robot * len(self.agents) + self.agents.index(agent)
         return np.random.default_rng(
             np.random.SeedSequence(self._seeds.entropy, spawn_key=(child,))
@@ -244,7 +243,7 @@ class Simulation:
 
 
 class AgentPaths:
-    """The paths of one agent, each told to the simulation."""
+    """The paths of one agent, each passed to the simulation."""
 
     def __init__(self, simulation: Simulation, name: str, mission: int | None) -> None:
         self.name = name
@@ -257,17 +256,17 @@ class AgentPaths:
         self._sent = RecordedPaths(self._node, name, self._read_path, self._take_path)
 
     def listen(self) -> None:
-        """Take paths from now on."""
+        """Subscribe to the paths."""
         self._sent.listen()
 
     @property
     def pending(self) -> int:
-        """How many of its robots have not left yet."""
+        """Return the number of its robots that have not left yet."""
         return self._sent.pending
 
     @property
     def awaited(self) -> str:
-        """Return what its robots wait for; empty when none does."""
+        """Return what its robots wait for; empty if nothing."""
         return self._sent.awaited
 
     def _read_path(self, message: Path) -> tuple[DeploymentKey, NDArray[np.intp], int] | None:
@@ -285,7 +284,7 @@ class AgentPaths:
         return key, path, mission
 
     def _take_path(self, sent: tuple[DeploymentKey, NDArray[np.intp], int]) -> None:
-        """Take a path that no crash can take from the base any more."""
+        """Accept a path that is durably recorded."""
         key, path, mission = sent
         check_mission(mission, self._mission)
         self._mission = mission
@@ -293,7 +292,7 @@ class AgentPaths:
         self._follow(key)
 
     def _follow(self, key: DeploymentKey) -> None:
-        """Have the simulation know of a path that is on record."""
+        """Add a recorded path to the simulation."""
         self._simulation.take(key, self._known[key])
 
 
@@ -311,9 +310,9 @@ class SimulatedAgent(AgentPaths):
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
-        # Those whose robots may not depart yet.
+        # Paths whose robots may not depart yet.
         self._at_home: list[DeploymentKey] = []
-        # Those whose robots have, by the log.
+        # Paths whose robots have departed, by the log.
         self._departed = {key for key in record.orders if record.has_departed(key)}
         self._hold = Hold(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
@@ -322,7 +321,7 @@ class SimulatedAgent(AgentPaths):
         for key in record.orders:
             outcome = record.outcome(key)
             if key.agent == name and outcome is not None and simulation.is_over(outcome):
-                # Its report is published again, and that deployment is not made once more.
+                # Its report is published again, and its robot not sent a second time.
                 self._known[key] = record.paths[key]
                 self._say(key, OrderState.DEPARTED)
                 stamp = record.reports[key].stamp
@@ -334,16 +333,16 @@ class SimulatedAgent(AgentPaths):
 
     @property
     def pending(self) -> int:
-        """How many of its robots have not departed yet."""
+        """Return the number of its robots that have not departed yet."""
         return super().pending + len(self._at_home)
 
     @property
     def awaited(self) -> str:
-        """Return what its robots wait for; empty when none does."""
+        """Return what its robots wait for; empty if nothing."""
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
     def _follow(self, key: DeploymentKey) -> None:
-        """Have a robot depart when it may, or at once if its departure is on record."""
+        """Let a robot depart when it may, or at once if its departure is on record."""
         self._at_home.append(key)
         self._say(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
@@ -352,7 +351,7 @@ class SimulatedAgent(AgentPaths):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Have robots depart that are at home: all if they may, else those that had departed."""
+        """Let the robots at home depart: all if they may, else those that had departed."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)
@@ -365,12 +364,12 @@ class SimulatedAgent(AgentPaths):
 
     def _move(self, key: DeploymentKey) -> None:
         if key in self._at_home:
-            # The recorder had heard of it before this node was started again.
+            # The recorder had its departure before this node restarted.
             self._depart(key)
         super()._follow(key)
 
     def _say(self, key: DeploymentKey, state: OrderState) -> None:
-        """Say what is done with an order; an agent that was restarted says the very same again."""
+        """Publish the status of an order; a restarted agent publishes the same again."""
         self._statuses.publish(status_message(key, state, key.stamp))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
@@ -385,7 +384,7 @@ class SimulatedAgent(AgentPaths):
                 self._after(period * step, partial(self._show, cell))
 
     def _after(self, seconds: float, callback: Callable[[], None]) -> None:
-        """Call back once, after a time on the simulated clock, or else on one that nobody sets."""
+        """Call back once, after a time on the simulated clock, or else on a steady one."""
 
         def once() -> None:
             self._node.destroy_timer(timer)
@@ -401,7 +400,7 @@ class SimulatedAgent(AgentPaths):
         self._poses.publish(pose)
 
     def _return(self, key: DeploymentKey, observation: Observation) -> None:
-        """Report what came of a robot, now that it is back or would have been."""
+        """Report the outcome of a robot after its time away."""
         self._simulation.field.out.discard(self.name)
         if not observation.survived and self._node.values['silent_loss']:
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people look at: the maps of a belief, how the mission stands, and what a belief names."""
+"""The published views of a belief: its maps, its progress and its new evidence."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-# One of so many beliefs names all that it holds, so that a reader who lost one can go on.
+# One in so many beliefs names all its evidence, so that a reader who lost one can catch up.
 COMPLETE_EVERY = 64
 
 
 class NewEvidence:
-    """What was assimilated since the belief before."""
+    """Evidence assimilated since the last belief."""
 
-    # A report that replaces another leaves the number of deployments as it was, so the belief
-    # after it names all that it holds.
+    # A report that replaces another leaves the number of deployments as it was, so the next belief
+    # names all its evidence.
 
     def __init__(self) -> None:
         self._keys: set[DeploymentKey] = set()
         self._published = 0
-        # What the next belief adds to; 0 if it is to be complete.
+        # The deployments that the next belief adds to; 0 if it is to be complete.
         self._since = 0
         self._until_complete = COMPLETE_EVERY
 
     def add(self, key: DeploymentKey) -> None:
-        """Take note of a deployment whose report was assimilated."""
+        """Add a deployment whose report was assimilated."""
         self._keys.add(key)
 
     def name_all(self) -> None:
-        """Have the next belief name all that it holds."""
+        """Let the next belief name all its evidence."""
         self._since = 0
 
     def take(self, ledger: Ledger) -> tuple[int, Sequence[DeploymentKey]]:
-        """Return what the belief of a ledger, which is published next, says of its evidence."""
+        """Return the evidence fields of a ledger's belief, which is published next."""
         since, held = self._since, len(ledger.deployments)
         named = sorted(self._keys, key=deployment_order) if since else ledger.deployments
         self._until_complete = (self._until_complete if since else COMPLETE_EVERY) - 1
@@ -65,22 +65,22 @@ class NewEvidence:
 
 
 class BoundedProgress:
-    """Publishes the estimator's progress once more, with the bound that the plan came with."""
+    """The estimator's progress, published again with the bound of the plan."""
 
     def __init__(self, node: FieldNode) -> None:
         self._publisher = node.create_publisher(Progress, 'progress', qos.LATCHED)
         self._heard: Progress | None = None
-        # The belief planned on, by its stamp, and the bound.
+        # The stamp of the belief planned on, and the bound.
         self._bound = -1, nan
         node.hear(Progress, 'progress', self._on_progress, qos.LATCHED)
 
     def show(self, stamp: int, upper_bound: float) -> None:
-        """Take note of the bound of paths, in nats, given the belief of a stamp."""
+        """Set the bound of paths, in nats, by the belief of a stamp."""
         self._bound = stamp, upper_bound
         self._publish()
 
     def _on_progress(self, message: Progress) -> None:
-        # What this planner published itself has a bound.
+        # Progress published here has a bound already.
         if isnan(message.upper_bound):
             self._heard = message
             self._publish()
@@ -98,18 +98,18 @@ PERIOD = 0.1
 
 
 class Views:
-    """The grids and the progress of an estimator, of its last belief at most every `PERIOD`."""
+    """The grids and the progress of an estimator's last belief, at most every `PERIOD`."""
 
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
         self._node = node
         self._truth: dict[str, NDArray[np.bool_]] = {}
         self._newest: tuple[int, Estimator] | None = None
-        # The belief to show next: who holds it, the belief before and its stamp. All that changes
-        # a ledger is shown, so it still holds that belief when it is.
+        # The belief to show next: its ledger, the belief before and its stamp. Every change of a
+        # ledger is shown, so it still holds that belief then.
         self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
         self._message = Progress()
         self._standing = NOT_KNOWN
-        # How many robots have departed and were not reported.
+        # Number of robots in flight.
         self.out = 0
         self._is_progress_pending = False
         self._maps = {
@@ -131,7 +131,7 @@ class Views:
         node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        """Show what the planner of this namespace says of the state of the mission."""
+        """Publish the state of the mission from the planner's diagnostics."""
         own = self._node.get_namespace().rstrip('/')
         for status in array.status:
             values = {each.key: each.value for each in status.values}
@@ -159,13 +159,13 @@ class Views:
             self._truth[name] = truth
 
     def show(self, ledger: Ledger, stamp: int) -> None:
-        """Show the belief of a ledger, of this stamp in nanoseconds, unless others follow soon."""
+        """Show the belief of a ledger, with its stamp in nanoseconds, or wait for later ones."""
         self._pending = ledger, self._newest, stamp
         self._newest = len(ledger.deployments), ledger.estimator
         self._publish_or_wait()
 
     def show_out(self, ledger: Ledger) -> None:
-        """Show how many robots were ordered and how many are out, if that has changed."""
+        """Publish the numbers of robots ordered and in flight, if they have changed."""
         counts = len(ledger.paths), self.out
         if counts != (self._message.ordered, self._message.out):
             self._message.ordered, self._message.out = counts
@@ -173,7 +173,7 @@ class Views:
             self._publish_or_wait()
 
     def _publish_or_wait(self) -> None:
-        """Publish now if nothing was for a while, and later otherwise."""
+        """Publish now after a pause, and later otherwise."""
         if self._timer.is_canceled():
             self.publish()
             self._timer.reset()
@@ -185,7 +185,7 @@ class Views:
             self._timer.cancel()
 
     def publish(self) -> None:
-        """Publish what is pending, if anything is."""
+        """Publish the pending views, if any."""
         if self._pending:
             ledger, before, stamp = self._pending
             for name, publisher in self._maps.items():

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes share: executor, signals, quality of service, diagnostics, parameters."""
+"""Common to all nodes: executor, signals, quality of service, diagnostics, parameters."""

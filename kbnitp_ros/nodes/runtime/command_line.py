@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all commands and nodes say of themselves on a command line."""
+"""Help and common options of commands and nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kbnitp_ros.files import installed
 WIDTH = 90
 INDENT = ' ' * 6
 
-# A parameter of each node that a user would give.
+# A parameter of each node for the example in its help.
 EXAMPLES = {
     'planner': 'robots:=20',
     'agent': 'seed:=3',
@@ -26,7 +26,7 @@ EXAMPLES = {
 
 
 class Parser(argparse.ArgumentParser):
-    """That of argparse, but for an output that takes no help."""
+    """An argument parser whose help survives a closed output."""
 
     def format_help(self) -> str:
         """Return the help without the end of its last line."""
@@ -52,7 +52,7 @@ def command_parser(name: str, description: str, *examples: str) -> argparse.Argu
 
 
 def add_log(parser: argparse.ArgumentParser) -> None:
-    """Have a command take the log of a mission."""
+    """Add the option for the log of a mission."""
     parser.add_argument(
         'log',
         metavar='LOG',
@@ -63,7 +63,7 @@ def add_log(parser: argparse.ArgumentParser) -> None:
 
 
 def add_namespace(parser: argparse.ArgumentParser) -> None:
-    """Have a command choose between the missions of a log."""
+    """Add the option that selects one of several missions in a log."""
     parser.add_argument(
         '--namespace',
         help='whose mission it is, of a log of several that does not tell; default the only one',
@@ -71,7 +71,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
 
 
 def node_parser(name: str, description: str) -> argparse.ArgumentParser:
-    """Return the parser of a node, whose help tells of its parameters."""
+    """Return the parser of a node, whose help lists its parameters."""
     table = parameters_of(name).values()
     parser = command_parser(
         name,

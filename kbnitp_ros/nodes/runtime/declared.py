@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node declares its parameters and keeps their values."""
+"""Declaration of a node's parameters, and their values."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     """Declare the parameters of the node called `name` and return their values."""
     mine = parameters_of(name)
     values = {parameter.name: parameter.default for parameter in mine.values()}
-    # rclpy has no other way to see what was given for names that are not declared.
+    # rclpy has no other way to list given parameters that are not declared.
     for given, override in node._parameter_overrides.items():
         if parameter := parameter_of(name, given):
             mine[given] = parameter
             values[given] = parameter.check(override.value)
         elif given != TOPICS:
             check_known(given, NODES)
-    # A real robot knows of no other agents.
+    # A real robot does not know other agents.
     if 'agents' in values:
         check_own(values)
     for parameter in mine.values():
@@ -71,7 +71,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
 
 
 def state(node: Node, names: Mapping[str, str]) -> None:
-    """Declare the names of a node's topics, by role, for others to read."""
+    """Declare the topics of a node, by role, for others to read."""
     stated = [f'{role}={topic}' for role, topic in names.items()]
     given = node._parameter_overrides.get(TOPICS)
     if given is not None and list(given.value) != stated:
@@ -86,7 +86,7 @@ def state(node: Node, names: Mapping[str, str]) -> None:
 
 
 def descriptor_of(parameter: Parameter) -> ParameterDescriptor:
-    """Return what `ros2 param describe` tells of a parameter."""
+    """Return the descriptor that `ros2 param describe` shows."""
     is_in_range = parameter.limits is not None and parameter.off is None
     descriptor = ParameterDescriptor(
         description=parameter.description,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node has accepted, refused and waits for, on the topic /diagnostics."""
+"""Diagnostics of a node: accepted, refused and pending messages, on /diagnostics."""
 
 from __future__ import annotations
 
@@ -17,27 +17,26 @@ from rclpy.node import Node
 
 TOPIC = '/diagnostics'
 
-PERIOD = 1.0  # seconds
+PERIOD = 1.0  # Seconds.
 
-# By which the planner tells the state of its mission, and why it is in that state.
+# Keys for the state of the mission and its reason, published by the planner.
 MISSION_STATE = 'mission_state'
 MISSION_REASON = 'mission_reason'
 
-# By which a node tells what it refused last.
+# Key for the last refusal.
 LAST_REFUSAL = 'last_refusal'
 
-# How many refusals are told at once in such a period, and how many characters are shown of each.
-# Those beyond are only counted: whoever floods a node with messages must not have it flood others.
+# Maximum number of refusals published in a period, and of characters of each. Further ones are
+# only counted: a flood of messages must not make this node flood others.
 SHOWN_AT_ONCE = 10
 SHOWN = 1000
 
-# How long a node that cannot go on stays for its last words: until somebody listens, and until
-# they have arrived, each in seconds.
+# Seconds that a node that fails waits for a subscriber of its last message, and for its delivery.
 LAST_WORDS = 1.0
 
 
 class Activity(Enum):
-    """What a node does."""
+    """The activity of a node."""
 
     WORKING = auto()
     WAITING = auto()
@@ -45,21 +44,21 @@ class Activity(Enum):
 
 
 class NodeState(NamedTuple):
-    """What a node does, and of what."""
+    """The activity of a node, with a description."""
 
-    # What it does.
+    # Its activity.
     activity: Activity
-    # The same with what it is about, as diagnostics and the console show it.
+    # The description for diagnostics and the console.
     sentence: str
 
 
 def working(sentence: str) -> NodeState:
-    """Return the state of a node that does what the sentence says."""
+    """Return the state of a working node."""
     return NodeState(Activity.WORKING, sentence)
 
 
 def waiting_for(what: str) -> NodeState:
-    """Return the state of a node that waits for somebody or something, and why."""
+    """Return the state of a node that waits, with for what and why."""
     return NodeState(Activity.WAITING, f'waiting for {what}')
 
 
@@ -69,36 +68,36 @@ def done(how: str) -> NodeState:
 
 
 class Diagnostics:
-    """Counts what comes in and shows it every second, and at once when something is refused."""
+    """Counts of a node's messages, published every second and after each refusal."""
 
     def __init__(self, node: Node) -> None:
         # Messages so far.
         self.accepted = 0
         self.refused = 0
-        # Messages held until what they belong to has come.
+        # Messages held until what they refer to arrives.
         self.waiting = 0
-        # What the node does.
+        # The state of the node.
         self.state = working('running')
-        # What is not as it should be for now; empty when nothing.
+        # A current problem; empty if there is none.
         self.warning = ''
-        # What else is to be told.
+        # Further values.
         self.values: dict[str, str] = {}
         self._last_refusal = ''
         self._failure = ''
         self._refused_lately = 0
         self._node = node
-        # Its name is fixed, wherever the node is: tools know no other.
+        # A fixed name in every namespace, which is what tools expect.
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
         # Diagnostics go on when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._publish_all, clock=steady)
 
     def accept(self) -> None:
-        """Count one message as accepted."""
+        """Count one accepted message."""
         self.accepted += 1
 
     def refuse(self, what: str, why: object) -> None:
-        """Count one message as refused and say so, unless very many were refused just now."""
+        """Count and report one refused message, unless too many were reported just now."""
         self.refused += 1
         self._refused_lately += 1
         text = f'{what} refused: {why}'
@@ -108,14 +107,14 @@ class Diagnostics:
             self.publish()
 
     def _publish_all(self) -> None:
-        """Show the counts, and say how many refusals were not told."""
+        """Publish the counts, and the number of refusals not reported."""
         not_shown, self._refused_lately = self._refused_lately - SHOWN_AT_ONCE, 0
         if not_shown > 0:
             self._node.get_logger().warning(f'{not_shown} more messages were refused')
         self.publish()
 
     def fail(self, why: Exception) -> None:
-        """Say why the node cannot go on, and stay until that has arrived if anybody listens."""
+        """Report why the node cannot go on, and wait until that has arrived if anybody listens."""
         self._failure = in_words(why)
         deadline = time.monotonic() + LAST_WORDS
         name = self._node.get_name(), self._node.get_namespace()
@@ -131,7 +130,7 @@ class Diagnostics:
         self._publisher.wait_for_all_acked(Duration(seconds=LAST_WORDS))
 
     def publish(self) -> None:
-        """Show the counts now."""
+        """Publish the counts now."""
         values = {
             'state': self.state.sentence,
             'accepted': self.accepted,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS graph, how nodes find each other, and which of them serve a role of the mission."""
+"""The ROS graph: discovery, authors of topics, and the roles of subscribers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
-    """Return the variables with which rmw_fastrtps uses UDP and no shared memory."""
+    """Return environment variables that make rmw_fastrtps use UDP and no shared memory."""
     # A killed process leaves locked shared memory behind, and the next one may not be discovered.
     # For the range LOCALHOST rmw_fastrtps adds shared memory whatever the profile says: a profile
     # that binds UDP to 127.0.0.1 replaces it, unless ROS_STATIC_PEERS names peers elsewhere.
@@ -42,7 +42,7 @@ def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
 
 
 def deaf_to_server(environment: Mapping[str, str]) -> str:
-    """Return why nodes that a discovery server introduces see too little; empty if they do not."""
+    """Return why nodes behind a discovery server see too little; empty if they do not."""
     server = environment.get('ROS_DISCOVERY_SERVER')
     if not server or environment.get('ROS_SUPER_CLIENT', '').lower() in ('true', '1'):
         return ''
@@ -56,12 +56,12 @@ Topics = list[tuple[str, list[str]]]
 
 
 def full_name(namespace: str, name: str) -> str:
-    """Return what a node in a namespace is called."""
+    """Return the full name of a node in a namespace."""
     return f'{namespace.rstrip("/")}/{name}'
 
 
 class GraphNode(Node):
-    """A node that sees an empty graph, and says why, while rclpy cannot read a name in it."""
+    """A node that sees an empty graph, and says why, while rclpy cannot decode a name in it."""
 
     def get_topic_names_and_types(self, no_demangle: bool = False) -> Topics:
         """Return the topics that have valid names, and their types."""
@@ -98,11 +98,11 @@ class GraphNode(Node):
         )
 
     def refuse_once(self, what: str, why: object) -> None:
-        """Say once that there is a name that cannot be read."""
+        """Warn once of a name that cannot be decoded."""
         raise NotImplementedError
 
     def _read(self, look: Callable[..., Iterable[Any]], *arguments: object) -> list[Any]:
-        # DDS takes any bytes for a name, rclpy only UTF-8.
+        # DDS allows any bytes in a name, rclpy only UTF-8.
         try:
             return list(look(*arguments))
         except UnicodeDecodeError as error:
@@ -110,7 +110,8 @@ class GraphNode(Node):
             return []
 
 
-# The type of what a node of each role publishes: AGENT/path, AGENT/report, belief, AGENT/recorded.
+# The message types by which nodes of each role are found: of AGENT/path, AGENT/report, belief,
+# AGENT/recorded.
 PUBLISHED = {
     'planner': PATH,
     'agent': REPORT,
@@ -120,11 +121,11 @@ PUBLISHED = {
 
 
 def listening_roles(node: Node, topics: Iterable[str]) -> dict[str, set[str]]:
-    """Return for each topic the names of others that listen, and the roles that they serve."""
+    """Return for each topic the other nodes subscribed to it, and the roles that they play."""
 
     @cache
     def types_published(name: str, namespace: str) -> set[str]:
-        # It may have ended, its name may not be known yet, or it is none.
+        # It may have ended, its name may not be known yet, or it is no ROS node.
         with suppress(RuntimeError):
             published = node.get_publisher_names_and_types_by_node(name, namespace)
             return {kind for _, kinds in published for kind in kinds}

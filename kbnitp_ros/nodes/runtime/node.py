@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes of a mission have in common, besides how their process starts and ends."""
+"""Base classes of the nodes of a mission."""
 
 from __future__ import annotations
 
@@ -36,27 +36,27 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
 
-# In seconds: how long a signal may have to wait, and how often a node looks at the graph.
+# Seconds: longest delay of a signal, and period of looks at the graph.
 SPIN = 0.2
 POLL = 0.05
 
-# How long a message waits for one of another topic that it follows from, in seconds, and how many
-# wait: DDS keeps the order within one topic alone.
+# Seconds that a message waits for another one that it refers to, and the maximum number of waiting
+# messages: DDS keeps the order within one topic alone.
 PATIENCE = 2.0
 MOST_EARLY = 20
 
-# After a look at the graph the node does something else for so many times as long as it took.
+# After a look at the graph, the node pauses looking for so many times as long as it took.
 REST = 4.0
 
-# How long a node waits for the readers of its last messages, in seconds: they may have died.
+# Seconds that a node waits for the readers of its last messages, which may have died.
 FAREWELL = 0.3
 
-# In seconds: how long a node waits, or reads, before it says so, since all do for a moment when a
-# mission begins, and how often it says so again.
+# Seconds until a node that waits or reads logs that, since all do for a moment when a mission
+# begins, and seconds until it logs it again.
 SAY_FIRST = 3.0
 SAY_AGAIN = 10.0
 
-# The logger below that of its node, for a line about each deployment; it can be silenced alone.
+# The child logger for a line about each deployment, which can be silenced alone.
 DEPLOYMENTS = 'deployments'
 
 T = TypeVar('T')
@@ -65,7 +65,7 @@ PACKAGE = __name__.partition('.')[0]
 
 
 class MissionNode(GraphNode):
-    """A node of the mission: its parameters and its diagnostics."""
+    """A node of the mission, with its parameters and diagnostics."""
 
     make_executor: Callable[[], Executor] = staticmethod(EventsExecutor)
 
@@ -75,10 +75,10 @@ class MissionNode(GraphNode):
         super().__init__(name)
         # By name, kept up to date.
         self.values = declare(self, name)
-        # In the namespace of its name an agent's topics are not below that name once more.
+        # In the namespace of its own name, an agent's topics are not below that name again.
         own = self.values.get('agent', '')
         self.above = self.get_namespace().rstrip('/').removesuffix(f'/{own}')
-        # Its part in the mission, which it states with its parameters.
+        # Its topics by role, stated in its parameters.
         self.roles = Roles.of(
             self.above,
             [own] if own else self.values['agents'],
@@ -87,7 +87,7 @@ class MissionNode(GraphNode):
         )
         state(self, self.roles.names)
         self.diagnostics = Diagnostics(self)
-        # Whether its work is done, so that its process ends, and with which code.
+        # Whether its work is done, so that the process ends, and the exit code.
         self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
@@ -100,11 +100,11 @@ class MissionNode(GraphNode):
             self.get_logger().warning(warning)
 
     def now(self) -> int:
-        """Return the ROS time in nanoseconds; 0 as long as a simulated clock has not started."""
+        """Return the ROS time in nanoseconds; 0 until a simulated clock has started."""
         return min(self.get_clock().now().nanoseconds, LATEST)
 
     def elapsed(self) -> int:
-        """Return the time by which deadlines run, in nanoseconds from any moment on."""
+        """Return the time of deadlines, in nanoseconds from an arbitrary start."""
         is_simulated = self.get_parameter('use_sim_time').value
         return self.now() if is_simulated else time.monotonic_ns()
 
@@ -115,7 +115,7 @@ class MissionNode(GraphNode):
         callback: Callable[[Any], None],
         profile: QoSProfile,
     ) -> Subscription:
-        """Subscribe to messages of which anybody may send any."""
+        """Subscribe without a limit on the number of unread messages."""
         return self.hear_newest(kind, topic, callback, qos.unread_kept(profile))
 
     def hear_newest(
@@ -127,9 +127,9 @@ class MissionNode(GraphNode):
         *,
         is_timed: bool = False,
     ) -> Subscription:
-        """Subscribe as `hear` does, but to as many unread messages as the profile says."""
-        # A callback that is timed takes as well when the message was published, in nanoseconds of
-        # the publisher's system time.
+        """Subscribe, and keep as many unread messages as the profile says."""
+        # A timed callback also takes the time of publication, in nanoseconds of the publisher's
+        # system clock.
 
         def read(data: bytes, info: Any) -> None:
             try:
@@ -142,15 +142,15 @@ class MissionNode(GraphNode):
         return self.create_subscription(kind, topic, read, profile, raw=True)
 
     def refuse_once(self, what: str, why: object) -> None:
-        """Refuse something that is in the graph, however often it is found there."""
+        """Warn once of something in the graph, however often it is found."""
         text = f'{what}: {why}'
         if text not in self._refused_once:
             self._refused_once.add(text)
             self.diagnostics.refuse(what, why)
 
     def count_authors(self, topic: str, type_name: str) -> int:
-        """Return how many publish messages of this type on a topic; others do not count."""
-        # To ask who they are takes a hundred times as long, and they seldom change.
+        """Return the number of publishers of a type on a topic."""
+        # Queries for their names take a hundred times as long, and the number seldom changes.
         publishers = self.count_publishers(topic)
         if self._publisher_counts.get(topic) != publishers:
             self._publisher_counts[topic] = publishers
@@ -159,7 +159,7 @@ class MissionNode(GraphNode):
         return self._author_counts[topic]
 
     def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
-        """Return which of the parameter `await_nodes` do not listen yet; empty when all do."""
+        """Return the nodes in `await_nodes` that do not subscribe yet; empty if all do."""
         deaf: dict[str, list[str]] = {}
         topics = [publisher.topic_name for publisher in publishers]
         for topic, listening in listening_roles(self, topics).items():
@@ -170,7 +170,7 @@ class MissionNode(GraphNode):
         return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
 
     def _say_what_is_awaited(self) -> None:
-        """Say on the console what the node waits for, when it has for a while and again later."""
+        """Log what the node waits for, after a while and then repeatedly."""
         activity, sentence = self.diagnostics.state
         awaited = sentence if activity is Activity.WAITING else ''
         now = time.monotonic()
@@ -181,7 +181,7 @@ class MissionNode(GraphNode):
             self.get_logger().info(awaited)
 
     def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
-        """Pass items on, and print their number while it takes long."""
+        """Pass items on, and log their number while it takes long."""
         say_at = time.monotonic() + SAY_FIRST
         for number, item in enumerate(items):
             stop_on_signal()
@@ -191,12 +191,12 @@ class MissionNode(GraphNode):
             yield item
 
     def call_next(self, callback: Callable[[], object]) -> None:
-        """Have a callback called in the thread of all others, as another thread asks for it."""
+        """Call back in the thread of the executor; for other threads."""
         if self.executor is not None:
             self.executor.create_task(self.guarded(callback))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Have `spin_once` raise what a callback raises, or refuse it if it is of rclpy alone."""
+        """Make `spin_once` raise a callback's exceptions; refuse those of rclpy's own ones."""
         # EventsExecutor ends with a segmentation fault where the callback of a future or a task
         # raises, and logs fatal errors otherwise.
 
@@ -225,7 +225,7 @@ class MissionNode(GraphNode):
 
         @wraps(callback)
         def call(message: Any, *info: Any) -> Any:
-            # EventsExecutor gives a message and its info as one.
+            # EventsExecutor passes a message and its info as one tuple.
             return guarded(*(message if isinstance(message, tuple) else (message, *info)))
 
         return super().create_subscription(msg_type, topic, call, *arguments, **options)
@@ -255,18 +255,18 @@ class MissionNode(GraphNode):
         return service
 
     def create_poll(self, callback: Callable[[], None], period: float = POLL) -> Timer:
-        """Call back every so many seconds, also when simulated time stands still."""
+        """Call back periodically (seconds), also when simulated time stands still."""
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def create_look(self, look: Callable[[], None]) -> Timer:
-        """Call back as `create_poll` does, but rarely when it takes long."""
+        """Call back as `create_poll` does, but less often if it takes long."""
         due = 0.0
 
         def look_if_due() -> None:
             nonlocal due
             if time.monotonic() < due:
                 return
-            # Time that other processes took does not count.
+            # Time of other processes does not count.
             begun = time.thread_time()
             look()
             due = time.monotonic() + REST * (time.thread_time() - begun)
@@ -274,7 +274,7 @@ class MissionNode(GraphNode):
         return self.create_poll(look_if_due)
 
     def spin_until(self, condition: Callable[[], bool]) -> None:
-        """Take messages until something holds that the node cannot be made without."""
+        """Spin until a condition holds, before the node is complete."""
         executor = self.make_executor()
         executor.add_node(self)
         try:
@@ -286,24 +286,24 @@ class MissionNode(GraphNode):
             executor.shutdown()
 
     def end(self, exit_code: int = 0) -> None:
-        """End the process, once it is known why."""
+        """End the process after a last diagnostics message."""
         self.is_over, self.exit_code = True, exit_code
         self.diagnostics.publish()
 
     def finish(self) -> None:
-        """Do what is left to do, before the node is closed."""
+        """Complete pending work before the node is closed."""
 
     def close(self) -> None:
-        """Stay until what was published last has arrived: DDS drops it with the publisher."""
+        """Wait until the last messages have arrived: DDS drops them with the publisher."""
         if self.is_over:
-            # Nobody tells when the answer of a service has arrived.
+            # No acknowledgement tells when the response of a service has arrived.
             time.sleep(FAREWELL)
         end = time.monotonic() + FAREWELL
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
 
-# Evidence on the topics of an agent, by type.
+# Topics of an agent's evidence, by type.
 AGENT_TOPICS: dict[type, str] = {
     Path: 'path',
     DeploymentReport: 'report',
@@ -328,7 +328,7 @@ class FieldNode(MissionNode):
 
     @property
     def grid(self) -> Grid:
-        """Return the field, the same for all nodes of a mission."""
+        """Return the grid, the same for all nodes of a mission."""
         assert self._grid is not None
         return self._grid
 
@@ -352,16 +352,16 @@ class FieldNode(MissionNode):
 
 
 class Early:
-    """Messages ahead of what they follow from, each given to its callback again for a while."""
+    """Messages ahead of others that they refer to; each is retried for a while."""
 
     def __init__(self, node: MissionNode, take: Callable[..., object]) -> None:
         self._take = take
-        # Each with the time until which it waits.
+        # Each with its deadline.
         self._waiting: list[tuple[Any, ...]] = []
         node.create_poll(self.try_again)
 
     def keep(self, deadline: float | None, *message: object) -> bool:
-        """Keep a message; return False if it has waited for long, or if many wait."""
+        """Keep a message; return False if its time is over, or if too many wait."""
         now = time.monotonic()
         deadline = now + PATIENCE if deadline is None else deadline
         is_kept = now < deadline and len(self._waiting) < MOST_EARLY
@@ -370,14 +370,14 @@ class Early:
         return is_kept
 
     def try_again(self, *, is_last: bool = False) -> None:
-        """Give what waits to the callback, with its deadline, or with one that is over."""
+        """Pass waiting messages to the callback, with their deadlines or, at the last try, 0."""
         waiting, self._waiting = self._waiting, []
         for *message, deadline in waiting:
             self._take(*message, 0.0 if is_last else deadline)
 
 
 def spin_once(node: MissionNode, executor: Executor, seconds: float) -> None:
-    """Wait for a callback and call it; raise what it raises."""
+    """Wait for a callback and call it; raise its exceptions."""
     executor.spin_once(timeout_sec=seconds)
     if node.broken:
         raise node.broken

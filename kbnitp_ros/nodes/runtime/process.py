@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the process of a node starts, runs and ends."""
+"""Start, run and end of a node's process."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
 
-# How long a node may take to leave the graph, in seconds.
+# Seconds that a node may take to leave the graph.
 TEARDOWN = 3
 
 LIBC = ctypes.CDLL(None)
 SIGEV_THREAD = 2
 
-# What a user can cause: rclpy reports bad arguments as RuntimeError.
+# Errors that a user can cause: rclpy reports bad arguments as RuntimeError.
 START_ERRORS = (
     ValueError,
     OSError,
@@ -50,7 +50,7 @@ START_ERRORS = (
 def run(
     name: str, make: Callable[[], MissionNode], args: Sequence[str] | None, linger: float = 0.0
 ) -> int:
-    """Run a node until SIGINT or SIGTERM, or its end, and return the exit code of its process."""
+    """Run a node until SIGINT, SIGTERM or its end; return the exit code."""
     note_signals()
     while_compiling(stop_on_signal)
     try:
@@ -60,10 +60,10 @@ def run(
 
 
 def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linger: float) -> int:
-    """Run a node, and return the exit code of its process."""
+    """Run a node; return the exit code."""
     parser = node_parser(name, str(make.__doc__))
     try:
-        # ROS has worse words for a file that is not there.
+        # Checked first, since ROS reports a missing file badly.
         check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -83,7 +83,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         broken = _live(node, executor, linger)
         if broken:
             if not isinstance(broken, OSError):
-                # No message and no user may cause it: a fault of this package.
+                # Neither a message nor a user can cause it: a fault of this package.
                 traceback.print_exception(broken)
             _complain(name, broken)
             node.diagnostics.fail(broken)
@@ -95,7 +95,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
 
 
 def _live(node: MissionNode, executor: Executor, linger: float) -> Exception | None:
-    """Run a node until a signal comes, and close it; return what broke, if anything did."""
+    """Run a node until a signal, and close it; return the exception that ended it, if any."""
     broken: Exception | None = None
     try:
         with suppress(StoppedError):
@@ -110,7 +110,7 @@ def _live(node: MissionNode, executor: Executor, linger: float) -> Exception | N
     try:
         node.close()
     except Exception as error:
-        # What breaks after something else did, breaks because of it.
+        # Later failures are usually caused by the first one.
         broken = broken or error
     return broken
 
@@ -120,11 +120,11 @@ def _complain(name: str, error: Exception) -> None:
 
 
 def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) -> None:
-    """Show an error on diagnostics, from a node made for that: there may be none yet."""
-    # What is wrong with the arguments may be wrong with this node, too.
+    """Publish a startup error on diagnostics, from a node of its own: there may be none yet."""
+    # A wrong argument may prevent this node, too.
     with suppress(*START_ERRORS):
         if not ok():
-            # Parameters that were refused are not for ROS to read.
+            # Refused parameters must not reach ROS.
             names = names_given(arguments)
             rclpy.init(args=names, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name, enable_rosout=False, start_parameter_services=False)
@@ -132,9 +132,9 @@ def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) 
 
 
 def _leave(code: int, executor: Executor | None = None, node: MissionNode | None = None) -> None:
-    """Leave the graph; should that not end, the process does, with its exit code."""
-    # When several processes leave at once, one in a thousand waits for good in Fast DDS 2.14,
-    # with Python's lock held, so the C library ends it.
+    """Leave the graph, or else end the process with its exit code."""
+    # When several processes leave at once, one in a thousand hangs forever in Fast DDS 2.14 with
+    # Python's lock held, so the C library ends it.
     exit_function = ctypes.cast(LIBC._exit, ctypes.c_void_p).value
     event = struct.pack('QiiQQ32x', code, 0, SIGEV_THREAD, exit_function, 0)
     timer = ctypes.c_void_p()

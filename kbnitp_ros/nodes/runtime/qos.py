@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quality of service of every topic, and how the recorder meets that of others."""
+"""The quality of service of all topics, and of the recorder's subscriptions to others."""
 
 from __future__ import annotations
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 # Fast DDS keeps at most 5000 samples of a topic unless a profile says otherwise: it accepts a
-# deeper history and then loses messages without a word.
+# deeper history and then drops messages silently.
 DEPTH = 5000
 
-# Paths and reports: who joins late gets the whole mission.
+# Paths and reports: nodes that join late receive the whole mission.
 EVIDENCE = QoSProfile(
     depth=DEPTH,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-# Beliefs and maps, as REP-2003 has them: who joins late gets the newest.
+# Beliefs and maps, as in REP-2003: nodes that join late receive the newest.
 LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
@@ -25,7 +25,7 @@ LATCHED = QoSProfile(
 
 DIAGNOSTICS = QoSProfile(depth=10)
 
-# Poses, as tf2 has them; those that never change are kept for who joins late.
+# Poses, as in tf2; constant ones are kept for nodes that join late.
 POSES = QoSProfile(depth=100)
 LATCHED_POSES = QoSProfile(
     depth=100,
@@ -33,13 +33,13 @@ LATCHED_POSES = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-# What sensors say, which nobody sends again.
+# Sensor data, which is never sent again.
 READINGS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def unread_kept(offered: QoSProfile) -> QoSProfile:
-    """Return the profile of a subscription that gets all that such a publisher can give."""
-    # With a history that is kept whole a reliable publisher sends again what found no place.
+    """Return the profile of a subscription that receives all that a publisher can give."""
+    # With an unlimited history, a reliable publisher repeats samples that found no place.
     reliable = offered.reliability == ReliabilityPolicy.RELIABLE
     latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
@@ -50,7 +50,7 @@ def unread_kept(offered: QoSProfile) -> QoSProfile:
 
 
 def lacking(offered: QoSProfile) -> str:
-    """Return in words what keeps subscriptions to `EVIDENCE` from hearing a publisher, if any."""
+    """Describe the policies that exclude `EVIDENCE` subscriptions; empty if none does."""
     words = []
     if offered.reliability == ReliabilityPolicy.BEST_EFFORT:
         words.append('with best effort')
