@@ -194,7 +194,6 @@ def filled(
         returned=RETURNED.colour,
         lost=LOST.colour,
         obstacle=OBSTACLE,
-        lane=mission.decision is not None and mission.decision.path.size > 0,
         finding_columns=(*FINDINGS, *(ON_EARTH if mission.datum else ())),
         findings=[vars(each) for each in findings_of(mission)],
         safe_columns=(*SAFE, *(ON_EARTH if mission.datum else ())),
@@ -298,9 +297,8 @@ def colours_of(mission: Mission) -> dict[str, str]:
 
 def plots_of(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
     """Return all plots, each in JSON."""
-    lane = None if mission.decision is None else mission.decision.path
     north = None if mission.datum is None else pi / 2 - mission.datum.heading
-    plots = {'map': map_plot(mission.grid, lane=lane, north=north)}
+    plots = {'map': map_plot(mission.grid, north=north)}
     plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
     plots['cell'] = cell_plot()
     return plots
@@ -342,6 +340,7 @@ def data_of(
             if name in colours
         },
         'free': FREE,
+        'lane': [] if mission.decision is None else mission.decision.path.tolist(),
         'assumed': mission.assumed,
         'name': title_of(mission.log),
         'traces': TRACES,

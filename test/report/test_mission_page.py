@@ -12,7 +12,7 @@ import subprocess
 import sys
 
 from extent import FULL, some
-from kbnitp_ros.core import Dynamics, Observation
+from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation
 from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.write import LogWriter
@@ -201,6 +201,19 @@ def test_layers_are_switched_and_the_truth_is_outlined(opened, shown):
     assert page.evaluate(walk) > 0
     page.get_by_label('paths', exact=True).uncheck()
     assert page.evaluate(walk) == 0
+
+
+def test_the_lane_of_a_goal_is_drawn_after_the_last_report(opened, shown, tmp_path):
+    mission, _ = shown
+    lane = np.array([GRID.base, 1, 0])
+    draws = HazardDraws(np.zeros((4, GRID.cells), dtype=bool), 1e6)
+    decision = replace(Decision.about('lane', draws, lane, 0.9), path=lane)
+    page = opened(file=page_file(replace(mission, decision=decision, log=tmp_path / 'a.mcap')))
+    lines = """document.getElementById("map").data.filter((trace) =>
+        trace.line?.width === 2.5 && trace.x.length > 1).map((trace) => trace.x.slice(0, -1))"""
+    assert page.evaluate(lines) == [pytest.approx(GRID.centers(lane)[:, 0].tolist())]
+    move(page, 3)
+    assert page.evaluate(lines) == []
 
 
 def test_where_a_robot_was_lost_is_listed_marked_and_told_alike(opened, shown):

@@ -190,7 +190,8 @@ async function start(signal, kept) {
       const free = those((each) => !mayBeHazard(moment, each));
       drawn.push(marked('free', free, Math.max(2, side / 5), { color: '#000000', line: { color: '#ffffff', width: 1 } }));
     }
-    if (way.length) drawn.push(...lined(line([way]), 2.5));
+    if (moment === last) drawn.push(...lined(line([mission.lane]), 2.5));
+    drawn.push(...lined(line([way]), 2.5));
     return drawn;
   }
 
