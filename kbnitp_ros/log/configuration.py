@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a run was configured, as it stands in its log: versions, processor, and parameters."""
+"""The configuration of a run in its log: versions, processor, and parameters."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ import numpy as np
 
 
 def numerical_environment() -> dict[str, str]:
-    """Return what this process computes with, by what it is."""
+    """Return the numerical environment of this process, by item."""
     return {
         'processor': _processor(),
-        # numpy and the C library compute logarithms otherwise where the processor can do more.
+        # numpy and the C library compute logarithms differently on processors with more features.
         'processor_features': ' '.join(_processor_features()),
         'c_library': ' '.join(platform.libc_ver()),
         'numpy': np.__version__,
@@ -31,7 +31,7 @@ def numerical_environment() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Return the processor's name, its architecture if it has none."""
+    """Return the processor's name, or its architecture."""
     with suppress(OSError):
         for line in Path('/proc/cpuinfo').read_text().splitlines():
             if line.startswith('model name'):
@@ -40,7 +40,7 @@ def _processor() -> str:
 
 
 def _processor_features() -> list[str]:
-    """Return what numpy found that the processor can do, and uses."""
+    """Return the processor features that numpy found and uses."""
     extensions: dict[str, dict[str, list[str]]] = np.show_config(mode='dicts')  # type: ignore
     found = extensions['SIMD Extensions']
     return [*found.get('baseline', ()), *found.get('found', ())]
@@ -55,7 +55,7 @@ def _installed_version(package: str) -> str:
 
 
 def run_record(rmw_implementation: str) -> dict[str, str]:
-    """Return what the record `RUN` of a log says: the time (UTC) and what the run runs on."""
+    """Return the record `RUN` of a log: the time (UTC) and the environment of the run."""
     packages = ('kbnitp_ros', 'kbnitp_msgs', 'rclpy', rmw_implementation)
     return {
         'time': datetime.now(timezone.utc).isoformat(),
@@ -70,14 +70,14 @@ def run_record(rmw_implementation: str) -> dict[str, str]:
 
 
 def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return what the record of a node's parameters says: each value as JSON."""
-    # ROS hands a byte over as bytes of length one.
+    """Return the record of a node's parameters: each value as JSON."""
+    # ROS passes a byte as bytes of length one.
     return {name: json.dumps(value, default=ord) for name, value in sorted(values.items())}
 
 
 def _package_version(package: str) -> str:
-    """Return the version that a ROS package's manifest gives."""
-    # Only who writes a log needs to know what is installed.
+    """Return the version in a ROS package's manifest."""
+    # Needed by writers of logs alone.
     from ament_index_python.packages import get_package_share_directory
 
     try:
@@ -88,7 +88,7 @@ def _package_version(package: str) -> str:
 
 
 def _revision(source: Path) -> dict[str, str]:
-    """Return the git revision of a folder; nothing if it is no checkout or git is missing."""
+    """Return the git revision of a folder; empty outside a checkout or without git."""
     if not source.joinpath('.git').exists():
         return {}
     command = ['git', 'describe', '--always', '--dirty', '--abbrev=40', '--exclude=*']

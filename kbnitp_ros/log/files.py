@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a log, what goes wrong with them, and the lock that keeps a second writer away."""
+"""The files of a log, their errors, and the lock against a second writer."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from kbnitp_ros.files import NotYamlError, read_yaml
 
 
 class LogError(ValueError):
-    """A file that is no mission log, a corrupt one, or parts that do not make one."""
+    """A file that is no mission log, a corrupt one, or parts that do not belong together."""
 
 
 SUFFIXES = ('.mcap', '.db3')
 METADATA = 'metadata.yaml'
 INFORMATION = 'rosbag2_bagfile_information'
 
-# What later parts have after the name of the log; a date has more digits.
+# The suffix of later parts after the name of the log; a date has more digits.
 NUMBER = r'_([1-9]\d{0,4})'
 
 
 def parts_of(path: str | Path) -> list[Path]:
-    """Return the files of a log, by its first file or folder, in order."""
+    """Return the files of a log in order, from its first file or its folder."""
     path = Path(path)
     try:
         if not path.is_dir():
@@ -55,7 +55,7 @@ def parts_of(path: str | Path) -> list[Path]:
 
 
 def with_later_parts(first: Path) -> list[Path]:
-    """Return the first file of a log and later parts."""
+    """Return the first file of a log and its later parts."""
     listed = listed_parts(first.parent)
     names = listed if first.name in listed[:1] else [first.name]
     numbers = [number for number, file in numbered(first).items() if file.name not in names]
@@ -69,14 +69,14 @@ def with_later_parts(first: Path) -> list[Path]:
 
 
 def numbered(first: Path) -> dict[int, Path]:
-    """Return the later parts of a log by number, by their names."""
+    """Return the numbers of later parts by file name."""
     pattern = re.compile(re.escape(base(first)) + NUMBER + re.escape(first.suffix))
     matches = ((file, pattern.fullmatch(file.name)) for file in first.parent.iterdir())
     return {int(match[1]): file for file, match in matches if match}
 
 
 def part_path(first: Path, number: int) -> Path:
-    """Return the path of a later part, from number 1."""
+    """Return the path of a later part, numbered from 1."""
     return first.with_name(f'{base(first)}_{number}{first.suffix}')
 
 
@@ -94,7 +94,7 @@ def is_later_part(path: Path) -> bool:
 
 
 def listed_parts(folder: Path) -> list[str]:
-    """Return the names of the files that metadata.yaml lists; none if all were renamed."""
+    """Return the files listed in metadata.yaml; none if all were renamed."""
     information = read_information(folder)
     mode = str(information.get('compression_mode') or 'none')
     if mode.lower() != 'none':
@@ -115,7 +115,7 @@ def read_information(folder: Path) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=4)
 def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
-    """Return what metadata.yaml says of a bag; it is parsed once for as long as it stays."""
+    """Parse the metadata.yaml of a bag, once for each version of it."""
     try:
         content = read_yaml(path)
     except NotYamlError:
@@ -127,7 +127,7 @@ def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
 
 
 def check_is_new(first: Path) -> None:
-    """Check that the name of a new log cannot be taken for another one or a part of one."""
+    """Check that a new log's name is not that of another log or of a part of one."""
     if first.suffix != '.mcap':
         raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
     try:
@@ -148,20 +148,20 @@ def check_is_new(first: Path) -> None:
 
 
 class LogLock:
-    """Keeps all other processes from writing a log."""
+    """A lock that keeps other processes from writing a log."""
 
     def __init__(self, first: Path) -> None:
         self.path = first
         self._file = locked(first)
         try:
-            # Who held the lock until now may have put another file in its place.
+            # The former holder may have put another file in its place.
             check_in_place(self._file, first)
         except OSError as error:
             self.release()
             raise LogError(f'{first} was replaced just now: try again') from error
 
     def put_in_place(self, new: Path, part: Path) -> None:
-        """Give a new file the name of a part; if that is the first, it is locked before."""
+        """Rename a new file to a part; a first part is locked before."""
         if part != self.path:
             new.replace(part)
             return
@@ -180,9 +180,9 @@ class LogLock:
 
 
 def locked(path: Path) -> IO[bytes]:
-    """Return a file opened for reading and writing that no other process can lock."""
+    """Open a file for reading and writing, and lock it against other processes."""
     try:
-        # Of a network file system only what is open for writing can be locked.
+        # Network file systems only lock files that are open for writing.
         file = path.open('r+b')
     except OSError as error:
         raise LogError(f'{path} cannot be gone on with: {error.strerror}') from error
@@ -203,7 +203,7 @@ def locked(path: Path) -> IO[bytes]:
 
 
 def check_in_place(file: IO[bytes], path: Path) -> None:
-    """Check that an open file is still the one that goes by its name."""
+    """Check that an open file is still the one with its name."""
     try:
         is_in_place = os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:
@@ -216,14 +216,14 @@ NAME = 'mission.mcap'
 
 
 def new_log(folder: Path | None = None) -> Path:
-    """Return the path of a new log, in a folder of its own: runs/TIME."""
+    """Return the path of a new log in a folder of its own: runs/TIME."""
     folder = folder or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
     make_folder(folder)
     return folder / NAME
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder of a log; raises OSError if it cannot be made."""
+    """Make the folder of a log; raises OSError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

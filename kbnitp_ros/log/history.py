@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded mission in the terms of the core."""
+"""A recorded mission in terms of the core."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ ROLES = ('belief', 'decision', 'model', 'path', 'progress', 'report', 'status', 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A belief on record: what was believed after a report was taken in; at first, before any."""
+    """A recorded belief: the prior, or the belief after one report."""
 
     snapshot: Snapshot
-    # When it was received, in nanoseconds.
+    # When it was received, nanoseconds.
     time: int
-    # How far into the log it stands, in bytes.
+    # Its position in the log, bytes.
     position: int
-    # Whose report was taken in last, by its place among the deployments; None at first.
+    # Index of the deployment assimilated last; None for the prior.
     deployment: int | None = None
-    # What that report told; None at first.
+    # The report of that deployment; None for the prior.
     outcome: Observation | None = None
     # Whether it replaced a report of the same deployment.
     is_late: bool = False
@@ -50,42 +50,42 @@ class Moment:
     is_after_gap: bool = False
     # Learnt numbers, kinds of hazard, and the check of the model.
     state: ModelState = NOTHING_LEARNT
-    # What no path was worth more than, nats; NaN where it was not computed.
+    # Upper bound on the information of any path, nats; NaN if it was not computed.
     upper_bound: float = nan
 
     @property
     def belief(self) -> Belief:
-        """Given the deployments held."""
+        """Return the belief given the deployments held."""
         return self.snapshot.belief
 
     @property
     def held(self) -> int:
-        """How many deployments the belief holds."""
+        """Return the number of deployments in the belief."""
         return self.snapshot.deployments
 
     def model_of(self, agent: str) -> SensorModel:
-        """Return what the robots of an agent were believed to be like."""
+        """Return the believed sensor model of an agent's robots."""
         own = self.snapshot.robot_types.get(agent, ORDINARY)
         return own.model(self.snapshot.model)
 
 
 @dataclass(eq=False)
 class History:
-    """What a log tells of its mission."""
+    """A recorded mission: deployments, beliefs, model, decision and truth."""
 
-    # The deployments on record.
+    # The recorded deployments.
     evidence: RecordedMission
-    # The beliefs on record, the prior first; what an estimator told again comes again.
+    # The recorded beliefs, the prior first; beliefs that an estimator repeated appear again.
     moments: list[Moment] = field(default_factory=list)
     # Learnt numbers, kinds of hazard, and model check, by the stamp of the belief, nanoseconds.
     models: dict[int, ModelState] = field(default_factory=dict)
-    # What no path was worth more than given the belief of a stamp, nats, where that was computed.
+    # Upper bounds on the information of any path by the stamp of the belief, nats.
     bounds: dict[int, float] = field(default_factory=dict)
-    # The last one on record: what may be relied on of the goal.
+    # The last recorded decision on the goal.
     decision: Decision | None = None
     # The hidden truth, if the agent published it.
     world: World | None = None
-    # Where files are corrupt: what comes after is not read.
+    # Corrupt places, after which a file is not read.
     corrupt: list[LogError] = field(default_factory=list)
 
     @property
@@ -95,11 +95,11 @@ class History:
 
     @property
     def beliefs(self) -> list[Belief]:
-        """Those on record, the prior first."""
+        """Return the recorded beliefs, the prior first."""
         return [each.belief for each in self.moments]
 
     def to_dataframe(self) -> DataFrame:
-        """Return one row a deployment that ended, as `kbnitp_ros.core.deployments_table`."""
+        """Return a row for each deployment that ended, as `kbnitp_ros.core.deployments_table`."""
         first = {each.held: each.belief for each in reversed(self.moments)}
         ended = sorted(self.evidence.reports, key=deployment_order)
         beliefs = [first.get(number) for number in range(1, len(ended) + 1)]
@@ -110,12 +110,12 @@ class History:
 
     @property
     def learnt(self) -> list[dict[str, Known]]:
-        """Return what was known of the numbers that were learnt, in the order on record."""
+        """Return the learnt numbers after each belief, in recorded order."""
         return [state.numbers for state in self.models.values()]
 
     @property
     def observations(self) -> list[Observation]:
-        """Of the deployments that ended, each once: the return if a loss was reported too."""
+        """Return an observation for each deployment that ended; a return replaces a loss."""
         ended = sorted(self.evidence.reports, key=deployment_order)
         return [self.evidence.outcomes[key] for key in ended]
 
@@ -124,7 +124,7 @@ def read_history(
     log: str | Path | MissionLog,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> History:
-    """Read what happened in a mission."""
+    """Read the history of a mission."""
     log = mission_log(log)
     first = required_belief(log)
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)

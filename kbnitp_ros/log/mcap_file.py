@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One file of a log: written, and finished where it was cut or damaged."""
+"""One MCAP file of a log: written, and repaired if it was cut or damaged."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ import yaml
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD}
 
-# Bytes of messages that are collected before they are written, if no sync comes first.
+# Bytes of messages in a chunk, unless a sync comes first.
 CHUNK = 2**20
 
-# Bytes that a message takes beside its own.
+# Bytes of a message besides its content.
 MESSAGE_HEAD = 31
 
 BAG_RECORD = 'rosbag2'
@@ -47,7 +47,7 @@ BAG_FIELD = 'serialized_metadata'
 
 
 class Definition(NamedTuple):
-    """A message type: its name, the language it is defined in and the text in that language."""
+    """A message type: its name, and its definition with the language of that."""
 
     name: str
     encoding: str
@@ -59,11 +59,11 @@ class FileWriter:
 
     def __init__(self, path: Path, compression: str) -> None:
         self.path = path
-        # What has been written.
+        # The file's content so far.
         self.contents = BagFile(path.name)
         self._file = path.open('xb')
-        # How many bytes come before the first message: the types and channels known by then, and
-        # records of named values.
+        # Bytes before the first message: the types and channels known by then, and metadata
+        # records.
         self.preamble = 0
         self._written = 0
         self._pending = 0
@@ -73,7 +73,7 @@ class FileWriter:
         try:
             self._writer = Writer(
                 self._file,
-                # Chunks end where this class ends them.
+                # This class ends the chunks.
                 chunk_size=2**62,
                 compression=COMPRESSIONS[compression],
                 enable_data_crcs=True,
@@ -89,7 +89,7 @@ class FileWriter:
 
     @property
     def size(self) -> int:
-        """How many bytes it has, what is not written yet counted as it is before compression."""
+        """Return its size in bytes; unwritten messages count uncompressed."""
         return self._written + self._pending
 
     def add_channel(
@@ -99,7 +99,7 @@ class FileWriter:
         definition: Definition,
         metadata: Mapping[str, str],
     ) -> int:
-        """Return the channel for a topic's messages; the same one for the same arguments."""
+        """Return the channel of a topic; the same one for the same arguments."""
         if definition not in self._schemas:
             self._schemas[definition] = self._writer.register_schema(*definition)
             self._pending += len(definition.text)
@@ -122,7 +122,7 @@ class FileWriter:
         return self._channels[key]
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a record of named values into the file."""
+        """Add a metadata record."""
         with naming(self.path):
             self._writer.add_metadata(name, dict(values))
         self._pending += sum(len(key) + len(value) for key, value in values.items())
@@ -130,7 +130,7 @@ class FileWriter:
     def write(
         self, channel: int, data: bytes, log_time: int, publish_time: int, sequence: int
     ) -> None:
-        """Write a message of a channel that was added; times are in nanoseconds."""
+        """Write a message of an added channel; times are in nanoseconds."""
         topic, contents = self._topics[channel], self.contents
         if contents.last < contents.first:
             self.preamble = self.size
@@ -148,24 +148,24 @@ class FileWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything written so far to the system, which a killed process leaves intact."""
+        """Pass all that was written to the system, which keeps it if the process is killed."""
         with naming(self.path):
             self._writer.flush()
         self._written = self._file.tell()
         self._pending = 0
 
     def sync(self) -> None:
-        """Put everything written so far onto the disk; raise an OSError if it is not all there."""
-        # What is written after a cut fills it with zeros.
+        """Put everything written so far onto the disk; raise an OSError if that fails."""
+        # Writing after a cut fills it with zeros.
         self._check_size()
         self.flush()
-        # It leaves out the times of the file, and not how long it is.
+        # Like fsync, without the times of the file.
         with naming(self.path):
             os.fdatasync(self._file.fileno())
         self.check_in_place()
 
     def check_in_place(self) -> None:
-        """Check that the file has not been removed, replaced or cut; raises an OSError."""
+        """Check that the file was not removed, replaced or cut; raises an OSError."""
         check_in_place(self._file, self.path)
         self._check_size()
 
@@ -189,18 +189,18 @@ class FileWriter:
             self._file.close()
 
     def abandon(self) -> None:
-        """Leave the file as it was after the last flush, unfinished; nothing is raised."""
+        """Leave the file unfinished, as it was after the last flush; raises nothing."""
         if self._file.closed:
             return
         with suppress(OSError):
             os.ftruncate(self._file.fileno(), self._written)
         with suppress(OSError):
-            # Not the buffer over it, which would try again to write what could not be written.
+            # Not through the buffer, which would write again.
             self._file.raw.close()
 
 
 def parsed_qos(text: str) -> object:
-    """Return the QoS that a channel was offered; none if it does not say, or in no YAML."""
+    """Return the QoS that a channel was offered; none if it is missing or no YAML."""
     try:
         return parse_yaml(text) or []
     except ValueError:
@@ -209,10 +209,10 @@ def parsed_qos(text: str) -> object:
 
 @dataclass(frozen=True)
 class Repaired:
-    """What was saved of a log."""
+    """The result of a repair."""
 
     messages: int
-    # Unfinished files, and where files are corrupt.
+    # Unfinished files, and corrupt places.
     lost: list[str]
 
 
@@ -221,7 +221,7 @@ def repair(
     target: Path,
     progress: Callable[[Iterator[Recorded]], Iterable[Recorded]] = iter,
 ) -> Repaired:
-    """Write what can be read of a log to one new finished file; there is none after an error."""
+    """Write the readable part of a log to a new finished file; none is left after an error."""
     check_is_new(target)
     lost = [f'{part} is unfinished' for part in parts_of(path) if not is_finished_part(part)]
     corrupt: list[LogError] = []
@@ -237,7 +237,7 @@ def repair(
 
 
 def finished(part: Path, compression: str, lock: LogLock) -> BagFile:
-    """Describe a part of a log; if it was cut, replace it by a finished file before."""
+    """Describe a part of a log; repair it first if it was cut."""
     if is_finished_part(part):
         return described(part)
     new = part.with_name(f'{part.name}.new')
@@ -249,7 +249,7 @@ def finished(part: Path, compression: str, lock: LogLock) -> BagFile:
 
 
 def described(part: Path) -> BagFile:
-    """Return what a finished file says is in it; raise a LogError if it is corrupt anywhere."""
+    """Return the description of a finished file; raise a LogError if it is corrupt."""
     records = {
         each.name: each.values for each in read_part(part) if isinstance(each, RecordedMetadata)
     }
@@ -264,7 +264,7 @@ def described(part: Path) -> BagFile:
 
 
 def copy(recorded: Iterable[Recorded], target: Path, name: str, compression: str) -> BagFile:
-    """Write what was read from one file or several to a new finished one."""
+    """Copy records of one or several files to a new finished one."""
     part = FileWriter(target, compression)
     part.contents.name = name
     metadata: dict[str, dict[str, str]] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a log has of a mission: its paths, departures and reports, in one pass."""
+"""The evidence of a mission in its log, read in one pass: paths, departures and reports."""
 
 from __future__ import annotations
 
@@ -43,21 +43,21 @@ from numpy.typing import ArrayLike
 
 
 class AtBaseError(ValueError):
-    """A robot is reported lost that is at the base, or was when word of it came last."""
+    """A robot reported lost is at the base, or was by its last status."""
 
 
 class Departures:
-    """What became of orders: a fold of the statuses and the reports of all agents."""
+    """The state of all orders: a fold of the agents' statuses and reports."""
 
     def __init__(self) -> None:
-        # The robots that have departed and were not reported.
+        # Robots that have departed and were not reported.
         self.out: set[DeploymentKey] = set()
         self._statuses: dict[DeploymentKey, AgentStatus] = {}
-        # When the agent made its report, by its own clock; None if another one did.
+        # When the agent made its report, by its own clock; None for other sources.
         self._reported: dict[DeploymentKey, int | None] = {}
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """Record a status; return whether it is news. Raise ValueError for a contradiction."""
+        """Record a status; return whether it is new. Raise ValueError for a contradiction."""
         known = self._statuses.get(key)
         if known is not None and not self._follows(key, status, known):
             return False
@@ -76,13 +76,13 @@ class Departures:
 
     @staticmethod
     def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
-        """Return whether a status follows the one known; raises ValueError if it cannot."""
+        """Return whether a status follows the known one; raises ValueError if it cannot."""
         if status == known or status.state is known.state is OrderState.ACCEPTED:
             return False
         if known.state is OrderState.ACCEPTED:
             return True
         if status.state is OrderState.ACCEPTED and status.stamp <= known.stamp:
-            # It was said before, and heard again by one that was restarted.
+            # A restarted agent repeats its earlier statuses.
             return False
         raise ValueError(
             f'deployment {key} is {status.state.name}, and was {known.state.name} before: the '
@@ -90,7 +90,7 @@ class Departures:
         )
 
     def end(self, key: DeploymentKey, reported: int | None) -> None:
-        """Take note of a report that its agent made at a time, or others who gave it up (None)."""
+        """Record that a deployment ended; `reported` is None if the planner gave it up."""
         self._reported[key] = self._reported.get(key) if reported is None else reported
         self.out.discard(key)
         if self.is_refused(key):
@@ -98,7 +98,7 @@ class Departures:
             del self._statuses[key]
 
     def status(self, key: DeploymentKey) -> AgentStatus | None:
-        """Return what was said last of an order; None if nothing was."""
+        """Return the last status of an order; None if there is none."""
         return self._statuses.get(key)
 
     def is_refused(self, key: DeploymentKey) -> bool:
@@ -107,12 +107,12 @@ class Departures:
         return status is not None and status.state is OrderState.REFUSED
 
     def is_at_base(self, key: DeploymentKey) -> bool:
-        """Return whether the agent said something of an order, and not that the robot departs."""
+        """Return whether the last status of an order keeps the robot at the base."""
         status = self._statuses.get(key)
         return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a robot can have been lost; raises `AtBaseError` if it is not known to be."""
+        """Check that a robot can have been lost; raises `AtBaseError` if it never departed."""
         if self.is_refused(key):
             raise ValueError(
                 f'deployment {key} is reported lost, and its robot stays at the base: '
@@ -135,12 +135,12 @@ def record(deployments: MissionRecord, role: Role, message: Any) -> bool:
 
 
 def first_belief(log: MissionLog) -> Snapshot | None:
-    """Return the first belief on record; None if there is none that can be read."""
+    """Return the first readable belief; None if there is none."""
     return next((each.said for _, each in log.read('belief')), None)
 
 
 def required_belief(log: MissionLog) -> Snapshot:
-    """Return the first belief on record; raise a LogError if none can be read."""
+    """Return the first readable belief; raise a LogError if there is none."""
     if belief := first_belief(log):
         return belief
     raise LogError(
@@ -150,7 +150,7 @@ def required_belief(log: MissionLog) -> Snapshot:
 
 
 def begun(prior: Snapshot) -> Ledger:
-    """Return the ledger of a mission on record before its first deployment."""
+    """Return the ledger of a recorded mission before its first deployment."""
     try:
         ledger = prior.ledger()
     except ValueError as error:
@@ -165,7 +165,7 @@ def begun(prior: Snapshot) -> Ledger:
 
 
 def last_belief(log: MissionLog) -> Snapshot | None:
-    """Return the last of the recorded beliefs that hold the most deployments."""
+    """Return the recorded belief with the most deployments, the last of equals."""
     last: Snapshot | None = None
     for _, logged in log.read('belief'):
         if last is None or logged.said.deployments >= last.deployments:
@@ -176,7 +176,7 @@ def last_belief(log: MissionLog) -> Snapshot | None:
 def check_same_field(
     log: MissionLog, grid: Grid, robot_types: Mapping[str, RobotType]
 ) -> Snapshot | None:
-    """Return the first recorded belief; raise ValueError if its grid or bases are others."""
+    """Return the first recorded belief; raise ValueError if its grid or bases differ."""
     belief = first_belief(log)
     if belief and belief.grid != grid:
         raise ValueError(f'{log.path} is of a mission on {belief.grid}: the parameters say {grid}')
@@ -196,7 +196,7 @@ class GapError(ValueError):
 
 
 class RecordedMission(MissionRecord):
-    """The evidence of a mission on record, orders and the operator's actions: one pass over it."""
+    """The recorded evidence of a mission, its orders and the operator's actions."""
 
     def __init__(
         self,
@@ -206,40 +206,40 @@ class RecordedMission(MissionRecord):
         mission: int | None = None,
     ) -> None:
         super().__init__(grid, max_steps, robot_types)
-        # When the mission began whose paths are taken, nanoseconds; None for those of all.
+        # Start of the mission whose paths are taken, nanoseconds; None for all missions.
         self.mission = mission
-        # Its first belief, where that was read.
+        # Its first belief, if it was read.
         self.prior: Snapshot | None = None
-        # The most steps of all robots, and of those that have a number of their own.
+        # Maximum number of steps of all robots, and of agents with their own limit.
         self._rules = [(max_steps, own_steps(robot_types))]
-        # By deployment, in the order in which they were reported: the reports that count.
+        # The reports that count, by deployment, in the order of arrival.
         self.reports: dict[DeploymentKey, Report] = {}
         self.departures = Departures()
         self.operator = OperatorState()
-        # Paths by deployment, and actions of the operator by stamp, as they came off the wire.
+        # Serialized paths by deployment, and serialized actions of the operator by stamp.
         self.messages: dict[DeploymentKey | int, bytes] = {}
         # When the path of a deployment, and its report of a stamp, were received, nanoseconds.
         self.sent: dict[DeploymentKey, int] = {}
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
-        # Messages that no estimator takes, and why.
+        # Messages that no estimator accepts, and why.
         self.refused: list[str] = []
-        # All that was read, by the hashes of the messages; by their times, the reports that fit.
+        # All paths and reports by the hashes of their messages; the matching reports by time.
         self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
         self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
         self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)
 
     def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
-        """Take paths that are as long as the estimator of some belief takes them."""
+        """Accept paths as long as the estimator of this belief does."""
         if (rules := (max_steps, own_steps(robot_types))) not in self._rules:
             self._rules.append(rules)
         self.max_steps = max(self.max_steps, max_steps)
 
     def most_steps(self, key: DeploymentKey) -> int:
-        """Return the most steps that the path of a deployment may have."""
+        """Return the maximum number of steps of a deployment's path."""
         return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
-        """Record a path, report, status, action or the rules of a belief, or why it is refused."""
+        """Record a path, report, status, action or rules of a belief, or why it is refused."""
         message = logged.message
         if role.name == 'operator':
             action = read_operator_action(self.grid, message)
@@ -292,7 +292,7 @@ class RecordedMission(MissionRecord):
             self.refused.append(self.contradicted[key][:LONGEST])
 
     def report_of(self, key: DeploymentKey, stamp: int) -> Report:
-        """Return the first report of a deployment of this time, or else the one that counts."""
+        """Return the first report of a deployment with this time, or else the one that counts."""
         return self._by_stamp[key].get(stamp, self.reports[key])
 
     def named(self, evidence: Assimilated, stamp: int) -> tuple[ArrayLike, Report]:
@@ -309,42 +309,42 @@ class RecordedMission(MissionRecord):
 
     @property
     def orders(self) -> list[DeploymentKey]:
-        """Return the deployments whose path is on record, in the order they were made."""
+        """Return the deployments with a recorded path, in order."""
         return sorted(self.paths, key=deployment_order)
 
     def outcome(self, key: DeploymentKey) -> Observation | None:
-        """Return what came of a robot; None if it was still out, or stays at the base."""
+        """Return the outcome of a robot; None if it is in flight, or stays at the base."""
         return None if self.departures.is_refused(key) else self.outcomes.get(key)
 
     def has_departed(self, key: DeploymentKey) -> bool:
-        """Return whether a robot is known to have left the base."""
+        """Return whether a robot is known to have departed."""
         status = self.departures.status(key)
         says_so = status is not None and status.state is OrderState.DEPARTED
         return says_so or self.outcome(key) is not None
 
     @property
     def actions(self) -> list[OperatorAction]:
-        """Return what the operator did, in the order on record."""
+        """Return the operator's actions in recorded order."""
         return [*self.operator.actions.values()]
 
     @property
     def survived(self) -> int:
-        """How many of the deployments reported came back."""
+        """Return the number of reported deployments that returned."""
         return sum(report.survived for report in self.reports.values())
 
     @property
     def without_report(self) -> list[DeploymentKey]:
-        """Deployments whose end is not on record: the robot was still out."""
+        """Return the deployments without a report: in flight when the log ended."""
         return [key for key in self.paths if key not in self.reports]
 
     @property
     def without_path(self) -> list[DeploymentKey]:
-        """Deployments whose end is on record but not their path."""
+        """Return the deployments with a report but no path."""
         return list(self._pending)
 
 
 def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
-    """Return the most steps of the robots of agents that have such a number of their own."""
+    """Return the step limits of agents that have their own."""
     return {
         agent: robot_type.max_steps
         for agent, robot_type in robot_types.items()
@@ -358,7 +358,7 @@ def read_resumed(
     max_steps: int,
     robot_types: Mapping[str, RobotType] = MappingProxyType({}),
 ) -> RecordedMission:
-    """Return what a log has of its mission, to go on with by these rules."""
+    """Read the record of a mission, to resume it under these rules."""
     prior = check_same_field(log, grid, robot_types)
     record = RecordedMission(grid, max_steps, robot_types, read_mission(log))
     record.prior = prior
@@ -374,7 +374,7 @@ def read_newest_round(
     log: MissionLog, record: RecordedMission
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
     """Return the recorded belief that the newest deployments were planned on, and their keys."""
-    # Nobody waits for an order that was refused: no belief holds it.
+    # A refused order is awaited by nobody, and in no belief.
     keys = [key for key in record.orders if not record.departures.is_refused(key)]
     planned_on = None
     for _, logged in log.read('belief'):
@@ -393,7 +393,7 @@ def read_newest_round(
 
 
 def read_mission(log: MissionLog) -> int | None:
-    """Return when the mission of a log began, in nanoseconds; None if no belief is on record."""
+    """Return when the mission of a log began, in nanoseconds; None if it has no belief."""
     stated: dict[int, None] = {}
     sent: dict[int, None] = {}
     for role, logged in log.read('belief', 'path'):
@@ -409,12 +409,12 @@ def read_mission(log: MissionLog) -> int | None:
 
 
 def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:
-    """Return whether a path or report on record can be of the mission begun at a time."""
+    """Return whether a recorded path or report can be of the mission begun at a time."""
     return mission is None or role.name != 'path' or logged.said[1] == mission
 
 
 def read_ledger(log: MissionLog) -> Ledger:
-    """Return the ledger of a mission on record, with all its evidence."""
+    """Return the ledger of a recorded mission, with all its evidence."""
     prior = required_belief(log)
     if prior.deployments:
         raise LogError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topic plays which role in a mission, and the messages of a log by these roles."""
+"""Topics and their roles in a mission, and the messages of a log by role."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ STATUS = 'kbnitp_msgs/msg/AgentStatus'
 VIEWS = ('hazard', 'target', 'kappa')
 TRUTH = ('truth/hazard', 'truth/target')
 
-# The roles of a mission, and those that each agent has below its name, with their types.
+# The roles of a mission, and those of each agent below its name, with their types.
 OF_MISSION = {
     'belief': BELIEF,
     'model': MODEL,
@@ -67,7 +67,7 @@ OF_AGENT = {
     **dict.fromkeys(TRUTH, GRID),
 }
 
-# Of those what each node takes part in.
+# The roles that each node takes part in.
 EVIDENCE = ('path', 'report', 'status', 'recorded')
 ROLES_OF = {
     'planner': (
@@ -91,15 +91,15 @@ ROLES_OF = {
 RECORD = 'roles'
 NAMESPACE = 'namespace'
 
-# Of what is said of a message, in characters: a report may name any number of cells.
+# Maximum number of characters shown of a message: a report may name any number of cells.
 LONGEST = 500
 
-# Fields of beliefs that 0.3.0 did not have.
+# Fields of beliefs that 0.3.0 lacks.
 ADDED = {'move'}
 
 
 class Role(NamedTuple):
-    """What a topic is to a mission: a name such as `path`, and whose it is; '' if of all."""
+    """The role of a topic, such as `path`, and its agent; '' for the whole mission."""
 
     name: str
     agent: str
@@ -108,7 +108,7 @@ class Role(NamedTuple):
 
 @dataclass(frozen=True)
 class Roles:
-    """The roles of a mission, `belief` or `scout_1/path`, and the full names of their topics."""
+    """The roles of a mission, `belief` or `scout_1/path`, with the full names of their topics."""
 
     namespace: str
     names: Mapping[str, str]
@@ -121,7 +121,7 @@ class Roles:
         resolve: Callable[[str], str] | None = None,
         node: str = 'recorder',
     ) -> Roles:
-        """Return the roles that a node takes part in, named as it resolves them."""
+        """Return the roles of a node, with its resolved topic names."""
         own, root = ROLES_OF[node], namespace.rstrip('/')
         roles = [name for name in OF_MISSION if name in own and node not in ('agent', 'robot')]
         roles += [f'{agent}/{name}' for agent in agents for name in OF_AGENT if name in own]
@@ -139,14 +139,14 @@ class Roles:
 
     @property
     def record(self) -> dict[str, str]:
-        """Return what the record `RECORD` of a log says."""
+        """Return the record `RECORD` of a log."""
         return {NAMESPACE: self.namespace, **self.names}
 
     def meant_by(self, node: str, stated: Mapping[str, str]) -> dict[str, str]:
-        """Return those names that a node of this full name states of this mission."""
+        """Return the roles of this mission that a node of this full name states."""
         root, above = self.namespace.rstrip('/'), node.rpartition('/')[0]
         if above == root:
-            # An agent that is none of the team does not concern it.
+            # Agents outside the team do not concern it.
             is_whole = 'belief' in stated
             return {role: name for role, name in stated.items() if is_whole or role in self.names}
         agent = above.removeprefix(f'{root}/')
@@ -156,12 +156,12 @@ class Roles:
         }
 
     def is_node(self, name: str) -> bool:
-        """Return whether a node of this full name stands where those of the mission do."""
+        """Return whether a node of this full name is in the namespace of the mission."""
         above, root = name.rpartition('/')[0], self.namespace.rstrip('/')
         return above in (root, *(f'{root}/{agent}' for agent in self.agents))
 
     def difference(self, stated: Mapping[str, str]) -> str:
-        """Return in words how the names that another states differ first; empty if they do not."""
+        """Describe the first difference to another node's roles; empty if there is none."""
         for role, topic in stated.items():
             if (own := self.names.get(role)) is None:
                 agents = ', '.join(self.agents)
@@ -182,7 +182,7 @@ def role_called(name: str) -> Role:
 def roles_on_record(
     log: str | Path, namespace: str | None = None, own: Roles | None = None
 ) -> Roles:
-    """Return the roles of a mission on record, or as far as it tells none those of a reader."""
+    """Return the recorded roles of a mission, completed by those of a reader."""
     nodes: dict[str, dict[str, str]] = {}
     topics: dict[str, str] = {}
     for item in read_recorded(log, []):
@@ -202,7 +202,7 @@ def roles_of_old(
     nodes: Mapping[str, Mapping[str, str]],
     topics: Mapping[str, str],
 ) -> Roles:
-    """Return the roles of a log of 0.3, by the parameters of its nodes and its topics."""
+    """Return the roles of a log of 0.3, from its parameters and topics."""
     above = {name.rpartition('/')[0] for name, own in nodes.items() if 'max_file_size' in own}
     above = above or {
         topic.removesuffix('/belief')
@@ -212,7 +212,7 @@ def roles_of_old(
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
         raise SeveralError(f'{log} has missions in the namespaces {found}: name one, --namespace')
-    # A log that was only just begun tells nothing.
+    # A log that has only just begun has neither.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
     for name, own in nodes.items():
@@ -228,33 +228,33 @@ def roles_of_old(
 
 
 class SeveralError(LogError):
-    """A log of which it is not known whose it is of several missions."""
+    """A log with several missions, of which none was chosen."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A message in a role of a mission that says nothing that it can."""
+    """A message in a role of a mission that is not valid there."""
 
     role: Role
     topic: str
-    # Which of its topic it is.
+    # Index of the message in its topic.
     index: int
     why: str
 
     def __str__(self) -> str:
-        """Return where it stands and what is wrong."""
+        """Return its place and what is wrong with it."""
         return f'{self.topic}: {self.why}'
 
 
 class MissionLog:
-    """A log, read by the roles of its topics: nothing else on record means anything."""
+    """A log read by the roles of its topics; other topics are ignored."""
 
     def __init__(
         self, path: str | Path, namespace: str | None = None, own: Roles | None = None
     ) -> None:
         self.path = Path(path)
         self.roles = roles_on_record(path, namespace, own)
-        # Messages in roles of the mission that cannot be, by topic and number.
+        # Invalid messages in roles of the mission, by topic and index.
         self.left_out: dict[tuple[str, int], LeftOut] = {}
 
     def read(
@@ -263,7 +263,7 @@ class MissionLog:
         corrupt: list[LogError] | None = None,
         progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     ) -> Iterator[tuple[Role, LoggedMessage]]:
-        """Yield the messages in roles of these names in their order; `corrupt` as `read_log`."""
+        """Yield the messages in roles of these names in order; `corrupt` as in `read_log`."""
         roles = {topic: each for topic, each in self.roles.by_topic.items() if each.name in names}
         types = {each.type_name for each in roles.values()}
         for logged in progress(read_log(self.path, types, corrupt, roles.keys())):
@@ -284,7 +284,7 @@ class MissionLog:
 
     @contextmanager
     def leaving_out(self, role: Role, logged: LoggedMessage) -> Iterator[None]:
-        """Go on without a message that turns out to be wrong."""
+        """Yield a message unless the body finds it invalid."""
         try:
             yield
         except LogError:
@@ -295,18 +295,18 @@ class MissionLog:
 
     @cached_property
     def parameters(self) -> dict[str, dict[str, Any]]:
-        """Return the parameters that the nodes of the mission had last, by their full names."""
+        """Return the last parameters of the mission's nodes, by their full names."""
         known = read_parameters(self.path, [])
         return {name: values for name, values in known.items() if self.roles.is_node(name)}
 
 
 def mission_log(log: str | Path | MissionLog) -> MissionLog:
-    """Return a log to be read by its roles."""
+    """Open a log by the roles of its topics."""
     return log if isinstance(log, MissionLog) else MissionLog(log)
 
 
 def resumed_log(log: str, own: Roles) -> MissionLog:
-    """Return the log of a mission to go on with; raise ValueError if it is not that of a node."""
+    """Return a log to resume; raise ValueError if it is not of the node's mission."""
     try:
         recorded = MissionLog(log, own=own)
     except SeveralError:
@@ -320,7 +320,7 @@ def resumed_log(log: str, own: Roles) -> MissionLog:
 
 
 def read_content(role: Role, message: Any) -> Any:
-    """Return what a message in this role says, without the grid; raise ValueError if it cannot."""
+    """Convert a message by its role, without the grid; raise ValueError if that fails."""
     match role.name:
         case 'path':
             return DeploymentKey(role.agent, read_path_name(message)), mission_of_path(message)
@@ -344,7 +344,7 @@ def read_content(role: Role, message: Any) -> Any:
 
 
 def check_version(log: str | Path, belief: Any) -> None:
-    """Check that the messages of a log are those of this version."""
+    """Check that a log was recorded with this version's message types."""
     known, fields = belief_field_names(), set(belief.__slots__)
     if lacking := known - fields - ADDED:
         raise LogError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file says of its messages: their types, and what rosbag2 wants to know of a bag."""
+"""Message types and metadata of MCAP files, as rosbag2 expects them."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ INTERFACES = 'rosidl_interfaces'
 
 @dataclass(frozen=True)
 class TypeDescription:
-    """What a reader needs to know of a message type."""
+    """The description of a message type for readers."""
 
-    # The type's definition, then that of every type it refers to, directly or not.
+    # The type's definition, followed by those of all types in it.
     definition: str
     # REP-2011 hash, 'RIHS01_' and 64 hex digits.
     type_hash: str
@@ -43,7 +43,7 @@ class TypeDescription:
 def check_installed(type_name: str) -> None:
     """Check that the ament index lists a message type."""
     package, _, interface = type_name.partition('/')
-    # Only who writes a log needs to know what is installed.
+    # Needed by writers of logs alone.
     from ament_index_python.resources import get_resource, get_resources
 
     listed: list[str] = []
@@ -71,7 +71,7 @@ def describe(type_name: str) -> TypeDescription:
 
 
 def installed_text(type_name: str, suffix: str) -> str:
-    """Return what is installed of a message type, as 'msg' or as 'json'."""
+    """Return the installed definition of a message type, as 'msg' or as 'json'."""
     from ament_index_python.packages import get_package_share_directory
 
     package, kind, name = type_name.split('/')
@@ -91,8 +91,8 @@ def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
 
 
 def check_readable(type_name: str, data: bytes) -> None:
-    """Raise a ValueError if readers of a log cannot decode a message that rclpy can."""
-    # rclpy replaces what is no UTF-8, and fills in what is missing at the end.
+    """Check that readers of a log can decode a message; raises ValueError."""
+    # rclpy replaces invalid UTF-8, and fills in what is missing at the end.
     try:
         installed_decoder(type_name)(data)
     except (UnicodeDecodeError, struct.error) as error:
@@ -100,7 +100,7 @@ def check_readable(type_name: str, data: bytes) -> None:
 
 
 def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
-    """Return the QoS that a topic's publishers offer, as rosbag2 keeps it with a topic."""
+    """Return the QoS of a topic's publishers, in rosbag2's format."""
 
     def duration(value: Any) -> dict[str, int]:
         seconds, nanoseconds = divmod(value.nanoseconds, 10**9)
@@ -132,33 +132,32 @@ VERSION = 9
 
 @dataclass
 class BagTopic:
-    """A topic with one QoS and how many messages it has."""
+    """A topic with one QoS, and its number of messages."""
 
-    # As rosbag2 writes it: name, type, serialization_format, offered_qos_profiles,
-    # type_description_hash.
+    # As in rosbag2: name, type, serialization_format, offered_qos_profiles, type_description_hash.
     metadata: dict[str, Any]
     messages: int = 0
 
 
 @dataclass
 class BagFile:
-    """What is in a file of a bag."""
+    """The content of a file of a bag."""
 
     name: str
     topics: list[BagTopic] = field(default_factory=list)
-    # Times of its earliest and its latest message, in nanoseconds. Without messages first is the
-    # greatest time there is and last is 0.
+    # Times of its first and last message, nanoseconds. Without messages the first is the largest
+    # possible time and the last is 0.
     first: int = 2**63 - 1
     last: int = 0
 
     @property
     def messages(self) -> int:
-        """How many it has."""
+        """Return its number of messages."""
         return sum(topic.messages for topic in self.topics)
 
 
 def information(files: Sequence[BagFile]) -> dict[str, Any]:
-    """Return the description of a bag that consists of these files."""
+    """Return the description of a bag of these files."""
     first, last = min(file.first for file in files), max(file.last for file in files)
     return {
         'version': VERSION,
@@ -180,7 +179,7 @@ def information(files: Sequence[BagFile]) -> dict[str, Any]:
 
 
 def span(first: int, last: int, messages: int) -> dict[str, Any]:
-    """Return when a bag or a file of it starts, how long it lasts and how many messages it has."""
+    """Return the start, the duration and the number of messages of a bag or a file."""
     start = min(first, last)
     return {
         'duration': {'nanoseconds': last - start},
@@ -190,7 +189,7 @@ def span(first: int, last: int, messages: int) -> dict[str, Any]:
 
 
 def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
-    """Yield the topics of all files, those of one name twice if they differ, as in their QoS."""
+    """Yield the topics of all files, once for each QoS."""
     topics: dict[str, BagTopic] = {}
     for topic in (topic for file in files for topic in file.topics):
         same = topics.setdefault(repr(topic.metadata), BagTopic(topic.metadata))
@@ -199,7 +198,7 @@ def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
 
 
 def file_of(bag: Mapping[str, Any]) -> BagFile:
-    """Return what is in the one file of a bag, from its description."""
+    """Return the content of the one file of a bag, from its description."""
     file = BagFile(
         bag['relative_file_paths'][0],
         [
@@ -214,7 +213,7 @@ def file_of(bag: Mapping[str, Any]) -> BagFile:
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
-    """Replace metadata.yaml, and return True, unless it is that of another bag."""
+    """Replace metadata.yaml, and return True, unless it is of another bag."""
     if is_of_another_bag(folder, files[0].name):
         return False
     target = folder / METADATA
@@ -238,12 +237,12 @@ def is_of_another_bag(folder: Path, first: str) -> bool:
     listed = read_information(folder).get('relative_file_paths')
     if not isinstance(listed, list) or listed[:1] == [first]:
         return False
-    # One that lists no file that is there is of a log that was renamed.
+    # A list of missing files alone is of a log that was renamed.
     return any((folder / str(name)).exists() for name in listed)
 
 
 def sync_folder(folder: Path) -> None:
-    """Put onto the disk which files the folder has."""
+    """Put the folder's list of files onto the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with naming(folder):

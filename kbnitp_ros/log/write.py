@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a mission log as MCAP files, safe on the disk when they are said to be."""
+"""Write a mission log as MCAP files that survive crashes once synced."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from kbnitp_ros.log.schema import (
 )
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-# Bytes of a message. A belief over 1000x1000 cells has 56 million.
+# Maximum bytes of a message. A belief over 1000x1000 cells has 56 million.
 MAX_MESSAGE = 63 * 2**20
 
 
 @dataclass
 class Topic:
-    """A topic on record."""
+    """A topic of the log."""
 
     definition: Definition
-    # What its channel says of it.
+    # The metadata of its channel.
     metadata: dict[str, str]
-    # How many were written, to all parts.
+    # Number of messages written, to all parts.
     messages: int = 0
-    # Its number in the part being written.
+    # Its number in the current part.
     channel: int = 0
 
 
 class LogWriter:
     """
-    Writer of CDR messages to a new log, or with `resume` to a new file of an old one.
+    Writer of CDR messages to a new log, or with `resume` to a new part of an old one.
 
     What was written is on the disk after `sync`. After an OSError the log is closed as it was last
     written.
@@ -76,7 +76,7 @@ class LogWriter:
             self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
             self._lock = LogLock(self.path)
             try:
-                # There may have been one more since, by a writer that has just ended.
+                # A writer that has just ended may have added one.
                 parts = parts_of(path)
                 self._finished = [finished(part, compression, self._lock) for part in parts]
                 self._number = len(parts)
@@ -98,7 +98,7 @@ class LogWriter:
         self._part: FileWriter | None = part
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
-        """Put a topic on record: before its first message, and again whenever its QoS changes."""
+        """Add a topic before its first message, and again whenever its QoS changes."""
         description = describe(type_name)
         definition = Definition(type_name, SchemaEncoding.ROS2, description.definition.encode())
         metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
@@ -107,14 +107,14 @@ class LogWriter:
         self._add_channel(topic)
 
     def _add_channel(self, topic: str) -> None:
-        """Have the part that is being written know a topic."""
+        """Add a topic to the current part."""
         added = self._topics[topic]
         added.channel = self._open_part().add_channel(
             topic, MessageEncoding.CDR, added.definition, added.metadata
         )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Put a record of named values into this file and all later ones, or change it there."""
+        """Add or change a metadata record, in this file and all later ones."""
         known = self._metadata.get(name, {})
         new = {key: value for key, value in values.items() if known.get(key) != value}
         if name in self._metadata and not new:
@@ -158,12 +158,12 @@ class LogWriter:
             raise
 
     def check_in_place(self) -> None:
-        """Check that the log has not been removed or replaced; raises FileNotFoundError."""
+        """Check that the log was not removed or replaced; raises FileNotFoundError."""
         self._open_part().check_in_place()
         self._lock.check_in_place()
 
     def close(self) -> None:
-        """Finish the log and put it onto the disk; nothing is done if it is closed already."""
+        """Finish the log and put it onto the disk, unless it is closed already."""
         if self._part is None:
             return
         try:
@@ -179,7 +179,7 @@ class LogWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the log, also after an error: what was written is worth having."""
+        """Close the log, also after an error: its content is worth keeping."""
         self.close()
 
     def _open_part(self) -> FileWriter:
@@ -188,7 +188,7 @@ class LogWriter:
         return self._part
 
     def _next_part(self) -> FileWriter:
-        """Go on in another file, which can be read without those before."""
+        """Start another file, which can be read without those before."""
         self._finish_part()
         self._number += 1
         self.current_path = part_path(self.path, self._number)
@@ -206,7 +206,7 @@ class LogWriter:
         self.shares_folder = not write_metadata(self.path.parent, self._finished)
 
     def _abandon(self) -> None:
-        """Give up after an error: what reached the disk stays as it is."""
+        """Give up after an error; what reached the disk stays."""
         if self._part is not None:
             self._part.abandon()
             self._part = None
@@ -214,7 +214,7 @@ class LogWriter:
 
 
 def check_goes_on(first: Path) -> None:
-    """Check that a log can be gone on with under the name of this file."""
+    """Check that a log can be resumed under the name of this file."""
     if is_later_part(first):
         raise LogError(f'{first} is a part of the log beside it: name the first file of that')
     if first.suffix != '.mcap':

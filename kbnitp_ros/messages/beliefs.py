@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 class Assimilated(NamedTuple):
-    """The evidence of one deployment, as a belief names it."""
+    """The evidence of one deployment that a belief names."""
 
     key: DeploymentKey
     # Hashes of the contents of the two messages.
@@ -61,47 +61,46 @@ class Assimilated(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A belief message in the terms of the core."""
+    """A belief message in terms of the core."""
 
-    # When the base learnt what was assimilated last, in nanoseconds; of a prior, when the
-    # estimator started.
+    # When the last evidence arrived, nanoseconds; of a prior, when the estimator started.
     stamp: int
-    # When the mission began, in nanoseconds.
+    # When the mission began, nanoseconds.
     mission: int
     grid: Grid
-    # The most steps of a path.
+    # The maximum number of steps of a path.
     max_steps: int
-    # What the estimator believes by then of robots like all others: what to plan with.
+    # The current sensor model of robots of the common type, to plan with.
     model: SensorModel
-    # Of the robots of agents that have something of their own.
+    # Of agents that differ from the common type.
     robot_types: Mapping[str, RobotType]
-    # Which numbers of that, and of the prior, it learns.
+    # The learnt numbers of that model and of the prior.
     unknowns: Unknowns
-    # How it assimilates deployments.
+    # The inference method.
     method: str
     # Of the method's arithmetic.
     version: int
-    # Of what the method draws at random.
+    # Of the method's random draws.
     seed: int
     dynamics: Dynamics
-    # How they cluster; None: they are independent.
+    # The clustering of hazards; None: they are independent.
     clustering: Clustering | None
-    # How many it has assimilated.
+    # Number of deployments assimilated.
     deployments: int
-    # Whose evidence it assimilated last; None when there is none.
+    # The deployment assimilated last; None if there is none.
     newest: DeploymentKey | None
-    # Given those.
+    # Given those deployments.
     belief: Belief
-    # As it was given, of the first belief: that is averaged over what is learnt of the prior, or
-    # what is expected of clustered hazards.
+    # The prior as it was given, in the first belief: that belief is averaged over learnt numbers
+    # of the prior, or over clustered hazards.
     prior: Belief
 
     def base_of(self, agent: str) -> int:
-        """Return the base that an agent's robots leave from and return to."""
+        """Return the base of an agent's robots."""
         return self.grid.at(self.robot_types.get(agent, ORDINARY).base).base
 
     def rules(self) -> dict[str, Any]:
-        """Return what an estimator was started with, by name: the same in all its beliefs."""
+        """Return the rules of an estimator by name, the same in all its beliefs."""
         unknowns = self.unknowns.priors
         model = {each: value for each, value in asdict(self.model).items() if each not in unknowns}
         return {
@@ -118,7 +117,7 @@ class Snapshot:
         }
 
     def ledger(self) -> Ledger:
-        """Return the ledger of an estimator with these rules before the first deployment."""
+        """Return an estimator's ledger with these rules before the first deployment."""
         estimator = Estimator(
             self.prior,
             self.model,
@@ -138,7 +137,7 @@ def belief_fields(
     since: int = 0,
     assimilated: Iterable[DeploymentKey] | None = None,
 ) -> Fields:
-    """Return the fields of the message of what is believed now."""
+    """Return the fields of the message of a ledger's belief."""
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
@@ -220,7 +219,7 @@ def belief_maps(
 
 
 def read_assimilated(message: Any) -> list[Assimilated]:
-    """Return which evidence a kbnitp_msgs/BeliefMaps names."""
+    """Return the evidence that a kbnitp_msgs/BeliefMaps names."""
     named = []
     for number, each in enumerate(message.taken_in):
         if not each.agent:
@@ -231,7 +230,7 @@ def read_assimilated(message: Any) -> list[Assimilated]:
 
 
 def read_belief_maps(message: Any) -> Snapshot:
-    """Return what a kbnitp_msgs/BeliefMaps says."""
+    """Convert a kbnitp_msgs/BeliefMaps."""
     check_frame('header.frame_id', message.header.frame_id)
     if message.deployments and not message.agent:
         raise ValueError(
@@ -252,7 +251,7 @@ def read_belief_maps(message: Any) -> Snapshot:
     )
     belief = read_joint('joint', message.joint, grid)
     priors = read_unknowns(message.unknowns)
-    # Logs of 0.3.0 know of no moving hazards.
+    # Logs of 0.3.0 have no moving hazards.
     rates = {'vanish': message.vanish, 'move': getattr(message, 'move', 0.0)}
     rates.update({name: priors.pop(name) for name in rates if name in priors})
     read_name('deployment', message.deployment)
@@ -279,7 +278,7 @@ def read_belief_maps(message: Any) -> Snapshot:
 
 
 def read_joint(name: str, values: Any, grid: Grid) -> Belief:
-    """Return the belief that a field holds."""
+    """Return the belief of an array field."""
     joint = np.asarray(values, dtype=np.float64)
     if joint.size != 4 * grid.cells:
         raise ValueError(
@@ -292,7 +291,7 @@ def read_joint(name: str, values: Any, grid: Grid) -> Belief:
 
 
 def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
-    """Return how hazards cluster: 0 for not at all, NaN for a coupling that is learnt."""
+    """Return the clustering: 0 for none, NaN for a coupling that is learnt."""
     if coupling == 0.0:
         return None
     try:
@@ -302,7 +301,7 @@ def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
 
 
 def read_unknowns(numbers: Iterable[Any]) -> dict[str, Beta]:
-    """Return the priors of the numbers and rates that are learnt, by name."""
+    """Return the priors of the learnt numbers and rates, by name."""
     priors: dict[str, Beta] = {}
     known = [*(field.name for field in fields(Unknowns)), 'vanish', 'move']
     for number in numbers:
@@ -315,7 +314,7 @@ def read_unknowns(numbers: Iterable[Any]) -> dict[str, Beta]:
 
 
 def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
-    """Return what kbnitp_msgs/OwnNumbers say of the robots of agents, by the agents' names."""
+    """Return the robot types of a kbnitp_msgs/OwnNumbers, by agent."""
     own: dict[str, dict[str, Any]] = {}
     known = [field.name for field in fields(RobotType)]
     for number in numbers:
@@ -333,7 +332,7 @@ def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
 
 
 def newest_deployment(message: Any) -> DeploymentKey | None:
-    """Return whose evidence a belief assimilated last; None if it is a prior."""
+    """Return the deployment assimilated last; None for a prior."""
     if not message.deployments:
         return None
     return DeploymentKey(message.agent, from_stamp(message.deployment))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the messages of a deployment mean: its path, what its agent does, and how it ended."""
+"""Messages of a deployment: its path, its agent's status and its report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class Source(IntEnum):
-    """Who says how a deployment ended, as in kbnitp_msgs/DeploymentReport."""
+    """The source of a report, as in kbnitp_msgs/DeploymentReport."""
 
     AGENT = 0
     SILENCE = 1
@@ -55,7 +55,7 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NO_MIS
 
 
 def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDArray[np.intp]]:
-    """Return which deployment a nav_msgs/Path names and the cells it leads through."""
+    """Return the deployment of a nav_msgs/Path and the cells of its path."""
     stamp = read_path_name(message)
     positions = [pose.pose.position for pose in message.poses]
     points = np.array([(position.x, position.y) for position in positions])
@@ -69,7 +69,7 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
 
 
 def read_path_name(message: Any) -> int:
-    """Return the time that names the deployment of a nav_msgs/Path, in nanoseconds."""
+    """Return the stamp of a nav_msgs/Path, nanoseconds."""
     check_frame('header.frame_id', message.header.frame_id)
     if not message.poses:
         raise ValueError('poses is empty: a path starts and ends at the base')
@@ -79,14 +79,14 @@ def read_path_name(message: Any) -> int:
 
 
 def key_of_path(agent: str, message: Any) -> DeploymentKey:
-    """Return which deployment of an agent a path names, whatever its poses are."""
+    """Return the deployment of an agent's path, whatever its poses."""
     return DeploymentKey(agent, from_stamp(message.header.stamp))
 
 
 def report_message(
     key: DeploymentKey, observation: Observation, stamp: int, source: Source = Source.AGENT
 ) -> DeploymentReport:
-    """Return the message of how a deployment ended, which the base learnt at a time."""
+    """Return the report of a deployment that ended at a time."""
     from kbnitp_msgs.msg import DeploymentReport, TargetReading
 
     readings = () if observation.readings is None else observation.readings.tolist()
@@ -106,7 +106,7 @@ def report_message(
 
 
 def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, Report]:
-    """Return which deployment a kbnitp_msgs/DeploymentReport is about and what it says."""
+    """Return the deployment and the report of a kbnitp_msgs/DeploymentReport."""
     check_frame('header.frame_id', message.header.frame_id)
     if not message.agent:
         raise ValueError("agent is '': it must name the agent that was deployed")
@@ -137,12 +137,12 @@ def _read_reading(message: Any, number: int) -> tuple[int, int]:
     return int(message.cell), -1
 
 
-# The most characters of a reason.
+# Maximum number of characters of a reason.
 LONGEST_REASON = 500
 
 
 class OrderState(IntEnum):
-    """What becomes of an order, as in kbnitp_msgs/AgentStatus."""
+    """The state of an order, as in kbnitp_msgs/AgentStatus."""
 
     ACCEPTED = 1
     DEPARTED = 2
@@ -151,22 +151,22 @@ class OrderState(IntEnum):
 
 @dataclass(frozen=True)
 class AgentStatus:
-    """What an agent says of an order."""
+    """An agent's status of an order."""
 
-    # What it does with it.
+    # The state of the order.
     state: OrderState
-    # When it says so, in nanoseconds.
+    # When it was reported, nanoseconds.
     stamp: int
-    # Why the robot stays at the base, if it does; else empty.
+    # Why the robot stays at the base; empty if it does not.
     reason: str = ''
-    # Hash of the message, by which the recorder names it.
+    # Hash of the message, which the recorder acknowledges.
     content: int = 0
 
 
 def status_message(
     key: DeploymentKey, state: OrderState, stamp: int, reason: str = ''
 ) -> msg.AgentStatus:
-    """Return the message of what an agent does, at a time in nanoseconds, with an order."""
+    """Return the message of an agent's status of an order, at a time in nanoseconds."""
     from kbnitp_msgs import msg
 
     return msg.AgentStatus(
@@ -179,7 +179,7 @@ def status_message(
 
 
 def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
-    """Return which deployment a kbnitp_msgs/AgentStatus is about and what it says."""
+    """Return the deployment and the status of a kbnitp_msgs/AgentStatus."""
     check_frame('header.frame_id', message.header.frame_id)
     if message.agent != agent:
         raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')

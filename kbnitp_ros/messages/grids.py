@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people and Nav2 see of a belief: maps as grids, and as masks of filters."""
+"""Maps of a belief as grids for people, and as masks for Nav2's filters."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ if TYPE_CHECKING:
 
 UNKNOWN = -1
 
-# How far a quaternion may be from length 1, as tf2 has it.
+# Tolerance of a quaternion's length, as in tf2.
 UNIT = 1e-2
 
-# A micrometre at a thousand kilometres. A quaternion tells an angle to some 1e-16 rad.
+# Decimals: a micrometre at a thousand kilometres. A quaternion holds an angle to some 1e-16 rad.
 YAW_DECIMALS = 12
 
 
 def rounded_resolution(resolution: float) -> float:
-    """Return a cell's side in metres, rounded as in messages with a float32: 0.1 stays 0.1."""
+    """Return a cell's side in metres, rounded to a float32 of messages: 0.1 stays 0.1."""
     return float(str(np.float32(resolution)))
 
 
 def rounded_yaw(yaw: float) -> float:
-    """Return an angle in rad, in (-pi, pi], rounded to what messages with a quaternion hold."""
+    """Return an angle in rad, in (-pi, pi], rounded to the precision of a quaternion."""
     rounded = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
-    # Either half turn is the same, and is rounded to more than pi.
+    # Both half turns are equal, and round to more than pi.
     return abs(rounded) if abs(rounded) > pi else rounded
 
 
@@ -72,7 +72,7 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
         if not isfinite(value):
             raise ValueError(f'{name} is {value}: it must be finite, in metres')
     turn = origin.orientation
-    # Who does not turn the origin may leave all four at 0.
+    # Publishers that do not rotate the origin may leave all four at 0.
     is_turned = turn.z != 0.0
     if turn.x or turn.y or (is_turned and not abs(hypot(turn.z, turn.w) - 1.0) < UNIT):
         raise ValueError(
@@ -90,7 +90,7 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
 
 
 def occupancy_fields(grid: Grid, probabilities: ArrayLike, stamp: int) -> Fields:
-    """Return the fields of a map for people to look at, computed at a time in nanoseconds."""
+    """Return the fields of an occupancy map computed at a time in nanoseconds."""
     percent = np.rint(100.0 * np.asarray(probabilities, dtype=np.float64)).astype(np.int8)
     return Fields(
         header=header_fields(stamp),
@@ -107,7 +107,7 @@ def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> Occupanc
 
 
 def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
-    """Return the probabilities that a nav_msgs/OccupancyGrid shows."""
+    """Return the probabilities of a nav_msgs/OccupancyGrid."""
     if not message.header.frame_id:
         raise ValueError("header.frame_id is '': it must name the frame of the map")
     percent = _data(message, read_map_metadata(message.info))
@@ -117,7 +117,7 @@ def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
 def read_map_message(
     message: Any,
 ) -> tuple[NDArray[np.int8], float, tuple[float, float], float]:
-    """Return the map of the field that a nav_msgs/OccupancyGrid shows, such as map_server's."""
+    """Return the field's map from a nav_msgs/OccupancyGrid, such as map_server's."""
     check_frame('header.frame_id', message.header.frame_id)
     pixels = read_map_metadata(message.info)
     data = _data(message, pixels).reshape(pixels.height, pixels.width)
@@ -139,18 +139,18 @@ def _data(message: Any, grid: Grid) -> NDArray[np.int8]:
     return data.astype(np.int8)
 
 
-# The filters by the type of the message.
+# Nav2's filters by the type of the message.
 KEEPOUT, SPEED_PERCENT, SPEED_ABSOLUTE = range(3)
 
 
 def check_filter(filter_type: int, base: float, multiplier: float) -> None:
-    """Check that Nav2's filter of a type takes these numbers."""
+    """Check that a Nav2 filter of this type accepts these numbers."""
     given = f'filter.base is {base} and filter.multiplier {multiplier}'
     if filter_type == KEEPOUT and (base, multiplier) != (0.0, 1.0):
         raise ValueError(f'{given}: with filter.type 0, a KeepoutFilter, they must be 0 and 1')
     if filter_type == KEEPOUT:
         return
-    # It reads 0 percent as no limit.
+    # It takes 0 percent for no limit.
     limits = [base + multiplier * percent for percent in (1, 100)]
     unit, most = ('%', 100.0) if filter_type == SPEED_PERCENT else ('m/s', float('inf'))
     if not (min(limits) >= 0.0 and max(limits) <= most):
@@ -165,7 +165,7 @@ def check_filter(filter_type: int, base: float, multiplier: float) -> None:
 def filter_info(
     filter_type: int, base: float, multiplier: float, mask_topic: str, stamp: int
 ) -> CostmapFilterInfo:
-    """Return the message that has Nav2's filters take the map of a topic for their mask."""
+    """Return the message that makes the map of a topic the mask of Nav2's filters."""
     from nav2_msgs.msg import CostmapFilterInfo
 
     fields = Fields(

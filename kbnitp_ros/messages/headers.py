@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all messages have: a time and a frame, the mission they are of, a hash of what they say."""
+"""Common parts of messages: times, names of deployments, frames, missions and content hashes."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ FRAME = 'map'
 SECOND = 10**9
 HOUR = 3600 * SECOND
 
-# Whole seconds are an int32. Names of deployments are counted on from the time of a belief and
-# from other names, so the last hours are kept free for that: no message tells a time after
-# `LATEST`, nothing is counted on from a name after `LAST_COUNTED_ON`, and there is none after
-# `LAST_NAME`. Whoever sends a message at one of these bounds leaves an hour of nanoseconds.
+# Whole seconds are an int32. Stamps of deployments are counted on from the time of a belief and
+# from other stamps, so the last hours stay free for that: no message has a time after `LATEST`,
+# nothing is counted on from a stamp after `LAST_COUNTED_ON`, and none is after `LAST_NAME`. Each
+# of these bounds leaves an hour of nanoseconds.
 END = 2**31 * SECOND
 LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
 
-# The most characters of a text from outside that an error shows.
+# Maximum number of characters of foreign text in an error.
 SHOWN = 100
 
 
@@ -42,7 +42,7 @@ def stamp_fields(nanoseconds: int) -> Fields:
 
 
 def to_stamp(nanoseconds: int) -> Time:
-    """Return the message of a time; errors are those of `stamp_fields`."""
+    """Return the message of a time; errors as in `stamp_fields`."""
     from builtin_interfaces.msg import Time
 
     return filled(Time(), stamp_fields(nanoseconds))
@@ -54,7 +54,7 @@ def from_stamp(stamp: Any) -> int:
 
 
 def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
-    """Return the nanoseconds of a builtin_interfaces/Time that came from outside."""
+    """Return the nanoseconds of a received builtin_interfaces/Time."""
     if not stamp.nanosec < SECOND:
         raise ValueError(f'{name}.nanosec is {stamp.nanosec}: it must be below {SECOND}')
     nanoseconds = from_stamp(stamp)
@@ -72,31 +72,31 @@ def read_name(name: str, stamp: Any) -> int:
 
 
 def next_name(earliest: int, *names: int) -> int:
-    """Return the first name, in nanoseconds, that is after those in use and not too early."""
+    """Return the first free stamp, in nanoseconds, from a time on."""
     return max([earliest, *(each + 1 for each in names if each <= LAST_COUNTED_ON)])
 
 
 def shown(text: str) -> str:
-    """Return a text from outside as an error shows it: quoted, and cut if it is long."""
+    """Return foreign text for an error message: quoted, and cut if it is long."""
     if len(text) <= SHOWN:
         return repr(text)
     return f'{text[:SHOWN]!r}... ({len(text)} characters)'
 
 
 def header_fields(nanoseconds: int) -> Fields:
-    """Return the fields of the header of a message about the grid at this time."""
+    """Return the fields of a header in the grid's frame at this time."""
     return Fields(stamp=stamp_fields(nanoseconds), frame_id=FRAME)
 
 
 def header(nanoseconds: int) -> Header:
-    """Return the header of a message about the grid at this time."""
+    """Return a header in the grid's frame at this time."""
     from std_msgs.msg import Header
 
     return filled(Header(), header_fields(nanoseconds))
 
 
 def check_frame(name: str, frame_id: str) -> None:
-    """Check that positions are given in the frame of the grid."""
+    """Check that positions are in the frame of the grid."""
     if frame_id != FRAME:
         raise ValueError(
             f'{name} is {shown(frame_id)}: it must be {FRAME!r}, the frame of the grid'
@@ -105,40 +105,40 @@ def check_frame(name: str, frame_id: str) -> None:
 
 M = TypeVar('M')
 
-# An object with fields, arrays of numbers as numpy's, lists of messages as lists of such objects.
+# Fields as attributes, arrays of numbers as in numpy, lists of messages as lists of such objects.
 Fields = SimpleNamespace
 
 
 def filled(message: M, fields: Fields) -> M:
-    """Return a message, after its fields were set."""
+    """Return a message with these fields set."""
     for name, value in vars(fields).items():
         if isinstance(value, Fields):
             filled(getattr(message, name), value)
         elif isinstance(value, np.ndarray):
-            # Of all that can be assigned, only this type is not checked value by value.
+            # Of all assignable types, only this one skips the check of each value.
             setattr(message, name, array(value.dtype.char, value.tobytes()))
         elif not (isinstance(value, list) and value and isinstance(value[0], Fields)):
             setattr(message, name, value)
     return message
 
 
-# Of the hash: what a uint64 field holds.
+# The range of a hash, a uint64 field.
 BYTES = 8
 
 
 def content_hash(message: Any) -> int:
-    """Return a hash of the names and the values of a message's fields."""
+    """Return a hash of the names and values of a message's fields."""
     return int.from_bytes(
         blake2b(b''.join(_encoded(message)), digest_size=BYTES).digest(), 'little'
     )
 
 
 def _encoded(value: Any) -> Iterator[bytes]:
-    """Yield a value as bytes that no other value has: a tag, the size if that varies, the rest."""
+    """Yield the unique bytes of a value: a tag, the size if it varies, and the value."""
     if isinstance(value, bool):
         yield b'b\1' if value else b'b\0'
     elif isinstance(value, int):
-        # The least and the largest are those of int64 and uint64.
+        # The limits of int64 and uint64.
         yield b'i' + value.to_bytes(9, 'little', signed=True)
     elif isinstance(value, float):
         yield b'f' + struct.pack('<d', value)
@@ -161,7 +161,7 @@ def _encoded(value: Any) -> Iterator[bytes]:
 
 @lru_cache
 def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
-    """Return the names of a message's fields as they are defined, and as bytes; none of others."""
+    """Return a message's field names as defined, and as bytes; None for other objects."""
     if hasattr(kind, 'get_fields_and_field_types'):
         names = tuple(kind.get_fields_and_field_types())
     else:
@@ -173,7 +173,7 @@ NO_MISSION = 0
 
 
 def mission_of_path(message: Any) -> int:
-    """Return when the mission of a nav_msgs/Path began, in nanoseconds."""
+    """Return the start of the mission of a nav_msgs/Path, in nanoseconds."""
     stated = message.poses[0].header.stamp if message.poses else message.header.stamp
     if from_stamp(stated) == from_stamp(message.header.stamp):
         return NO_MISSION
@@ -181,7 +181,7 @@ def mission_of_path(message: Any) -> int:
 
 
 def check_mission(stated: int, own: int | None) -> None:
-    """Check that a message belongs to a node's mission; None if that has not joined any."""
+    """Check that a message belongs to a node's mission; None before the node has joined any."""
     if own not in (None, stated):
         raise ValueError(
             f'it belongs to {named(stated)}, and not to {named(own)}: '
@@ -190,7 +190,7 @@ def check_mission(stated: int, own: int | None) -> None:
 
 
 def named(mission: int) -> str:
-    """Return what a mission is called."""
+    """Return the name of a mission."""
     if mission == NO_MISSION:
         return 'a mission that tells no time'
     return f'the mission begun at {mission // SECOND}.{mission % SECOND:09d}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people see of a robot: what it read on its way, and where a simulated one is."""
+"""Views of a robot: the readings on its way, and a simulated robot's pose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIZE = 0.3
 
 
 def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
-    """Return a sphere for each step that the robot looked in, in order; none of a lost one."""
+    """Return a sphere for each step with a reading, in order; none for a lost robot."""
     readings = np.empty(0) if observation.readings is None else observation.readings
     looked = np.flatnonzero(readings != -1)
     centers = grid.centers(observation.path[1:][looked])
@@ -38,7 +38,7 @@ def readings_marker(grid: Grid, observation: Observation, stamp: int) -> Marker:
 
 
 def pose_message(grid: Grid, agent: str, cell: int, stamp: int) -> TFMessage:
-    """Return the transform from the grid's frame to AGENT/base_link, turned as its rows."""
+    """Return the transform from the grid's frame to AGENT/base_link, aligned with the rows."""
     ((x, y),) = grid.centers([cell]).tolist()
     transform = Transform(
         translation=Vector3(x=x, y=y), rotation=Quaternion(**vars(orientation_fields(grid.yaw)))

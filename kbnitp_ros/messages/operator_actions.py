@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the operator decides, and what holds by it."""
+"""Actions of the operator, and the state that they set."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class Action(IntEnum):
-    """What an operator can do, as in kbnitp_msgs/OperatorAction."""
+    """The kind of an operator's action, as in kbnitp_msgs/OperatorAction."""
 
     PAUSE = 1
     RESUME = 2
@@ -29,7 +29,7 @@ class Action(IntEnum):
     END = 6
 
 
-# What is done, and whether it is done to robots.
+# A description, and whether the action concerns robots.
 WORDS = {
     Action.PAUSE: 'paused the mission',
     Action.RESUME: 'ended the pause',
@@ -45,18 +45,18 @@ OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
 class OperatorAction:
     """An action of the operator."""
 
-    # When, nanoseconds of ROS time; never twice the same.
+    # Its time, nanoseconds of ROS time, different for each action.
     stamp: int
     action: Action
-    # How many robots had left by then.
+    # Number of robots sent by then.
     robots_left: int
-    # Of the robots that it is about.
+    # Paths of the robots concerned.
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
-    # Of a robot that is given up: how many of its steps it is known to have survived.
+    # Of a robot that is given up: number of steps that it is known to have survived.
     steps_survived: int = 0
 
     def __str__(self) -> str:
-        """Return what was done, in words."""
+        """Return a description of the action."""
         robots = ', '.join(map(str, self.paths))
         contact = f', heard of last after step {self.steps_survived}'
         return ' '.join(filter(None, [WORDS[self.action], robots])) + (
@@ -65,7 +65,7 @@ class OperatorAction:
 
     @property
     def when(self) -> str:
-        """Return its time as names of deployments show it."""
+        """Return its time as shown in the names of deployments."""
         return f'{self.stamp // SECOND}.{self.stamp % SECOND:09d}'
 
 
@@ -84,13 +84,13 @@ def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorA
 
 
 def read_action_name(message: Any) -> int:
-    """Return the time that names an action, in nanoseconds."""
+    """Return the time of an action, which names it, in nanoseconds."""
     check_frame('header.frame_id', message.header.frame_id)
     return read_name('header.stamp', message.header.stamp)
 
 
 def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
-    """Return the action that a kbnitp_msgs/OperatorAction states."""
+    """Convert a kbnitp_msgs/OperatorAction."""
     stamp = read_action_name(message)
     if message.action not in list(Action):
         raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')
@@ -109,8 +109,8 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
     )
 
 
-# How often a mission goes on after a pause, and how often proposals are refused, at the most:
-# whoever calls these services for ever fills neither the memory of the planner nor the disk.
+# Maximum numbers of pauses ended and of proposals refused in a mission: endless calls must fill
+# neither the planner's memory nor the disk.
 MOST_TIMES = 1000
 REPEATED = (Action.RESUME, Action.REFUSE)
 
@@ -118,25 +118,25 @@ Paths = Mapping[DeploymentKey, NDArray[np.intp]]
 
 
 class OperatorState:
-    """What holds by the actions of the operator so far."""
+    """The state set by the operator's actions so far."""
 
     def __init__(self) -> None:
-        # All actions by the times that name them, in order.
+        # All actions by time, in order.
         self.actions: dict[int, OperatorAction] = {}
-        # Whether no robot leaves for now.
+        # Whether departures are paused.
         self.is_paused = False
-        # Whether none leaves any more.
+        # Whether departures are over for good.
         self.is_ended = False
-        # The robots that were given up, and how many steps each is known to have survived.
+        # Robots given up, and the number of steps that each is known to have survived.
         self.given_up: dict[DeploymentKey, int] = {}
 
     @property
     def is_holding(self) -> bool:
-        """Whether robots that were sent and have not departed stay at the base."""
+        """Return whether robots that were sent and have not departed stay at the base."""
         return self.is_paused or self.is_ended
 
     def apply(self, action: OperatorAction) -> bool:
-        """Have an action hold; return whether it was not known."""
+        """Apply an action; return whether it is new."""
         if action.stamp in self.actions:
             return False
         self.actions[action.stamp] = action
@@ -158,7 +158,7 @@ class OperatorState:
             )
 
     def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:
-        """Return the rounds of paths that were refused since the last robot left."""
+        """Return the rounds refused since the last robot left."""
         return [
             list(each.paths.values())
             for each in self.actions.values()
@@ -176,6 +176,6 @@ class OperatorState:
 
 
 def are_same(ones: Paths, others: Paths) -> bool:
-    """Return whether robots of the same agents go the same paths."""
+    """Return whether two rounds send the same agents on the same paths."""
     cells = [{key.agent: path.tolist() for key, path in paths.items()} for paths in (ones, others)]
     return cells[0] == cells[1]

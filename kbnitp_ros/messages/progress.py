@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the messages mean that tell how a mission stands: progress, model and decision."""
+"""Messages about a running mission: progress, model and decision."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class MissionState(IntEnum):
-    """How far a mission is, as in kbnitp_msgs/Progress."""
+    """The state of a mission, as in kbnitp_msgs/Progress."""
 
     UNKNOWN = 0
     RUNNING = 1
@@ -40,7 +40,7 @@ class MissionState(IntEnum):
 
 
 class Standing(NamedTuple):
-    """The state of a mission, and why it is in that state; empty where that is plain."""
+    """The state of a mission and its reason; empty where the state says all."""
 
     state: MissionState
     reason: str
@@ -57,7 +57,7 @@ def progress_message(
     out: int,
     standing: Standing = NOT_KNOWN,
 ) -> msg.Progress:
-    """Return the message of how a mission stands, after fewer deployments its estimator before."""
+    """Return a ledger's progress message; `before` is its estimator one deployment earlier."""
     from kbnitp_msgs import msg
 
     belief, gained, expected = ledger.belief, nan, nan
@@ -86,20 +86,20 @@ def progress_message(
     )
 
 
-# Per cent.
+# Percent.
 QUANTILES = (5, 25, 50, 75, 95)
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a number after some deployments."""
+    """The belief about a learnt number after some deployments."""
 
     # Its mean and standard deviation.
     mean: float
     sd: float
     # One for each of `QUANTILES`.
     quantiles: tuple[float, ...]
-    # As many independent draws would tell the mean as well.
+    # Number of independent draws of equal precision.
     effective_samples: float
 
 
@@ -115,7 +115,7 @@ NOTHING_LEARNT = ModelState({}, {}, ModelCheck(False, {}, ''))
 
 
 def model_fields(ledger: Ledger, stamp: int) -> Fields:
-    """Return the fields of the message that goes with a belief of this stamp, in nanoseconds."""
+    """Return the fields of the model message for a belief of this stamp, in nanoseconds."""
     estimator = ledger.estimator
     parameters, check = estimator.parameters.values(), estimator.check
     return Fields(
@@ -146,7 +146,7 @@ def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
 
 
 def read_model_belief(message: Any) -> ModelState:
-    """Return the contents of a kbnitp_msgs/ModelBelief; those of 0.3.0 have numbers alone."""
+    """Convert a kbnitp_msgs/ModelBelief; those of 0.3.0 have numbers alone."""
     check_frame('header.frame_id', message.header.frame_id)
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
     values = {field: list(getattr(message, field)) for field in fields}
@@ -171,7 +171,7 @@ def read_model_belief(message: Any) -> ModelState:
 
 
 def decision_fields(decision: Decision, deployments: int) -> Fields:
-    """Return what the message of a decision says of the hazards, which the evidence determines."""
+    """Return the fields of a decision that follow from the evidence."""
     return Fields(
         deployments=deployments,
         goal=decision.goal,
@@ -200,7 +200,7 @@ def decision_message(
 
 
 def check_decision(message: Any) -> None:
-    """Check that a message tells a decision; raises ValueError."""
+    """Check that a message is a valid decision."""
     names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability')
     if wrong := [name for name in names if not 0.0 <= getattr(message, name) < np.inf]:
         raise ValueError(f'{wrong[0]} is {getattr(message, wrong[0])}: it must be 0 or more')
@@ -211,14 +211,14 @@ def check_decision(message: Any) -> None:
 
 
 def read_decision(grid: Grid, message: Any) -> Decision:
-    """Return the decision that a message tells."""
+    """Return the decision of a message."""
     check_decision(message)
     at = [(each.pose.position.x, each.pose.position.y) for each in message.path.poses]
     path = grid.cells_at(at) if at else np.empty(0, dtype=np.intp)
     return Decision(
         goal=message.goal,
         p_free=message.probability,
-        # Of an area the message does not tell them.
+        # The message of an area does not contain them.
         cells=np.unique(path),
         independent_draws=message.independent_draws,
         path=path,
