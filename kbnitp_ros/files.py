@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML, files of the package, and words for what went wrong."""
+"""YAML, files of the package, and error messages in words."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ PACKAGE = Path(__file__).parent
 
 
 def installed() -> str:
-    """Return the version of the package in use and its folder: there may be several installed."""
+    """Return the installed version of the package and its folder: there may be several."""
     return f'kbnitp_ros {version("kbnitp_ros")} in {PACKAGE}'
 
 
 def share(relative: str) -> Path:
-    """Return where a file or folder of the package is: in the source tree, or installed."""
+    """Return the path of a file or folder of the package, in the source tree or installed."""
     source = PACKAGE.parent / relative
     if source.exists():
         return source
@@ -30,7 +30,7 @@ def share(relative: str) -> Path:
     return PACKAGE.parents[3] / 'share/kbnitp_ros' / relative
 
 
-# What a user can do about an error of the disk.
+# Remedies for errors of the disk.
 REMEDIES = {
     errno.ENOSPC: 'free some space on that disk',
     errno.EDQUOT: 'free some space within the disk quota',
@@ -41,13 +41,13 @@ REMEDIES = {
     errno.EIO: 'check the disk',
 }
 
-# How many of many topics, or robots, a line names.
+# Maximum number of items listed in a line.
 NAMED = 3
 
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Have every OSError name a file."""
+    """Add a file name to every OSError without one."""
     # The system names a file that is opened, but not an open one that is written.
     try:
         yield
@@ -58,7 +58,7 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def in_words(error: BaseException) -> str:
-    """Return an error as one line; of an error of the system the file, the reason and a remedy."""
+    """Return an error as one line; an error of the system with file, reason and remedy."""
     if isinstance(error, OSError) and error.strerror:
         about = [error.filename] if error.filename is not None else []
         remedy = REMEDIES.get(error.errno or 0)
@@ -67,19 +67,19 @@ def in_words(error: BaseException) -> str:
 
 
 def some(items: Iterable[object], named: int = NAMED) -> str:
-    """Return the first few of some items in words, and how many more there are."""
+    """List the first few items in words, and count the rest."""
     first = [str(each) for each in items]
     more = len(first) - named
     return ', '.join(first[:named]) + (f' and {more} more' if more > 0 else '')
 
 
 def counted(number: int, what: str) -> str:
-    """Return a number of things in words."""
+    """Return a number with its noun."""
     return f'{number} {what}' if number == 1 else f'{number} {what}s'
 
 
 class Loader(yaml.CSafeLoader):
-    """The types of YAML 1.1, numbers such as 1e-3, and lists for the tuples of launch files."""
+    """A YAML 1.1 loader with numbers such as 1e-3, and with tuples of launch files as lists."""
 
 
 Loader.add_implicit_resolver(
@@ -93,11 +93,11 @@ Loader.add_constructor(  # type: ignore[type-var]
 
 
 class NotYamlError(ValueError):
-    """A text that is no YAML, such as one that was cut off."""
+    """A text is no YAML, for example since it was cut off."""
 
 
 class KeyTwiceError(ValueError):
-    """A key that stands twice in a mapping."""
+    """A mapping has a key twice."""
 
 
 def read_yaml(path: str | Path) -> Any:
@@ -121,12 +121,12 @@ def parse_yaml(text: str | bytes) -> Any:
     except KeyTwiceError:
         raise
     except Exception as error:
-        # PyYAML fails in many ways on a value that does not fit its tag.
+        # PyYAML raises many types on a value that does not match its tag.
         raise NotYamlError(f'it is not YAML: {" ".join(str(error).split())}') from error
 
 
 def check_keys(node: yaml.Node, seen: set[int]) -> None:
-    """Raise KeyTwiceError for a mapping with a key twice; aliases lead to nodes seen before."""
+    """Check that no mapping has a key twice; aliases lead to nodes seen before."""
     if id(node) in seen or isinstance(node, yaml.ScalarNode):
         return
     seen.add(id(node))

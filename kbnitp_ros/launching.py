@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files of missions share: arguments, the nodes of the base, and how they end."""
+"""Common parts of the launch files: arguments, the nodes of the base, and the end of a mission."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ from launch_ros.substitutions import FindPackageShare
 SHARE = FindPackageShare('kbnitp_ros')
 SWITCH = ['true', 'false']
 
-# How processes may end that launch was told to end: one that did not listen yet was killed, and of
-# one that ended while launch was about to signal it, asyncio says 255.
+# Exit codes of processes that launch stopped: one that did not listen yet was killed, and for one
+# that ended just before the signal asyncio says 255.
 ENDED = (0, -signal.SIGINT, -signal.SIGTERM, 255)
 
-# The exit codes of nodes that are not started again: their work is done, or they cannot start.
+# Exit codes of nodes that are not restarted: their work is done, or they cannot start.
 FINAL = (0, 2)
 
-RESPAWN_DELAY = 2.0  # seconds
+RESPAWN_DELAY = 2.0  # Seconds.
 
-# The parameters that are arguments as well, of all nodes that have them.
+# Parameters that are arguments as well, of all nodes that have them.
 OPTIONS = (
     'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
     'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
@@ -53,13 +53,12 @@ OPTIONS = (
 
 
 def transport(context: LaunchContext) -> list[SetEnvironmentVariable]:
-    """Return what sets the transport of the nodes."""
+    """Return the actions that set the transport of the nodes."""
     config = Path(SHARE.perform(context), 'config')
     return [SetEnvironmentVariable(*each) for each in udp_only(os.environ, config).items()]
 
 
-# Nodes find each other at once, give memory back and use no shared memory, unless the user has a
-# Fast DDS profile of their own.
+# Fast discovery, returned memory and no shared memory, unless the user has a Fast DDS profile.
 TRANSPORT = OpaqueFunction(function=transport)
 
 
@@ -103,7 +102,7 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
 
 
 def argument_of(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
-    """Return the argument of a parameter's name."""
+    """Return the launch argument of a parameter's name."""
     description = f'{parameter.description} Empty for what params_file says.'
     return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
 
@@ -112,7 +111,7 @@ def mission_description(
     arguments: Sequence[DeclareLaunchArgument],
     nodes: Callable[[MissionArguments], Iterable[Action]],
 ) -> LaunchDescription:
-    """Return what a launch file starts: nodes of a mission, once its arguments are known."""
+    """Return the description of a launch file, whose nodes start once the arguments are known."""
     # Launch handles signals by itself.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: None)
@@ -129,7 +128,7 @@ def mission_description(
 
 
 def respawned(make: Callable[[], Node]) -> TimerAction:
-    """Return what starts a node again, in a moment."""
+    """Return the options that restart a node after a pause."""
     start = OpaqueFunction(function=lambda _: [make()])
     return TimerAction(period=RESPAWN_DELAY, actions=[start])
 
@@ -148,30 +147,30 @@ def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
 
 
 class MissionArguments:
-    """A mission as the arguments of a launch file describe it."""
+    """A mission as described by the arguments of a launch file."""
 
     def __init__(self, context: LaunchContext) -> None:
         self._context = context
         self._failures: list[str] = []
-        # Known from now on: what is started again is so outside the groups of launch files.
+        # Evaluated here: a restarted node is outside the groups of launch files.
         self._namespace = context.launch_configurations.get('ros_namespace', '').strip('/')
         self._sections = read_sections(self.argument('params_file'))
         self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
         self.agents = agents_named(self.argument('agents')) or list(
             self._values('planner').get('agents', parameters_of('planner')['agents'].default)
         )
-        # Nodes that are started again go on with it.
+        # Restarted nodes resume it.
         self._log: Path | None = None
         if self.argument('record') == 'true':
             file = self.argument('file') or self._values('recorder').get('file')
             self._log = Path(self.argument('resume') or file or new_log())
 
     def argument(self, name: str) -> str:
-        """Return an argument as it was given."""
+        """Return the value of an argument."""
         return str(LaunchConfiguration(name).perform(self._context))
 
     def _values(self, node: str) -> dict[str, Any]:
-        """Return what the parameter file says for a node of this mission."""
+        """Return the values of the parameter file for a node of this mission."""
         return values_for(self._sections, self._full_name(node))
 
     def _full_name(self, *names: str) -> str:
@@ -179,7 +178,7 @@ class MissionArguments:
 
     @property
     def poses(self) -> list[tuple[str, str]]:
-        """Return the remapping of poses: robots of one name in two teams are not the same one."""
+        """Return the remapping of poses: robots of one name in two teams differ."""
         return [('/tf', self._full_name('tf'))] if self._namespace else []
 
     def base(self, **of_real_robots: str) -> list[Action]:
@@ -198,7 +197,7 @@ class MissionArguments:
             remappings=self.poses,
         )
         return [
-            # First, so that nothing runs yet when it turns out not to be installed.
+            # First, so that nothing runs yet if it is not installed.
             *([rviz] if self.argument('rviz') == 'true' else []),
             *([LogInfo(msg=f'recording to {log}')] if log else []),
             *([self.node('recorder', {'file': str(log)})] if log else []),
@@ -215,7 +214,7 @@ class MissionArguments:
         namespace: str = '',
         ends_mission: bool = True,
     ) -> Node:
-        """Return a node of the mission, which is also the name of its executable."""
+        """Return a node of the mission; its executable has the same name."""
         known, log = parameters_of(name), self._log
         values = {
             'agents': self.agents,
@@ -228,7 +227,7 @@ class MissionArguments:
         params_file = self.argument('params_file')
 
         def end(event: Any, context: LaunchContext) -> Shutdown | TimerAction | None:
-            """Start this node again, or end the mission; with an error if any node has failed."""
+            """Restart this node, or end the mission; with an error if any node has failed."""
             if log and event.returncode not in FINAL and not context.is_shutdown:
                 return respawned(lambda: make(str(log) if log.exists() else ''))
             if event.returncode not in (ENDED if context.is_shutdown else (0,)):
@@ -236,7 +235,7 @@ class MissionArguments:
                     f'{event.process_name} ended with exit code {event.returncode}'
                 )
             if self._failures and (ends_mission or context.is_shutdown):
-                # Nothing else makes the exit code of launch another one than 0.
+                # The only way to an exit code of launch other than 0.
                 failures = ', '.join(self._failures)
                 self._failures.clear()
                 raise RuntimeError(f'the mission failed: {failures}; see above what was said')
@@ -258,7 +257,7 @@ class MissionArguments:
         return make(self.argument('resume'))
 
     def _check_counts(self, node: str, given: dict[str, Any]) -> None:
-        """Check that ROS, to which sections of a file that come later count more, takes these."""
+        """Check that ROS accepts these: later sections of a file overrule earlier ones."""
         sections = {name: dict(values) for name, values in self._sections.items()}
         sections.setdefault(node, {}).update(given)
         taken = values_for(sections, node)
@@ -271,7 +270,7 @@ class MissionArguments:
 
 
 def agents_named(given: str) -> list[str]:
-    """Return the names of agents of an argument: their number, or names; () if empty."""
+    """Return the agents of an argument: their number, or names; () if empty."""
     if given.isdecimal() and int(given):
         return [f'scout_{number}' for number in range(1, int(given) + 1)]
     names = given.split(',') if given else []

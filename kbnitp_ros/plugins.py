@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What there is of a kind by name: the own, and what other packages add."""
+"""Registries of named entries: the package's own, and those of other packages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from warnings import warn
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Name the extra that brings what is imported, where it is not installed."""
+    """Name the extra that installs a missing import."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -29,7 +29,7 @@ PACKAGE = 'kbnitp_ros'
 
 
 class PluginError(RuntimeError):
-    """What another package added breaks the rules of its kind while it is used."""
+    """An entry of another package breaks the rules of its kind."""
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
@@ -52,7 +52,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self.fill(own)
 
     def fill(self, own: Mapping[str, object]) -> None:
-        """Register entries of the package's own."""
+        """Register the package's own entries."""
         self.own += tuple(own)
         self._entries |= {name: self.check(given) for name, given in own.items()}
         self._sources |= dict.fromkeys(own, PACKAGE)
@@ -64,7 +64,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Return why names cannot be had."""
+        """Return the names that are refused, and why."""
         self._search()
         return self._refused
 
@@ -74,7 +74,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return self._entries[name]
 
     def __contains__(self, name: object) -> bool:
-        # YAML may say anything for a name.
+        # A YAML file may give any type for a name.
         return isinstance(name, str) and super().__contains__(name)
 
     def __iter__(self) -> Iterator[str]:
@@ -90,7 +90,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     @contextmanager
     def including(self, given: Mapping[str, Any]) -> Iterator[None]:
-        """Have more entries until the ``with`` statement is left."""
+        """Add entries until the ``with`` statement is left."""
         self._search()
         before = dict(self._entries), dict(self._sources)
         try:
@@ -104,7 +104,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             self._entries, self._sources = before
 
     def find(self, given: str | Callable[..., Any]) -> Entry:
-        """Return the entry of a name, or what is given in place of one as an entry."""
+        """Return the entry of a name; an entry itself is returned as it is."""
         if callable(given):
             try:
                 return self.check(given)
@@ -115,14 +115,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return self[given]
 
     def why_not(self, name: object, *others: str) -> str:
-        """Return why there is no such name: it is refused, or only these and others are known."""
+        """Explain why there is no such name: it is refused, or unknown."""
         known = f'known are {", ".join((*self, *others))}'
         reason = self._refused.get(name) if isinstance(name, str) else None
         return f'{reason}; {known}' if reason else known
 
     @contextmanager
     def blamed(self, given: str | Callable[..., Any]) -> Iterator[None]:
-        """Raise a PluginError that names the package of an entry for any error but ValueError."""
+        """Raise a PluginError that names the package for any error of an entry but ValueError."""
         try:
             yield
         except (ValueError, PluginError):
@@ -133,7 +133,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             raise self.fault(given, f'failed: {in_words(error)}') from error
 
     def fault(self, given: str | Callable[..., Any], words: str) -> PluginError:
-        """Return the error that says what an entry did wrong."""
+        """Return the error that blames an entry."""
         source = given.__module__ if callable(given) else self._sources[given]
         return PluginError(
             f'{self.kind} {name_of(given)!r} of {source} {words}; '
@@ -144,7 +144,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """Load the entry points of other packages, once."""
         if self._is_searched:
             return
-        # A module that asks for names while it is imported sees those that there are by then.
+        # A module that asks for names while it is imported sees those found by then.
         self._is_searched = True
         points = sorted(entry_points(group=f'{PACKAGE}.{self.kind}s'), key=source_of)
         count = Counter(point.name for point in points)
@@ -155,7 +155,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                     others = [source_of(each) for each in points if each.name == point.name]
                     raise ValueError(f'{" and ".join(others)} have one of this name')
                 self._add(point.name, point.load(), source)
-            # A module may raise anything, and end the process, when it is imported.
+            # Importing a module may raise anything, and end the process.
             except (Exception, SystemExit) as error:
                 reason = f'it is refused, of {source}: {in_words(error)}'
                 self._refused[point.name] = reason
@@ -171,14 +171,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
 
 def name_of(given: str | Callable[..., Any]) -> str:
-    """Return the name of an entry, or of what is given in place of one."""
+    """Return the name of an entry."""
     if isinstance(given, str):
         return given
     return str(getattr(given, '__qualname__', type(given).__qualname__))
 
 
 def takes(given: object, arguments: Iterable[str]) -> Any:
-    """Return what is given; raise a TypeError if it cannot be called with these arguments."""
+    """Return a callable; raise a TypeError if it does not take these arguments."""
     names = tuple(arguments)
     how = f'it must be callable with ({", ".join(names)})'
     if not callable(given):
@@ -192,7 +192,7 @@ def takes(given: object, arguments: Iterable[str]) -> Any:
 
 
 def source_of(point: EntryPoint) -> str:
-    """Return the distribution of an entry point, and what it says."""
+    """Return the distribution of an entry point, and its value."""
     whose = f'{point.dist.name} {point.dist.version}' if point.dist else 'a distribution'
     return f'{whose} (entry point {point.name} = {point.value})'
 

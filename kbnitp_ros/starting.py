@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executables by name, and how they start: a signal ends them well from the beginning."""
+"""The executables by name, and their start, during which a signal ends them cleanly."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from types import FrameType
 
 from kbnitp_ros.plugins import extra
 
-# What pip installs of the packages that a command imports; all others need ROS 2.
+# Imports of commands that pip installs; all others need ROS 2.
 EXTRAS = dict.fromkeys(('replay', 'report', 'watch'), 'report') | {
     'study': 'study',
     'forecast': 'all',
 }
 
-# Each module has main(argv=None), whose result is the exit status.
+# Each module has main(argv=None), which returns the exit code.
 COMMANDS = {
     'demo': 'kbnitp_ros.cli.demo',
     'study': 'kbnitp_ros.cli.study',
@@ -41,7 +41,7 @@ EXECUTABLES = {**COMMANDS, **NODES}
 
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
-    """Import and run one of `EXECUTABLES`; return its exit status."""
+    """Import and run one of `EXECUTABLES`; return its exit code."""
 
     def end(number: int, _frame: FrameType | None) -> None:
         os._exit(0 if name in NODES else 128 + number)
@@ -51,11 +51,11 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         print(f'{name}: {unknown}', file=sys.stderr)
         return 2
     try:
-        # Commands import what takes long when they have read their options.
+        # Commands import slow modules after they have parsed their options.
         with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
             main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
             if name in COMMANDS:
-                # A node takes signals in its own way, a command as it would without this.
+                # A node handles signals itself, a command by default.
                 for number, each in before.items():
                     signal.signal(number, each)
             return main(argv)
@@ -67,7 +67,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
 
 
 def missing_rmw() -> str:
-    """Return that the middleware which the environment names is not installed; empty if it is."""
+    """Return that the configured middleware is not installed; empty if it is."""
     # rcl ends the process when it is imported.
     rmw = os.environ.get('RMW_IMPLEMENTATION')
     if not (rmw and os.environ.get('AMENT_PREFIX_PATH')):
@@ -83,6 +83,6 @@ def missing_rmw() -> str:
     )
 
 
-# What `ros2 run kbnitp_ros NAME` calls.
+# Called by `ros2 run kbnitp_ros NAME`.
 demo, study, replay, report, watch, forecast = (partial(start, name) for name in COMMANDS)
 planner, agent, robot, estimator, recorder = (partial(start, name) for name in NODES)

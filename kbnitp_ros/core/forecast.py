@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a mission may go: many of them, in fields drawn from what is known."""
+"""Forecasts of a mission: many missions in fields drawn from the belief."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# What is told of a number that differs from mission to mission.
+# Quantiles of a quantity over missions.
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
 # Of the 95 % interval of a share, in standard deviations.
 DEVIATIONS = 1.96
 
 
 class PossibleWorld(NamedTuple):
-    """A field and robots as they may be."""
+    """A possible field, with its robots."""
 
-    # From 0.
+    # Index, from 0.
     number: int
     # The field.
     world: World
-    # What robots like all others are really like.
+    # The true sensor model of robots of the common type.
     model: SensorModel
-    # Of what happens to them.
+    # Seed of the outcomes.
     rng: np.random.Generator
 
     def __str__(self) -> str:
@@ -50,22 +50,20 @@ class PossibleWorld(NamedTuple):
 
 
 class Course(NamedTuple):
-    """How a mission went."""
+    """The result of one mission."""
 
-    # How many robots it sent.
+    # Number of robots sent.
     sent: int
-    # Shape (robots + 1,). How many were lost by the time so many were sent; after the last one
-    # that was sent it stays, as the others do.
+    # Robots lost after each robot sent, shape (robots + 1,); constant after the last one, as
+    # below.
     lost: Floats
-    # Shape (robots + 1,). Of hazards and targets, nats.
+    # Entropy of hazards and targets, nats, shape (robots + 1,).
     entropy: Floats
-    # Shape (robots + 1,). The probability that what is asked for is free of hazards; NaN without a
-    # goal.
+    # Probability that the goal is free of hazards, shape (robots + 1,); NaN without a goal.
     p_free: Floats
-    # Shape (robots + 1,). 1 if the goal was reached at its confidence, or else 0.
+    # 1 if the goal was reached at its confidence, else 0, shape (robots + 1,).
     reached: Floats
-    # 1 if what was asked for at the end is free of hazards in truth, or else 0; NaN without a
-    # goal.
+    # 1 if what the last decision was about is truly free, else 0; NaN without a goal.
     free: float
 
 
@@ -78,7 +76,7 @@ class Share(NamedTuple):
 
     @classmethod
     def of(cls, each: Floats) -> Share:
-        """Return the share of ones among so many ones and zeros."""
+        """Return the proportion of successes."""
         count, share = each.size, float(each.mean())
         narrowing = 1.0 + DEVIATIONS**2 / count
         middle = (share + DEVIATIONS**2 / (2 * count)) / narrowing
@@ -90,7 +88,7 @@ class Share(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Forecast:
     """
-    How a mission may go.
+    The forecast of a mission.
 
     Attributes
     ----------
@@ -118,7 +116,7 @@ class Forecast:
 
     @property
     def robots(self) -> int:
-        """How many robots each could send."""
+        """Return the maximum number of robots of each mission."""
         return self.lost.shape[1] - 1
 
 
@@ -140,7 +138,7 @@ def forecast(
     ] = map,
 ) -> Forecast:
     """
-    Run missions in fields that are drawn from what is known.
+    Run missions in fields drawn from the belief.
 
     If what is known is right, a mission in the true field is one more of them.
 
@@ -195,7 +193,7 @@ def course(
     begin: Decision | None,
     possible: PossibleWorld,
 ) -> Course:
-    """Return how a mission goes in one field."""
+    """Run one mission."""
     made = go_on(world=possible.world, rng=possible.rng, truth=Truth(possible.model))
     decisions = [begin, *(each.decision for each in made)]
     lost = np.cumsum([0, *(not each.observation.survived for each in made)])

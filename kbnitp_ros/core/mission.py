@@ -89,7 +89,7 @@ class SimulatedMission(list[Deployment]):
 @dataclass(frozen=True)
 class Truth:
     """
-    What the robots of a mission are really like.
+    The true behaviour of the robots of a mission.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class Truth:
 @dataclass(frozen=True)
 class Learning:
     """
-    What a mission learns besides the maps.
+    What a mission learns besides the maps: numbers and kinds of hazards.
 
     Attributes
     ----------
@@ -237,7 +237,7 @@ def continue_mission(
     stop: Stop | None = None,
 ) -> SimulatedMission:
     """
-    Deploy more robots, from what an estimator knows.
+    Continue a mission from an estimator.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ def continue_mission(
 def decided(
     goal: Goal | None, grid: Grid, estimator: Estimator, deployments: int, options: SearchOptions
 ) -> tuple[HazardDraws | None, Decision | None]:
-    """Return what is known of the hazards for a goal, and what may be relied on, if there is."""
+    """Return the draws and the decision for a goal, if there is one."""
     if goal is None:
         return None, None
     draws = HazardDraws.of(estimator, deployments)
@@ -341,7 +341,7 @@ def deployments_table(
     beliefs: Iterable[Belief | None],
     worlds: Iterable[World | None],
 ) -> DataFrame:
-    """Return one row a deployment."""
+    """Return one row for each deployment."""
     with extra('report'):
         import pandas
     rows = []

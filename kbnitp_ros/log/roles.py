@@ -284,7 +284,7 @@ class MissionLog:
 
     @contextmanager
     def leaving_out(self, role: Role, logged: LoggedMessage) -> Iterator[None]:
-        """Yield a message unless the body finds it invalid."""
+        """Record a message as invalid if the body raises ValueError."""
         try:
             yield
         except LogError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps as map_server reads them, and the grids and prior beliefs made of them."""
+"""Maps in map_server's format, and grids and prior beliefs made from them."""
 
 from kbnitp_ros.maps.files import (
     levels_of,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps in files, as Nav2 reads them: read, written, as pictures and as prior probabilities."""
+"""Map files in Nav2's format: read and written, as pictures and as prior probabilities."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 import yaml
 
-# Pillow's names of the formats that Nav2's map_saver writes: PGM, PNG and BMP. No decoder of
-# another is tried on a file; that of EPS starts another program.
+# Pillow's names of the formats of Nav2's map_saver: PGM, PNG and BMP. Other decoders are not
+# tried; that of EPS starts another program.
 FORMATS = ('PPM', 'PNG', 'BMP')
 
 MODES = ('trinary', 'scale', 'raw')
 
-# What may be said of `negate`, a number or a boolean of YAML.
+# Values of `negate`, a number or a boolean of YAML.
 SWITCHES = dict.fromkeys(('0', 'false', 'no', 'off', 'n'), False) | dict.fromkeys(
     ('1', 'true', 'yes', 'on', 'y'), True
 )
@@ -35,19 +35,19 @@ SWITCHES = dict.fromkeys(('0', 'false', 'no', 'off', 'n'), False) | dict.fromkey
 
 @dataclass(frozen=True)
 class MapFile:
-    """What a map's YAML file says."""
+    """The content of a map's YAML file."""
 
-    # The image's file.
+    # The image file.
     image: Path
     # Side of a pixel in metres.
     resolution: float
     # Lower-left corner of the map in metres.
     origin: tuple[float, float]
-    # The angle from the frame's x axis to the map's rows, counterclockwise, in rad.
+    # Angle from the frame's x axis to the map's rows, counterclockwise, in rad.
     yaw: float
     # Whether white is occupied.
     negate: bool
-    # A pixel at least, and at most, this dark is occupied, and free.
+    # Darkness from which a pixel is occupied, and up to which it is free.
     occupied_thresh: float
     free_thresh: float
     # One of `MODES`.
@@ -67,23 +67,23 @@ def read_map(yaml_path: str | Path) -> Map:
 
 
 def darkness(gray: NDArray[np.uint8], negate: bool) -> NDArray[np.float32]:
-    """Return p of each pixel in [0, 1], in the precision that map_server compares it in."""
+    """Return the darkness of each pixel in [0, 1], in map_server's precision."""
     light = gray.astype(np.float32) / np.float32(255.0)
     return light if negate else np.float32(1.0) - light
 
 
 def scaled(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.float32]:
-    """Return how far each pixel is from `free_thresh` to `occupied_thresh`, 0 to 1 in between."""
+    """Return the position of each pixel between `free_thresh` and `occupied_thresh`, in [0, 1]."""
     width = np.float32(max(file.occupied_thresh - file.free_thresh, 1e-30))
     result: NDArray[np.float32] = (dark - np.float32(file.free_thresh)) / width
     return result
 
 
 def occupancy(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.int8]:
-    """Return 0 to 100 or -1 of each pixel in mode trinary or scale."""
+    """Return the occupancy of each pixel, 0 to 100 or -1, in mode trinary or scale."""
     between = np.full(dark.shape, np.float32(UNKNOWN))
     if file.mode == 'scale':
-        # Halves are rounded up, as C++ rounds what is not negative.
+        # Halves are rounded up, as C++ rounds positive numbers.
         between = np.floor(scaled(dark, file) * np.float32(OCCUPIED) + np.float32(0.5))
     data = np.where(dark >= np.float32(file.occupied_thresh), OCCUPIED, between)
     data = np.where(dark <= np.float32(file.free_thresh), 0, data)
@@ -91,7 +91,7 @@ def occupancy(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.int8]:
 
 
 def read_map_file(path: Path) -> MapFile:
-    """Return what a map's YAML file says."""
+    """Read a map's YAML file."""
     try:
         said = read_yaml(path)
     except OSError as error:
@@ -107,7 +107,7 @@ def read_map_file(path: Path) -> MapFile:
         return said.get(name, *default)
 
     def number(name: str, found: Any) -> float:
-        # map_server takes numbers in quotes as well.
+        # map_server accepts numbers in quotes as well.
         with suppress(TypeError, ValueError):
             if not isinstance(found, bool) and isfinite(float(found)):
                 return float(found)
@@ -162,7 +162,7 @@ def read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
 
 
 def gray_values(image: Image.Image) -> NDArray[np.uint8]:
-    """Return the grey values of an image, 0 to 255, whatever its depth."""
+    """Return the grey values of an image of any depth, 0 to 255."""
     if image.mode.startswith('I'):  # 16 bits
         wide = np.asarray(image, dtype=np.int64)
         return ((wide + 128) // 257).astype(np.uint8)
@@ -175,7 +175,7 @@ WHITE = 255
 
 
 def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) -> None:
-    """Write 255 times the probability of each cell as a map in mode scale, black for 255."""
+    """Write the probability of each cell as a map in mode scale, black for 1."""
     image = yaml_path.with_suffix('.pgm')
     rows = (WHITE - levels).reshape(grid.height, grid.width)[::-1]
     Image.fromarray(np.ascontiguousarray(rows)).save(image)
@@ -192,7 +192,7 @@ def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) 
 
 
 def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
-    """Return the maps of a belief in steps of 1/255 that form a belief again."""
+    """Return the maps of a belief, rounded to steps of 1/255 that form a belief again."""
     exact = np.stack([belief.hazard, belief.target, belief.kappa]) * WHITE
     best = np.rint(exact)
     distance = np.full(belief.cells, np.inf)
@@ -207,17 +207,17 @@ def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
     return dict(zip(('hazard', 'target', 'kappa'), best.astype(np.uint8)))
 
 
-# More pixels a side than that are nothing to see in a page.
+# Maximum number of pixels along a side; a page shows no more.
 MOST_SHOWN = 1000
 
 
 @dataclass(frozen=True)
 class Site:
-    """The image of a map, and where it lies, in metres and rad."""
+    """The image of a map, with its position in metres and rad."""
 
     # A data URI with a PNG file of at most `MOST_SHOWN` pixels a side, the top row first.
     source: str
-    # What it covers along and across the map's rows.
+    # Its extent along and across the map's rows.
     width: float
     height: float
     # The lower-left corner.
@@ -247,7 +247,7 @@ def read_site(yaml_path: str | Path) -> Site:
 def read_probabilities(
     path: str | Path, grid: Grid, elsewhere: float, resample: bool = False
 ) -> NDArray[np.float64]:
-    """Return a probability for each cell of a grid, from a file."""
+    """Read the probabilities of a grid's cells from a file."""
     path = Path(path)
     if path.suffix == '.npy':
         probability = read_array(path)
@@ -294,7 +294,7 @@ def read_probabilities(
 
 
 def read_array(path: Path) -> NDArray[np.float64]:
-    """Return the probabilities of a .npy file."""
+    """Read the probabilities in a .npy file."""
     try:
         array = np.load(path, allow_pickle=False)
         if array.ndim != 2 or not array.size or array.dtype.kind not in 'fiu':
@@ -304,7 +304,7 @@ def read_array(path: Path) -> NDArray[np.float64]:
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror or error}') from error
     except Exception as error:
-        # numpy fails in many ways on a corrupt header.
+        # numpy raises many types on a corrupt header.
         raise MapError(f'{path} is no array of numbers: {in_words(error)}') from error
     values: NDArray[np.float64] = array.astype(np.float64)
     wrong = np.argwhere(~((values >= 0.0) & (values <= 1.0)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An occupancy map, the grid that robots may walk on it, and where on the earth it lies."""
+"""Occupancy maps, the grid of robots on them, and their place on the earth."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kbnitp_ros.plugins import extra
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# A pixel's edge this close to a cell's edge, in pixels, is on it: resolutions such as 0.05 m are
-# not exact in binary.
+# Tolerance in pixels for a pixel's edge on a cell's edge: resolutions such as 0.05 m are not exact
+# in binary.
 ON_THE_EDGE = 1e-6
 
 
@@ -30,7 +30,7 @@ def pixels_under(
 
 
 def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[np.float64]:
-    """Return how much of each pixel lies under each cell, in pixels, shape (cells, pixels)."""
+    """Return the area of each pixel under each cell, in pixels, shape (cells, pixels)."""
     start = first + np.arange(cells) * cell_size
     pixel = np.arange(pixels)
     low = np.maximum(start[:, None], pixel)
@@ -41,18 +41,18 @@ def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[n
 
 HIGHEST = {'latitude': 90.0, 'longitude': 180.0}
 
-# A quarter of the way round the earth, in metres.
+# A quarter of a meridian, in metres.
 FARTHEST = 1e7
 
 
 @dataclass(frozen=True)
 class Datum:
-    """The place and the turn of the frame map, as in robot_localization's `datum`."""
+    """The geographic origin and turn of the frame map, as in robot_localization's `datum`."""
 
     # Of the frame's origin, WGS84, in degrees.
     latitude: float
     longitude: float
-    # The angle from east to the frame's x axis, counterclockwise, in rad.
+    # Angle from east to the frame's x axis, counterclockwise, in rad.
     heading: float
 
     def __post_init__(self) -> None:
@@ -66,7 +66,7 @@ class Datum:
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> Datum | None:
-        """Return the datum that the parameter of this name gives; None if it is empty."""
+        """Return the datum in the parameter of this name; None if it is empty."""
         if not numbers:
             return None
         if len(numbers) != 3:
@@ -110,15 +110,15 @@ class MapError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """What is known to stand in the field, as nav_msgs/OccupancyGrid has it."""
+    """A map of obstacles in the field, as in nav_msgs/OccupancyGrid."""
 
-    # Rows from the bottom; 0 (free) to 100 (occupied), -1 where it is not known.
+    # Rows from the bottom; 0 (free) to 100 (occupied), -1 for unknown.
     data: NDArray[np.int8]
     # Side of a pixel in metres, positive.
     resolution: float
     # Lower-left corner in metres.
     origin: tuple[float, float]
-    # The angle from the frame's x axis to the rows, counterclockwise, in rad.
+    # Angle from the frame's x axis to the rows, counterclockwise, in rad.
     yaw: float = 0.0
 
     def __post_init__(self) -> None:
@@ -141,7 +141,7 @@ class Map:
         base: int = 0,
         through_corners: bool = False,
     ) -> Grid:
-        """Return the grid over the map; the cells with an occupied pixel are blocked."""
+        """Return the grid over the map; cells with an occupied pixel are blocked."""
         side = self.resolution if resolution is None else resolution
         pixels = side / self.resolution
         if not (isfinite(side) and pixels >= 1.0 - ON_THE_EDGE):
@@ -175,7 +175,7 @@ class Map:
     def _blocked(
         self, rows: int, columns: int, pixels: float, unknown_blocks: bool
     ) -> NDArray[np.bool_]:
-        """Return which cells have a pixel that blocks, shape (rows, columns)."""
+        """Return the cells with a blocking pixel, shape (rows, columns)."""
         row_start, row_stop = pixels_under(rows, pixels)
         column_start, column_stop = pixels_under(columns, pixels)
         blocking = np.full((row_stop[-1], column_stop[-1]), unknown_blocks)
@@ -183,8 +183,8 @@ class Map:
         blocking[:height, :width] = self.data == OCCUPIED
         if unknown_blocks:
             blocking[:height, :width] |= self.data == UNKNOWN
-        # The number of blocking pixels below and left of each corner, so that the pixels of a cell
-        # are counted from its four.
+        # Number of blocking pixels below and left of each corner: four corners give the number in
+        # a cell.
         count = np.zeros((blocking.shape[0] + 1, blocking.shape[1] + 1), dtype=np.int64)
         count[1:, 1:] = blocking.cumsum(axis=0, dtype=np.int64).cumsum(axis=1)
         in_rows = count[row_stop] - count[row_start]

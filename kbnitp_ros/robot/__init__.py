@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a real robot does and remembers of its deployments: no ROS, and one file, its journal."""
+"""A real robot's deployments, walk and whereabouts, without ROS; its one file is the journal."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot remembers: its deployments, in a journal on its own disk."""
+"""The journal of a robot: its deployments, on its own disk."""
 
 from __future__ import annotations
 
@@ -24,33 +24,32 @@ NOT_LOOKED = -1
 
 @dataclass
 class Step:
-    """A cell that the robot came to, or stayed in."""
+    """A cell that the robot entered, or stayed in."""
 
     cell: int
-    # When it came, in nanoseconds of ROS time.
+    # When it entered, nanoseconds of ROS time.
     time: int
-    # 1 if the target detector saw something there, 0 if it looked and saw nothing, -1 if it was
-    # not heard.
+    # 1 if the target detector saw something there, 0 if it saw nothing, -1 without a detection.
     reading: int = NOT_LOOKED
 
 
 @dataclass
 class Deployment:
-    """A deployment: what was ordered and what became of it."""
+    """A deployment: its order, and its walk so far."""
 
-    # That of its path, in nanoseconds, which names it.
+    # Stamp of the path, nanoseconds, which names the deployment.
     stamp: int
-    # When its mission began, in nanoseconds.
+    # When its mission began, nanoseconds.
     mission: int
     # The cells of its path.
     path: tuple[int, ...]
-    # When the robot said that it departs, in nanoseconds; 0 before.
+    # When the robot reported its departure, nanoseconds; 0 before.
     departed: int = 0
-    # Those made so far.
+    # The steps made so far.
     steps: list[Step] = field(default_factory=list)
-    # Whether the robot is back at its base, so that no step follows.
+    # Whether the robot is back at its base, after its last step.
     is_home: bool = False
-    # Whether it was localised where it cannot have come to: nothing is read from then on.
+    # Whether the robot was localized where it cannot be: later readings do not count.
     is_doubted: bool = False
 
     @property
@@ -64,7 +63,7 @@ class Deployment:
         return [self.base, *(step.cell for step in self.steps)]
 
     def observation(self, most: int) -> Observation:
-        """Return what the robot that is home tells of its field."""
+        """Return the observation of a robot that is home."""
         kept = steps_within(self.cells, most)
         steps = [self.steps[number - 1] for number in kept] or [Step(self.base, 0)]
         walk = np.array([self.base, *(step.cell for step in steps)], dtype=np.intp)
@@ -74,7 +73,7 @@ class Deployment:
 
 VERSION = 2
 
-# What a journal says of its field, besides the blocked cells: of these there may be very many.
+# Properties of the field in a journal, besides the blocked cells, of which there may be many.
 FIELD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
 
 
@@ -83,7 +82,7 @@ class JournalError(ValueError):
 
 
 class Journal:
-    """The journal in a file, which is made if it is not there."""
+    """A journal in a file, which is made if it is missing."""
 
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
@@ -91,13 +90,13 @@ class Journal:
         self._open()
 
     def _open(self) -> None:
-        """Read the file, which is made if it is not there."""
+        """Read the file, or make it."""
         self.deployments: list[Deployment] = []
-        # By the stamps of their paths: when orders were refused, in nanoseconds, and why.
+        # Refused orders by the stamps of their paths: when, nanoseconds, and why.
         self.refusals: dict[int, tuple[int, str]] = {}
-        # What was cut off when it was opened, and where that is kept.
+        # What was cut off on opening, and the file that keeps it.
         self.corruption = ''
-        # What is not on the disk yet, for want of room there.
+        # Records not on the disk yet, for want of space.
         self._unwritten: deque[dict[str, Any]] = deque()
         self._check = 0
         self._size = 0
@@ -113,7 +112,7 @@ class Journal:
             self._set_aside()
 
     def _set_aside(self) -> None:
-        """Keep the file in the folder of its mission, and begin another."""
+        """Move the file to the folder of its mission, and begin another."""
         kept = self.path.parent / str(self.mission or 0) / self.path.name
         while kept.exists():
             kept = kept.with_name(f'{kept.name}.again')
@@ -126,7 +125,7 @@ class Journal:
         self._open()
 
     def begin(self, mission: int) -> None:
-        """Have it be that of a mission, named by its beginning in nanoseconds, at home."""
+        """Begin a mission, named by its start in nanoseconds, with the robot at home."""
         self.write()
         if self.mission not in (None, mission):
             self._set_aside()
@@ -140,7 +139,7 @@ class Journal:
             ) from error
 
     def _read(self, expected: dict[str, Any]) -> bool:
-        """Read what is on the disk; cut off what is corrupt, and keep it beside."""
+        """Read the file; cut off what is corrupt, and keep it in another file."""
         of_another: JournalError | None = None
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
@@ -160,7 +159,7 @@ class Journal:
                 break
             self._check = int(line[:8], 16)
             self._size += len(line) + 1
-        # A loss of power can leave the start of a first line, zeros in place of the rest.
+        # A power loss can leave the start of the first line, or zeros in place of the rest.
         if not lines and not line_of(expected, 0)[0].startswith(rest.rstrip(b'\0')):
             raise JournalError(self._no_journal)
         if of_another and self.under_way:
@@ -169,7 +168,7 @@ class Journal:
         self._cut(content[whole:])
         if self._size == 0:
             self._append(expected)
-            # A new file is there after a loss of power only when its folder is on the disk.
+            # A new file survives a power loss only once its folder is on the disk.
             sync_folder(self.path.parent)
         return of_another is None
 
@@ -199,7 +198,7 @@ class Journal:
         return None
 
     def _take(self, entry: dict[str, Any]) -> None:
-        """Take in a line that is as it was written."""
+        """Apply a line of the file."""
         if 'deployment' in entry:
             path = tuple(entry['orders'])
             self.deployments.append(
@@ -220,7 +219,7 @@ class Journal:
             self.deployments[-1].is_home = entry['home'] >= 0
 
     def _cut(self, corrupt: bytes) -> None:
-        """Cut off what no journal has written, but keep it if it is more than a torn line."""
+        """Cut off what no journal has written; keep it if it is more than a torn line."""
         if not corrupt:
             return
         self.corruption = f'journal {self.path}: its last {len(corrupt)} bytes were cut off'
@@ -240,17 +239,17 @@ class Journal:
 
     @property
     def mission(self) -> int | None:
-        """When the mission of its deployments began, in nanoseconds; None without any."""
+        """Return when the mission of its deployments began, nanoseconds; None without any."""
         return self.deployments[-1].mission if self.deployments else None
 
     @property
     def under_way(self) -> Deployment | None:
-        """Return the deployment that the robot is not home from; None if it is."""
+        """Return the deployment of a robot that is not home; None if it is."""
         newest = self.deployments[-1] if self.deployments else None
         return None if newest is None or newest.is_home else newest
 
     def depart(self, deployment: Deployment) -> None:
-        """Begin a deployment: when the robot departs is told by it."""
+        """Begin a deployment, before its departure is reported."""
         self.write()
         self._append(
             {
@@ -263,13 +262,13 @@ class Journal:
         self.deployments.append(deployment)
 
     def refuse(self, stamp: int, time: int, reason: str) -> None:
-        """Keep that the robot does not follow an order, for good, and when and why it does not."""
+        """Record that the robot refuses an order for good, with time and reason."""
         self.write()
         self._append({'refused': stamp, 'time': time, 'reason': reason})
         self.refusals[stamp] = time, reason
 
     def step(self, deployment: Deployment, number: int) -> None:
-        """Keep a step of a deployment, or what was read there since."""
+        """Record a step of a deployment, or a reading in the last one."""
         step = deployment.steps[number - 1]
         self._unwritten.append(
             {
@@ -282,25 +281,25 @@ class Journal:
         self.write()
 
     def doubt(self, deployment: Deployment, time: int) -> None:
-        """Keep that nothing is read from now on; raises OSError as `step` does."""
+        """Record that later readings do not count; raises OSError as `step` does."""
         deployment.is_doubted = True
         self._unwritten.append({'doubted': time})
         self.write()
 
     def arrive(self, deployment: Deployment, time: int) -> None:
-        """Keep that the robot is home; raises OSError as `step` does."""
+        """Record that the robot is home; raises OSError as `step` does."""
         deployment.is_home = True
         self._unwritten.append({'home': time})
         self.write()
 
     def write(self) -> None:
-        """Put onto the disk what is not there yet; raises OSError if there is no room for it."""
+        """Write pending records to the disk; raises OSError if there is no space."""
         while self._unwritten:
             self._append(self._unwritten[0])
             self._unwritten.popleft()
 
     def _append(self, entry: dict[str, Any]) -> None:
-        """Put a line onto the disk, as a whole or not at all."""
+        """Write a line to the disk, as a whole or not at all."""
         line, check = line_of(entry, self._check)
         try:
             written = 0
@@ -316,12 +315,12 @@ class Journal:
         self._check = check
 
     def close(self) -> None:
-        """Let other processes have it."""
+        """Close the file, and release it for other processes."""
         os.close(self._file)
 
 
 def heading(agent: str, grid: Grid) -> dict[str, Any]:
-    """Return the first line of a journal, as JSON has it."""
+    """Return the first line of a journal, in JSON."""
     blocked = ','.join(map(str, sorted(grid.blocked)))
     field = {name: getattr(grid, name) for name in FIELD}
     field |= {'origin': list(grid.origin), 'blocked': sha256(blocked.encode()).hexdigest()[:16]}
@@ -331,14 +330,14 @@ def heading(agent: str, grid: Grid) -> dict[str, Any]:
 
 
 def line_of(entry: dict[str, Any], before: int) -> tuple[bytes, int]:
-    """Return a line of a journal and its check sum, given that of the line before; 0 for none."""
+    """Return a line of a journal and its checksum, chained to the one before; 0 for none."""
     text = json.dumps(entry, separators=(',', ':')).encode()
     check = zlib.crc32(text, before)
     return b'%08x %s\n' % (check, text), check
 
 
 def sync_folder(folder: Path) -> None:
-    """Have the names of the files in a folder on the disk."""
+    """Put a folder's list of files onto the disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         with naming(folder):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the cells of an order to legs that can be driven, and from positions to cells."""
+"""Orders as legs that can be driven, and positions as steps of a walk."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from math import hypot
 from kbnitp_ros.core import Grid
 import numpy as np
 
-# The cells of one goal, the one that the robot starts in first. A stay is its cell twice.
+# The cells of one goal, with the robot's cell first. A stay is its cell twice.
 Leg = tuple[int, ...]
 
 
 def legs_of(path: Sequence[int]) -> list[Leg]:
-    """Return a path in legs that one goal of Nav2 each can drive."""
+    """Split a path into legs, one for each goal of Nav2."""
     # Nav2 counts a goal as reached near its last pose and takes the nearest point of a path for
     # the place of the robot. So no leg enters a cell twice; stays are legs of their own.
     legs: list[Leg] = []
@@ -36,7 +36,7 @@ def legs_of(path: Sequence[int]) -> list[Leg]:
 
 
 def without_loops(cells: Iterable[int]) -> list[int]:
-    """Return a way from the first to the last of these cells that enters none of them twice."""
+    """Return the way from the first to the last of these cells with its loops cut out."""
     way: dict[int, None] = {}
     for cell in cells:
         if cell in way:
@@ -48,9 +48,9 @@ def without_loops(cells: Iterable[int]) -> list[int]:
 
 
 def steps_within(cells: Sequence[int], most: int) -> list[int]:
-    """Return which steps of a walk to tell of, if that may be only so many."""
-    # As far as it goes that is the walk; from there the last way out of each cell leads home
-    # without loops. A step that is left out is not reported.
+    """Return the reported steps of a walk, at most so many."""
+    # The walk itself as far as it fits; then the last way out of each cell leads home without
+    # loops. A step that is left out is not reported.
     steps = len(cells) - 1
     if steps <= most:
         return list(range(1, steps + 1))
@@ -87,23 +87,23 @@ def shortest_way(grid: Grid, start: int, end: int) -> list[int]:
 
 
 class Itinerary:
-    """The legs of a deployment, one after another, and the way home when they cannot be made."""
+    """The legs of a deployment in order, and the way home if they fail."""
 
-    # After too many tries without a new cell the robot goes home the way it came, without loops,
-    # and then by the shortest way and the way it came in turns.
+    # After too many tries without a new cell the robot goes home: first the way it came, without
+    # loops, and then in turns by the shortest way and the way it came.
 
     def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
         self._grid = grid
         self._legs = legs_of(path) if path else []
         self._attempts = attempts
-        # How often the leg was tried without progress, and how many of its cells were entered.
+        # Tries of the leg without progress, and number of its cells entered.
         self._tried = 0
         self._entered = 1
         self.heads_home = not self._legs
 
     @property
     def is_stay(self) -> bool:
-        """Whether the robot is to wait where it is."""
+        """Return whether the robot is to wait where it is."""
         return not self.heads_home and self._legs[0][0] == self._legs[0][-1]
 
     @property
@@ -112,7 +112,7 @@ class Itinerary:
         return self._grid.base if self.heads_home else self._legs[0][-1]
 
     def next_leg(self, walk: Sequence[int]) -> Leg:
-        """Return the cells of the next goal; the first of them is the last of the walk so far."""
+        """Return the cells of the next goal, from the last one of the walk so far."""
         if self.heads_home:
             is_turn_of_shortest = self._tried // self._attempts % 2 == 1
             if is_turn_of_shortest:
@@ -122,7 +122,7 @@ class Itinerary:
         return (walk[-1], *self._legs[0][first:])
 
     def enter(self, cell: int) -> None:
-        """Take note that the robot has come to a cell."""
+        """Record that the robot has entered a cell."""
         if self.heads_home:
             self._tried = 0
         elif self._entered < len(self._legs[0]) and cell == self._legs[0][self._entered]:
@@ -130,19 +130,19 @@ class Itinerary:
             self._tried = 0
 
     def succeed(self) -> None:
-        """Take note that the robot is where the leg ends."""
+        """Record that the robot is at the end of the leg."""
         if self._legs:
             self._legs.pop(0)
         self._begin_leg()
 
     def fail(self) -> None:
-        """Take note that the leg was not made."""
+        """Record that the leg failed."""
         self._tried += 1
         if not self.heads_home and self._tried >= self._attempts:
             self.go_home()
 
     def go_home(self) -> None:
-        """Leave out what is left of the path."""
+        """Skip the rest of the path."""
         self._legs.clear()
         self._begin_leg()
 
@@ -151,30 +151,29 @@ class Itinerary:
         self.heads_home = not self._legs
 
 
-# How far beyond the edge of its cell a robot must be to have left it, in sides of a cell: one that
-# drives along the edge does not go back and forth between the two, and one that passes a corner on
-# its diagonal is not in the cells beside it.
+# Distance beyond the edge of its cell at which a robot has left it, in sides of a cell: a robot
+# that drives along an edge must not change cells all the time, nor one that passes a corner
+# diagonally enter the cells beside it.
 MARGIN = 0.2
 
 
 class Walk:
-    """The cell that a robot is in, and the steps that take it to the next."""
+    """The cell of a robot, and its steps to the next ones."""
 
     def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
         self.grid = grid
         self.cell = cell
-        # Why the cells of this walk may be others: the last jump that counts and that the robot
-        # cannot have made; empty without any.
+        # Why the cells of this walk are uncertain: the last impossible jump; empty without any.
         self.doubt = ''
         self._patience = patience
         self._max_speed = max_speed
-        # Where and when it was last seen where it can be: x, y and time.
+        # Last possible position and its time: x, y and time.
         self._seen: tuple[float, float, float] | None = None
         # Since when the robot seems to have jumped.
         self._away_since: float | None = None
 
     def follow(self, x: float, y: float, time: float) -> list[int]:
-        """Return the cells that a robot entered up to a position, in metres, at a time."""
+        """Return the cells entered up to a position, in metres, at a time."""
         if self._off_middle(x, y) <= 0.5 + MARGIN:
             return self._come_to(self.cell, x, y, time)
         cell = self.cell_at(x, y)
@@ -192,18 +191,18 @@ class Walk:
         return self._come_to(cell, x, y, time)
 
     def _come_to(self, cell: int, x: float, y: float, time: float) -> list[int]:
-        """Have the robot be in a cell; return those that it has entered on a shortest way."""
+        """Move to a cell; return the cells entered on a shortest way."""
         way = shortest_way(self.grid, self.cell, cell)[1:]
         self.cell, self._seen, self._away_since = cell, (x, y, time), None
         return way
 
     def _doubt_of(self, x: float, y: float, time: float) -> str:
-        """Return that a robot cannot have come to a position by now; empty if it can."""
+        """Return why a position is impossible by now; empty if it is possible."""
         if self._seen is None or not self._max_speed:
             return ''
         from_x, from_y, since = self._seen
         distance, seconds = hypot(x - from_x, y - from_y), time - since
-        # Localisation that corrects itself by less than a cell is as good as that.
+        # A correction of the localization by less than a cell is harmless.
         if distance <= self._max_speed * seconds + self.grid.resolution:
             return ''
         return (
@@ -212,17 +211,17 @@ class Walk:
         )
 
     def _off_middle(self, x: float, y: float) -> float:
-        """Return how far a position is from the middle of the cell, along x or y, in its sides."""
+        """Return the larger distance of a position from the middle of the cell in x or y, in sides."""
         row, col = divmod(self.cell, self.grid.width)
         place = self.grid.in_cells([x, y]) - (col, row)
         return float(np.abs(place - 0.5).max())
 
     def sees_its_cell(self, x: float, y: float) -> bool:
-        """Return whether a robot is so far within its cell that what it sees is there."""
+        """Return whether a robot is so far inside its cell that its detections are of it."""
         return self._off_middle(x, y) <= 0.5 - MARGIN
 
     def settle(self, x: float, y: float) -> list[int]:
-        """Return the cells entered by a robot that has come to rest: then no margin counts."""
+        """Return the cells entered by a robot that has come to rest, where no margin applies."""
         cell = self.cell_at(x, y)
         way = shortest_way(self.grid, self.cell, cell)[1:]
         self.cell = cell

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a robot is, by TF or by satellites, and in which step of its walk it looked."""
+"""The place of a robot by TF or satellites, and its step of the walk at any time."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from kbnitp_ros.messages.headers import from_stamp, SECOND, shown
 import numpy as np
 from numpy.typing import NDArray
 
-# How many frames are known at most: a robot has some tens.
+# Maximum number of frames; a robot has some tens.
 MOST_FRAMES = 1000
 
 
 class Link(NamedTuple):
-    """Where a frame is in the one above it."""
+    """The transform of a frame to its parent."""
 
-    # The frame above.
+    # The parent frame.
     parent: str
-    # Where its origin is there, in metres. Shape (3,).
+    # Its origin there, in metres, shape (3,).
     translation: NDArray[np.float64]
-    # How it is turned there, a unit quaternion x, y, z, w. Shape (4,).
+    # Its rotation there, a unit quaternion x, y, z, w, shape (4,).
     rotation: NDArray[np.float64]
-    # Since when, in nanoseconds; None if it never changes.
+    # Since when, nanoseconds; None if it is static.
     stamp: int | None
 
 
 class Place(NamedTuple):
-    """Where a robot was."""
+    """The place of a robot at a time."""
 
-    # In metres.
+    # Metres.
     x: float
     y: float
-    # When, in nanoseconds: the time of the oldest of what it is made of.
+    # The time of the oldest transform used, nanoseconds.
     stamp: int
     # The time of the transform nearest to the robot that changes, such as its odometry. Those
-    # above it correct it, may come seldom, and may tell a time ahead.
+    # above correct it, may come seldom, and may have a time ahead.
     odometry: int
 
 
 class Transforms:
-    """The newest place of each frame in the one above it."""
+    """The newest transform of each frame to its parent."""
 
     def __init__(self, frame: str, of: str) -> None:
         self._frame = frame
@@ -52,7 +52,7 @@ class Transforms:
         self._links: dict[str, Link] = {}
 
     def take(self, message: Any, *, static: bool) -> None:
-        """Take in a tf2_msgs/TFMessage."""
+        """Add a tf2_msgs/TFMessage."""
         for transform in message.transforms:
             child, pose = transform.child_frame_id.lstrip('/'), transform.transform
             move, turn = pose.translation, pose.rotation
@@ -71,7 +71,7 @@ class Transforms:
             self._links[child] = Link(parent, translation, rotation / length, stamp)
 
     def place(self, now: int, oldest: float) -> Place:
-        """Return the place of the frame by a transform of at most so many seconds ago."""
+        """Return the place of the frame by transforms of at most so many seconds ago."""
         place: NDArray[np.float64] = np.zeros(3)
         frame, stamp = self._of, now
         odometry: int | None = None
@@ -99,18 +99,18 @@ class Transforms:
 
 
 def rotated(vector: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a vector turned by a unit quaternion x, y, z, w."""
+    """Rotate a vector by a unit quaternion x, y, z, w."""
     axis, w = by[:3], by[3]
     turned: NDArray[np.float64] = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
     return turned
 
 
-# In a sensor_msgs/NavSatFix: statuses from this on are fixes, and this type is no covariance.
+# Of a sensor_msgs/NavSatFix: the lowest status of a fix, and the type of no covariance.
 FIX, UNKNOWN = 0, 0
 
 
 class Fixes:
-    """The newest place that fixes tell."""
+    """The newest place by satellite fixes."""
 
     def __init__(
         self, in_map: Callable[[float, float], tuple[float, float]], frame: str, largest: float
@@ -121,7 +121,7 @@ class Fixes:
         self._newest: Place | None = None
 
     def take(self, message: Any) -> None:
-        """Take in a sensor_msgs/NavSatFix."""
+        """Add a sensor_msgs/NavSatFix."""
         frame = message.header.frame_id.lstrip('/')
         if frame != self._frame:
             raise ValueError(
@@ -158,32 +158,32 @@ class Fixes:
         return self._newest
 
 
-# The step of a robot that is not so far within a cell that what it sees is there.
+# The step of a robot near the edge of its cell, whose detections may be of another one.
 NONE = 0
 
 
 @dataclass
 class Span:
-    """A time throughout which the robot was seen in one step."""
+    """A span of time throughout which the robot was seen in one step."""
 
-    # When it was seen there, in nanoseconds.
+    # When it was seen there, nanoseconds.
     first: int
     last: int
-    # Which step of the walk, counted from 1, or `NONE`.
+    # The step of the walk, counted from 1, or `NONE`.
     step: int
 
 
 class Whereabouts:
-    """In which step the robot was at any time no longer ago than is kept, in nanoseconds."""
+    """The step of the robot at any recent time, in nanoseconds."""
 
     def __init__(self, kept: int, gap: int) -> None:
-        # Between two sights that are further apart than the gap the robot may have been anywhere.
+        # Between two sightings further apart than the gap, the robot may have been anywhere.
         self._kept = kept
         self._gap = gap
         self._spans: deque[Span] = deque()
 
     def note(self, time: int, step: int) -> None:
-        """Take note of the step, from 1, or `NONE`, that the robot was seen in at a time."""
+        """Record the step, from 1, or `NONE`, of the robot at a time."""
         spans = self._spans
         if spans and time < spans[-1].last:
             spans.clear()
@@ -195,7 +195,7 @@ class Whereabouts:
             spans.popleft()
 
     def step_within(self, since: int, until: int) -> int | None:
-        """Return the step in which the robot was between two times, or `NONE`; None before."""
+        """Return the step of the robot between two times, or `NONE`; None if it is too soon."""
         if not self._spans or until > self._spans[-1].last:
             return None
         for span in reversed(self._spans):

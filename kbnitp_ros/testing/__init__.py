@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws that every method, planner and allocation keeps, to be run on one of your own."""
+"""Laws that every method, planner and allocation obeys, to be run on one of your own."""
 
 from kbnitp_ros.testing.allocations import check_allocation
 from kbnitp_ros.testing.methods import check_method

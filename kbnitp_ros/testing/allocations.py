@@ -60,7 +60,7 @@ def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0
 
 
 def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
-    """See that there is a path for each robot, which that robot can take."""
+    """Check that each robot gets a path that it can take."""
     for robots in (given.robots, given.after):
         paths = allocation(robots)
         require(len(paths) == len(robots), f'There are {len(paths)} for {len(robots)} robots')
@@ -72,7 +72,7 @@ def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
 
 
 def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
-    """See that a robot which goes alone takes the path that was found best for it."""
+    """Check that a robot that goes alone gets the best path found for it."""
     for robot in given.robots:
         (path,) = allocation([robot])
         best = robot.finder.candidates(robot.objective)[0].path
@@ -83,7 +83,7 @@ def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
 
 
 def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
-    """See that the same belief gives the same paths, whatever was shared out between."""
+    """Check that the same belief gives the same paths, whatever was planned between."""
     first = paths_of(allocation, given.robots)
     allocation(given.after)
     belief = Belief(given.prior.joint.copy())
@@ -96,7 +96,7 @@ def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
 
 
 def paths_of(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:
-    """Return the paths that an allocation gives."""
+    """Return the paths of an allocation."""
     return [np.asarray(path).tolist() for path in allocation(robots)]
 
 

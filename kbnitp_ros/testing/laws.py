@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cases that laws are tried on, and how a broken law is told."""
+"""Random cases for laws, and the report of a broken law."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Subject = TypeVar('Subject')
 Case = TypeVar('Case')
 
-# How far numbers may be apart that are the same but for rounding.
+# Tolerance of numbers that are equal but for rounding.
 ROUNDING = 1e-9
 
 
@@ -27,7 +27,7 @@ def hold(
     cases: int,
     seed: int,
 ) -> None:
-    """See that laws hold in cases that are drawn of seeds, as many as `cases`, from `seed` on."""
+    """Check laws in `cases` random cases, drawn from `seed` on."""
     name = f'{registry.kind} {given!r}'
     if isinstance(given, str):
         subject = registry.find(given)
@@ -49,7 +49,7 @@ def hold(
 
 
 def require(holds: bool | np.bool_, words: str) -> None:
-    """Raise an AssertionError unless something holds; `assert` is left out by python -O."""
+    """Raise an AssertionError unless a condition holds; `assert` is left out by python -O."""
     if not holds:
         raise AssertionError(words)
 
@@ -57,7 +57,7 @@ def require(holds: bool | np.bool_, words: str) -> None:
 def require_close(
     found: NDArray[np.float64], expected: NDArray[np.float64], words: str, within: float = ROUNDING
 ) -> None:
-    """Raise an AssertionError that shows where two arrays, of one shape, are further apart."""
+    """Raise an AssertionError that shows where two arrays of one shape differ most."""
     require(
         found.shape == expected.shape,
         f'{words}: the shape is {found.shape}, and it must be {expected.shape}',
@@ -71,7 +71,7 @@ def require_close(
 
 
 def require_same(one: Belief, other: Belief, words: str) -> None:
-    """Raise an AssertionError that shows where two beliefs have other bits."""
+    """Raise an AssertionError that shows where two beliefs differ in their bits."""
     if one.joint.tobytes() != other.joint.tobytes():
         require_close(one.joint, other.joint, words, 0.0)
         raise AssertionError(f'{words}: the bits differ')
@@ -82,35 +82,35 @@ def with_type(error: Exception) -> str:
     return f'{type(error).__name__}: {error}'
 
 
-# Keys of the generators that draw cases, which no world has.
+# Seeds of the generators of cases, which no world has.
 MISSIONS, PLANS = 0x4C415753, 0x4C415754
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A small field and what is believed of it."""
+    """A small field and the belief about it."""
 
     # Of at most 4 x 4 cells, some of them blocked.
     grid: Grid
-    # Any in its cells; some are known to be free of hazard.
+    # Arbitrary in each cell; some are known to be free of hazard.
     prior: Belief
-    # Of robots of which each may be lost to a malfunction.
+    # Of robots that may each be lost to a malfunction.
     model: SensorModel
 
 
 @dataclass(frozen=True, eq=False)
 class MissionCase(Field):
-    """A field and what robots met in it."""
+    """A field and the observations of a mission in it."""
 
-    # Of what a method draws.
+    # Of the method's random draws.
     seed: int
-    # Outcomes in one world that the prior allows for, with and without last contacts and with
+    # Outcomes in one world that the prior allows for, with and without last contacts, and with
     # cells where robots did not look.
     deployments: tuple[tuple[Observation, RobotType], ...]
 
     @property
     def returns(self) -> tuple[tuple[Observation, RobotType], ...]:
-        """Return the deployments that robots came back from."""
+        """Return the observations of returned robots."""
         return tuple(each for each in self.deployments if each[0].survived)
 
 
@@ -137,7 +137,7 @@ def draw_model(rng: np.random.Generator) -> SensorModel:
 
 
 def draw_robot_type(rng: np.random.Generator) -> RobotType:
-    """Draw a robot type that has some numbers of its own, or none."""
+    """Draw a robot type with some numbers of its own, or none."""
     drawn = vars(draw_model(rng))
     return RobotType(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
 
@@ -154,7 +154,7 @@ def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.in
 def draw_outcome(
     rng: np.random.Generator, world: World, path: NDArray[np.intp], model: SensorModel
 ) -> Observation:
-    """Draw what becomes of a robot on a path, and what is known of it."""
+    """Draw the outcome of a robot on a path, as far as it is known."""
     survived, read, _ = world.steps(path, model, rng)
     if survived.all():
         return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
@@ -163,7 +163,7 @@ def draw_outcome(
 
 
 def draw_mission(seed: int, robots: int = 6) -> MissionCase:
-    """Draw a mission; the last robots of it are one that is lost and one that returns."""
+    """Draw a mission whose last two robots are a lost one and a returned one."""
     rng = np.random.default_rng([MISSIONS, seed])
     field = draw_field(rng)
     below = np.cumsum(field.prior.joint.reshape(-1, 4), axis=1)

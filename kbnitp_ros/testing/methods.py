@@ -34,10 +34,10 @@ from kbnitp_ros.testing.laws import (
 )
 import numpy as np
 
-# Of a path that is longer than any chance of surviving it can be told from 0.
+# Steps of a path that nobody survives with a probability that differs from 0.
 LONG = 3000
 
-# What is believed of a number that is to be learnt.
+# Prior of a number that is learnt.
 LETHALITY = (0.2, 0.8)
 
 
@@ -47,14 +47,14 @@ def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> Non
 
 
 def start(method: Method, mission: MissionCase, model: SensorModel | None = None) -> Inference:
-    """Return what a method makes of a mission before its first deployment."""
+    """Return the inference of a method before the first deployment."""
     return method(mission.prior, model or mission.model, Unknowns(), mission.seed)
 
 
 def fold(
     inference: Inference, deployments: Iterable[tuple[Observation, RobotType]]
 ) -> list[Belief]:
-    """Assimilate deployments, and return the belief before the first and after each."""
+    """Assimilate deployments; return the belief before the first and after each."""
     beliefs = [inference.belief]
     for observation, robot_type in deployments:
         inference.assimilate(observation, robot_type)
@@ -63,7 +63,7 @@ def fold(
 
 
 def can_be_used(method: Method, mission: MissionCase) -> None:
-    """See that an inference has what the estimator asks of it."""
+    """Check that an inference has all that the estimator calls."""
     inference = start(method, mission)
     for name in (*CALLED, *KNOWN):
         require(hasattr(inference, name), f'It has no {name}')
@@ -75,7 +75,7 @@ def can_be_used(method: Method, mission: MissionCase) -> None:
 
 
 def begins_with_the_prior(method: Method, mission: MissionCase) -> None:
-    """See that before any evidence, hazards and targets are those of the prior."""
+    """Check that without evidence the belief is the prior."""
     inference = start(method, mission)
     prior = mission.prior
     require_close(inference.belief.hazard, prior.hazard, 'Of the hazards')
@@ -84,7 +84,7 @@ def begins_with_the_prior(method: Method, mission: MissionCase) -> None:
 
 
 def is_a_distribution(method: Method, mission: MissionCase) -> None:
-    """See that beliefs are distributions, of all cells, and stay what they were."""
+    """Check that beliefs are distributions in all cells, and never change once returned."""
     inference = start(method, mission)
     given = [(inference.belief, require_distribution(inference.belief, mission, 0))]
     for number, (observation, robot_type) in enumerate(mission.deployments, 1):
@@ -96,7 +96,7 @@ def is_a_distribution(method: Method, mission: MissionCase) -> None:
 
 
 def require_distribution(belief: Belief, mission: MissionCase, number: int) -> bytes:
-    """Return a belief's bits; raise an AssertionError if it is none of the field."""
+    """Return a belief's bits; raise an AssertionError if it is no distribution on the field."""
     after = f'After {number} deployments'
     require(isinstance(belief, Belief), f'{after} the belief is {belief!r}')
     cells, joint = mission.prior.cells, belief.joint
@@ -107,7 +107,7 @@ def require_distribution(belief: Belief, mission: MissionCase, number: int) -> b
 
 
 def keeps_what_is_certain(method: Method, mission: MissionCase) -> None:
-    """See that no evidence moves what the prior is certain of."""
+    """Check that no evidence changes what is certain in the prior."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     safe = before.hazard == 0.0
     require(safe[mission.grid.base], 'The prior has a hazard at the base')
@@ -117,7 +117,7 @@ def keeps_what_is_certain(method: Method, mission: MissionCase) -> None:
 
 
 def keeps_cells_without_evidence(method: Method, mission: MissionCase) -> None:
-    """See that a cell in which no robot was stays as it was."""
+    """Check that a cell that no robot entered stays as it was."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     elsewhere = np.ones(mission.grid.cells, dtype=bool)
     for observation, _ in mission.deployments:
@@ -126,14 +126,14 @@ def keeps_cells_without_evidence(method: Method, mission: MissionCase) -> None:
 
 
 def is_reproducible(method: Method, mission: MissionCase) -> None:
-    """See that the same evidence and seed give the same bits."""
+    """Check that the same evidence and seed give the same bits."""
     one, other = (fold(start(method, mission), mission.deployments) for _ in range(2))
     for number, (first, second) in enumerate(zip(one, other)):
         require_same(second, first, f'The second time, after {number} deployments')
 
 
 def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
-    """See that neither a copy nor what it was copied from moves the other."""
+    """Check that a copy and its original are independent."""
     half = len(mission.deployments) // 2
     first, second = mission.deployments[:half], mission.deployments[half:]
     expected = fold(start(method, mission), mission.deployments)[-1]
@@ -155,13 +155,13 @@ def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
 
 
 def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
-    """See that reports in any order, doubled and late, come to the evidence in its order."""
+    """Check that reports out of order, repeated and late give the belief of those in order."""
     expected = fold(start(method, mission), mission.deployments)[-1]
     robot_types = {
         f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
     }
     longest = max(each.steps for each, _ in mission.deployments)
-    # A ledger asks of an estimator what an inference can do.
+    # A ledger calls all of an estimator that an inference supports.
     ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), robot_types)
     rng = np.random.default_rng(mission.seed)
     said: list[tuple[DeploymentKey, object]] = []
@@ -175,7 +175,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
         )
         said += [(key, tuple(cells)), (key, report)]
         if observation.survived:
-            # It was given up, and came back.
+            # It was given up, and returned.
             said.append((key, Report(False)))
     for place in [*rng.permutation(len(said)), *rng.permutation(len(said))]:
         key, each = said[place]
@@ -187,7 +187,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
 
 
 def forgets_the_order_of_returns(method: Method, mission: MissionCase) -> None:
-    """See that returns give the same belief in any order."""
+    """Check that the order of returns does not matter."""
     one, other = (
         fold(start(method, mission), returns)[-1]
         for returns in (mission.returns, mission.returns[::-1])
@@ -196,7 +196,7 @@ def forgets_the_order_of_returns(method: Method, mission: MissionCase) -> None:
 
 
 def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
-    """See that a return weighs each state of its cells by its likelihood (eq. 6-8)."""
+    """Check that a return weights each state of its cells by its likelihood (eq. 6-8)."""
     inference = start(method, mission)
     joint = inference.belief.joint.copy()
     found = fold(inference, mission.returns)[-1]
@@ -211,7 +211,7 @@ def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
 
 
 def keeps_kappa_in_a_loss(method: Method, mission: MissionCase) -> None:
-    """See that a loss tells of targets only what it tells of hazards."""
+    """Check that a loss informs about targets only through hazards."""
     lost, robot_type = next(each for each in reversed(mission.deployments) if not each[0].survived)
     before, after = fold(start(method, mission), [(Observation(lost.path, False), robot_type)])
     told_apart = (before.hazard > 1e-6) & (after.hazard > 1e-6)
@@ -219,7 +219,7 @@ def keeps_kappa_in_a_loss(method: Method, mission: MissionCase) -> None:
 
 
 def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
-    """See that outcomes which cannot be are refused and leave everything as it was."""
+    """Check that impossible outcomes are refused and change nothing."""
     grid = mission.grid
     # A sensor that never errs, and contradicts itself.
     model = replace(mission.model, true_positive=1.0, false_positive=0.0)
@@ -247,7 +247,7 @@ def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
 
 
 def knows_robot_types(method: Method, mission: MissionCase) -> None:
-    """See that a mission of one type is that of robots all like it."""
+    """Check that a mission of one robot type equals one in which all robots are like it."""
     robot_type = RobotType(lethality=0.3, malfunction=0.1, true_positive=0.8, false_positive=0.2)
     observations = [observation for observation, _ in mission.deployments]
     of_type = fold(start(method, mission), [(each, robot_type) for each in observations])[-1]
@@ -257,7 +257,7 @@ def knows_robot_types(method: Method, mission: MissionCase) -> None:
 
 
 def stands_long_paths(method: Method, mission: MissionCase) -> None:
-    """See that long paths neither overflow nor underflow."""
+    """Check that long paths neither overflow nor underflow."""
     rng = np.random.default_rng(mission.seed)
     path = draw_walk(rng, mission.grid, LONG)
     readings = rng.random(LONG) < 0.5
@@ -267,7 +267,7 @@ def stands_long_paths(method: Method, mission: MissionCase) -> None:
 
 
 def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
-    """See that what is learnt of a number is in the interval it was believed in."""
+    """Check that a learnt number stays in the interval of its prior."""
     if not method.learns:
         return
     low, high = LETHALITY

@@ -20,13 +20,13 @@ VALUE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SearchCase(Field):
-    """A field in which a path is to be found."""
+    """A field in which a path is searched for."""
 
-    # With the limits of the path, and where others were before.
+    # With the limits of the path, and earlier visits.
     finder: PathFinder
-    # Of a robot that goes alone, at a cost or none.
+    # Of a robot that goes alone, with or without a loss cost.
     objective: Objective
-    # Of one that goes when another one has left.
+    # Of a robot that leaves after another one.
     after: Objective
 
 
@@ -58,7 +58,7 @@ def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> N
 
 
 def finds_paths(planner: Planner, search: SearchCase) -> None:
-    """See that what is found can be taken, within all limits."""
+    """Check that the paths found keep to all limits."""
     for objective in (search.objective, search.after):
         found = planner(search.finder, objective)
         require(len(found) > 0, 'It finds none')
@@ -71,7 +71,7 @@ def finds_paths(planner: Planner, search: SearchCase) -> None:
 
 
 def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
-    """See that no path has a higher value than one before it."""
+    """Check that paths are ordered by value."""
     for objective in (search.objective, search.after):
         value = [each.value for each in planner(search.finder, objective)]
         for before, after in pairwise(value):
@@ -79,8 +79,8 @@ def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
 
 
 def tells_the_value(planner: Planner, search: SearchCase) -> None:
-    """See that each path of a robot that goes alone has the value that it says."""
-    # What a path adds to what robots that are out bring is approximated by each in its own way.
+    """Check that each path of a robot that goes alone has the stated value."""
+    # Each planner approximates in its own way what a path adds to robots in flight.
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
         value = plan.information - search.objective.loss_cost * (1.0 - plan.survival)
@@ -89,7 +89,7 @@ def tells_the_value(planner: Planner, search: SearchCase) -> None:
 
 
 def is_reproducible(planner: Planner, search: SearchCase) -> None:
-    """See that the same belief gives the same paths, whatever was planned between."""
+    """Check that the same belief gives the same paths, whatever was planned between."""
     first = planner(search.finder, search.objective)
     planner(search.finder, search.after)
     again = replace(search.objective, belief=Belief(search.prior.joint.copy()))
@@ -99,7 +99,7 @@ def is_reproducible(planner: Planner, search: SearchCase) -> None:
 
 
 def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> None:
-    """See that a robot on the only free cell stays there."""
+    """Check that a robot on the only free cell stays there."""
     grid = Grid(3, 1, base=1, blocked=(0, 2))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
@@ -108,7 +108,7 @@ def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> 
 
 
 def leaves_what_it_is_given(planner: Planner, search: SearchCase) -> None:
-    """See that nothing that a planner is given is changed."""
+    """Check that the planner changes none of its arguments."""
     visited, interest = search.finder.visited.copy(), search.objective.interest.copy()
     planner(search.finder, search.objective)
     require(np.array_equal(search.finder.visited, visited), 'finder.visited is another')

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be relied on, where robots go for it, and when to stop."""
+"""Decisions on goals, flights for goals, and when to stop."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be relied on by now, and the safest ways from one cell to another."""
+"""Decisions on a goal, and the safest paths between cells."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np
 from numpy.typing import ArrayLike
 
-# How many lanes are compared, besides the one of least cost by the cells' own probabilities.
+# Number of lanes compared, besides the one of least cost by the cells' own probabilities.
 LANES = 48
-# The spread of the logarithms of the scales of their costs.
+# Standard deviation of the logarithms of the scales of their costs.
 SCALE = 0.7
-# Draws that a lane is sought in together, so that it knows which hazards go together.
+# Number of draws that a lane is searched in together, so that it respects joint hazards.
 TOGETHER = 16
-# What a step costs besides its hazards: of lanes as free the shortest is taken.
+# Cost of a step besides hazards: of equally free lanes the shortest is chosen.
 STEP_COST = 1e-4
-# The logarithm of the least probability that a cell is free counts as no less than this.
+# Lower limit of the probability that a cell is free, for its logarithm.
 LEAST = -30.0
-# The most costs of ways to cells that are held together.
+# Maximum number of path costs in memory.
 MOST_TOGETHER = 1 << 25
 # Values closer than this many decimals are ties, so rounding never decides.
 DECIMALS = 9
@@ -34,7 +34,7 @@ DECIMALS = 9
 class SafestPath:
     """The safest path found."""
 
-    # From the one cell to the other. Shape (steps + 1,).
+    # From the one cell to the other, shape (steps + 1,).
     path: Path
     # Probability that no cell of it has a hazard, in [0, 1].
     p_free: float
@@ -53,7 +53,7 @@ def cheapest_lanes(
     for first in range(0, len(costs), together):
         some = slice(first, first + together)
         entered = costs[some].T
-        # Of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes).
+        # Cost of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes).
         cost = np.full((most + 1, grid.cells + 1, entered.shape[1]), np.inf)
         cost[0, start] = 0.0
         for step in range(most):
@@ -64,7 +64,7 @@ def cheapest_lanes(
 
 
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Return a cheapest way to the goal of each lane, by the costs of ways of n steps."""
+    """Return a cheapest way to the goal for each lane, from the costs of ways of n steps."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))
@@ -85,7 +85,7 @@ def lanes_within(
     limits: Sequence[int],
     count: int = LANES,
 ) -> list[list[Path]]:
-    """Return different ways that may be the safest, the same again for the same draws."""
+    """Return different candidates for the safest way, the same for the same draws."""
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
     some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)
@@ -106,7 +106,7 @@ def lanes_within(
 
 
 def there_and_back(out: Path, back: Path) -> Path:
-    """Return the path to the end of one lane, and from there along another one in reverse."""
+    """Return the path to the end of one lane, and from there back along another one."""
     return np.concatenate([out, back[-2::-1]])
 
 
@@ -114,7 +114,7 @@ def safest_path(
     grid: Grid, draws: HazardDraws, model: SensorModel, start: int, to: int, max_steps: int
 ) -> SafestPath:
     """
-    Return the way that is most probably free of hazards.
+    Return the way with the highest probability to be free of hazards.
 
     It is the best that was found; its probabilities are exact over the draws.
 
@@ -158,15 +158,14 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
         )
 
 
-# A confidence must leave out this many of the independent draws at least: what is told by fewer
-# is chance.
+# Minimum number of independent draws that a confidence leaves out: fewer are chance.
 FEWEST_LEFT_OUT = 5.0
 
 
 @dataclass(frozen=True, eq=False)
 class Decision:
     """
-    What may be relied on, given all deployments so far.
+    A decision on a goal, given all deployments so far.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The goals: what a mission is to make sure of.
+Goals: lanes and areas to be certified free of hazards, and the flights for them.
 
 A goal says how probably it is reached, and which flight brings it nearest. A new one is one file
 and one line here, or an entry point of another package. Without one, which is 'map', robots are
@@ -39,13 +39,13 @@ from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike
 
-# The most outcomes of robots that are out which are told apart: those of the last six.
+# Maximum number of joint outcomes tracked for robots in flight: those of the last six.
 MOST_OUTCOMES = 64
 
-# To how many of some cells, the most uncertain ones, ways there and back are compared.
+# Maximum number of cells, the most uncertain ones, with a direct flight as a candidate.
 DIRECT = 16
-# How many paths of a search for information on all hazards, and of one for information on the
-# targets as well, are compared with these.
+# Maximum number of candidate paths of each search, one for information on all hazards, one for
+# targets as well.
 SEARCHED = 24
 
 
@@ -57,33 +57,33 @@ class Situation:
     grid: Grid
     # The base of the mission, where lanes start.
     start: int
-    # What is known of the hazards.
+    # The draws of the hazards.
     draws: HazardDraws
-    # What is known of the targets: P(X | Z) of each cell.
+    # The belief about targets: P(X | Z) of each cell.
     belief: Belief
-    # What the robot is believed to be like.
+    # The believed sensor model of the robot.
     model: SensorModel
-    # The limits of its path, and how probably it must survive it.
+    # The limits of its path, with the minimum probability to survive it.
     options: SearchOptions
-    # Shape (outcomes, draws). The probability of each draw together with each outcome of the
-    # robots that are out.
+    # Joint probability of each draw and each outcome of the robots in flight, shape (outcomes,
+    # draws).
     outcomes: Floats
 
     def with_sent(self, path: ArrayLike, model: SensorModel) -> Situation:
-        """Return the situation once another robot, of some model, has left on a path."""
+        """Return the situation after another robot of some model has left on a path."""
         survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
         if len(outcomes) > MOST_OUTCOMES:
-            # That of the robot sent first, which alternates, is told apart no longer.
+            # Sums out the outcome of the robot sent first, which alternates.
             outcomes = outcomes[0::2] + outcomes[1::2]
         return replace(self, outcomes=outcomes)
 
     def planned(self, path: Path, gain: float) -> Plan:
-        """Return the plan of a path that is expected to bring the goal so much nearer."""
+        """Return the plan of a path with its gain for the goal."""
         return replace(Plan.along(path, self.belief, self.model), gain=gain)
 
     def is_allowed(self, survival: Floats) -> Bools:
-        """Return the paths that the robot may be sent on, by survival (paths, draws)."""
+        """Return the paths with enough survival, given survival (paths, draws)."""
         allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
         return allowed
 
@@ -161,7 +161,7 @@ class Area:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """Check that robots can come to all cells from some base, and back."""
+        """Check that robots can reach all cells from some base, and return."""
         cells = cells_on(grid, list(self.cells), 'goal')
         in_reach = [grid.at(base).in_reach(max_steps) for base in sorted(grid.bases)]
         out = cells[~np.any(in_reach, axis=0)[cells]]
@@ -178,7 +178,7 @@ class Area:
         return Decision.about(self.name, draws, list(self.cells), self.confidence)
 
     def flight(self, situation: Situation) -> Plan | None:
-        """Return the flight to make next; None if the robot may make none."""
+        """Return the next flight; None if no flight is allowed."""
         paths = flights_over(situation, list(self.cells))
         survival = situation.draws.survivals(paths, situation.model)
         allowed = situation.is_allowed(survival)
@@ -248,13 +248,13 @@ def readings_given(
         yield count, safe, hazardous
 
 
-# How many lanes to the goal are combined, at most: those of any length, and of each of two that
-# leave room for longer ones.
+# Maximum numbers of lanes combined: of any length, and of each of two lengths that leave room for
+# longer ones.
 OUT, BACK = 12, 4
-# From this probability on that the best lane is free, flights are for information on just that.
+# P(the best lane is free) from which flights are for information on just that.
 PROBABLE = 0.45
-# What a nat of information on all hazards counts, in probability that the best lane is free: it
-# decides where no flight can change which lane is best.
+# Value of a nat of information on all hazards, in P(the best lane is free): it decides where no
+# flight can change which lane is best.
 WORTH = 0.02
 
 
@@ -292,7 +292,7 @@ class Lane:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """Check that a lane of so many steps can lead there."""
+        """Check that a lane of so many steps can reach the cell."""
         if self.to == grid.base:
             raise ValueError(f'goal is cell {self.to}, the base: choose another cell')
         check_way(grid, grid.base, self.to, max_steps)
@@ -305,7 +305,7 @@ class Lane:
         return Decision.about(self.name, draws, lane.path, self.confidence, lane)
 
     def flight(self, situation: Situation) -> Plan | None:
-        """Return the flight to make next; None if the robot may make none."""
+        """Return the next flight; None if no flight is allowed."""
         lanes, paths = self._flights(situation)
         if not paths:
             return None
@@ -334,7 +334,7 @@ class Lane:
         return situation.planned(paths[best], max(0.0, float(rise)))
 
     def _flights(self, situation: Situation) -> tuple[list[Path], list[Path]]:
-        """Return lanes, and closed paths to the goal, or as far as a robot comes back from."""
+        """Return lanes, and closed paths to the goal, or as far as a robot can return from."""
         grid, draws, options = situation.grid, situation.draws, situation.options
         start, most = situation.start, options.max_steps
         least = int(grid.steps_from(start, grid.free)[self.to])
@@ -351,7 +351,7 @@ class Lane:
             limits = longest, most - least, half, least
             lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
             far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # Whichever of two lanes is taken first, the outcome tells the same.
+            # The order of two lanes does not change the outcome.
             paths = [
                 there_and_back(out, back)
                 for out in far + near
@@ -405,13 +405,13 @@ def readings_on(
     situation: Situation,
 ) -> Floats:
     """Return the information of readings on whether some cells are free, (flights,) nats."""
-    # The cells are taken one by one, and tell no more than there is to be known.
+    # The cells are taken one by one; their sum is limited to what is left to know.
     returned = survival * outcomes.sum(axis=0)
     chance = returned.sum(axis=1)
     each = np.where(chance > 0.0, chance, 1.0)
     p_free = (returned @ free / each).clip(0.0, 1.0)[:, None]
     hazard = returned @ situation.draws.hazardous[:, cells] / each[:, None]
-    # Where not all are free: that the hazard is here.
+    # Given that not all are free: probability that the hazard is here.
     here = (hazard / np.where(p_free < 1.0, 1.0 - p_free, 1.0)).clip(0.0, 1.0)[..., None]
     entered = [np.bincount(path[1:], minlength=situation.grid.cells)[cells] for path in paths]
     visits, joint = np.array(entered), situation.belief.joint[cells]
@@ -427,7 +427,7 @@ def readings_on(
 
 
 def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Path]:
-    """Return the lanes that are most probably free, at most so many."""
+    """Return the lanes with the highest probability to be free, at most so many."""
     p_free = draws.are_free(lanes) @ draws.weight
     best = np.argsort(-np.round(p_free, DECIMALS), kind='stable')[:count]
     return [lanes[lane] for lane in best.tolist()]
@@ -447,7 +447,7 @@ def expected_best(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
 @runtime_checkable
 class Goal(Protocol):
     """
-    What a mission is to make sure of.
+    The goal of a mission.
 
     Attributes
     ----------
@@ -465,18 +465,18 @@ class Goal(Protocol):
     def confidence(self) -> float | None: ...
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """Refuse a field, with a ValueError, on which it cannot be reached."""
+        """Check that a field allows the goal; raises ValueError."""
 
     def decide(
         self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
     ) -> Decision:
-        """Return what may be relied on."""
+        """Return the decision on the goal."""
 
     def flight(self, situation: Situation) -> Plan | None:
-        """Return the flight of the next robot; None if it may make none."""
+        """Return the flight of the next robot; None if no flight is allowed."""
 
 
-# Makes a goal of cells and a confidence; none to map the field.
+# Makes a goal of cells and a confidence; None to map the field.
 MakeGoal = Callable[[Sequence[int], 'float | None'], 'Goal | None']
 
 
@@ -488,7 +488,7 @@ def lane_to(cells: Sequence[int], confidence: float | None) -> Lane:
 
 
 def whole_map(cells: Sequence[int], confidence: float | None) -> None:
-    """Return no goal: robots are sent where the most is to be learnt."""
+    """Return no goal: robots are sent where they learn the most."""
     for name, given in (('cells', list(cells)), ('a confidence', confidence)):
         if given:
             raise ValueError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint draws of the hazards, and the targets found: what is counted and what is known."""
+"""Joint draws of the hazards, and the targets found."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# How many draws a decision is made with: of 0.5 % ten are left.
+# Number of draws for a decision: of 0.5 % ten are left.
 DRAWS = 2048
 
-# The most bytes that draws may take.
+# Maximum number of bytes of the draws.
 MOST_MEMORY = 1 << 30
 
 # Generators of draws are keyed by this, the seed of the estimator and the number of deployments.
@@ -33,7 +33,7 @@ Path = NDArray[np.intp]
 @dataclass(frozen=True, eq=False)
 class HazardDraws:
     """
-    States of all hazards, each as probable as its weight says.
+    Weighted joint draws of all hazards.
 
     What is asked of several cells together is counted in the draws, so it knows that a loss ties
     the cells of its path together.
@@ -62,7 +62,7 @@ class HazardDraws:
 
     @classmethod
     def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:
-        """Draw from what an estimator knows; the same again for the same evidence."""
+        """Draw from an estimator; the same evidence gives the same draws."""
         if (estimate := count * estimator.belief.cells) > MOST_MEMORY:
             raise ValueError(
                 f'{count} draws of {estimator.belief.cells} cells take about '
@@ -74,7 +74,7 @@ class HazardDraws:
 
     @property
     def cells(self) -> int:
-        """How many cells the field has."""
+        """Number of cells of the field."""
         return self.hazardous.shape[1]
 
     def p_hazard(self) -> Floats:
@@ -125,12 +125,12 @@ class HazardDraws:
 
 
 def quantile(count: Floats, level: float) -> int:
-    """Return the least number that is not exceeded with a probability of `level` or more."""
+    """Return the least number that is exceeded with a probability of at most 1 - `level`."""
     return int(np.argmax(np.cumsum(count) >= level - 1e-12))
 
 
 def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
-    """Return cells as an array, shape (cells,), if robots may enter all of them."""
+    """Check that robots may enter all of these cells; return them as an array, shape (cells,)."""
     array = np.atleast_1d(np.asarray(cells))
     if array.size == 0 or array.dtype.kind not in 'iu' or array.ndim != 1:
         raise ValueError(f'{what} is {cells!r}: it must be cells, at least one')
@@ -145,15 +145,15 @@ def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
 
 
 class Target(NamedTuple):
-    """What is known of a target in a cell."""
+    """A possible target in a cell."""
 
-    # Where it is.
+    # Its cell.
     cell: int
-    # That there is one, in [0, 1].
+    # Probability of a target, in [0, 1].
     probability: float
-    # How many readings were taken there by robots that came back.
+    # Number of readings by returned robots there.
     looks: int
-    # How many of these reported a target.
+    # Number of positive readings.
     found: int
     # Probability that so many looks all miss a target, in [0, 1]; 1 without any.
     missed: float
@@ -166,7 +166,7 @@ def targets(
     least: float = 0.0,
 ) -> list[Target]:
     """
-    Return what is known of the target in each cell, the most probable first.
+    Return the possible targets, the most probable first.
 
     Equation :eq:`looks-missed`.
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plans of a round for a goal, and when a mission is over before its last robot has left."""
+"""Rounds planned for a goal, and early ends of a mission."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 @dataclass(frozen=True)
 class Stop:
     """
-    When to stop, besides when a goal is reached.
+    Conditions that end a mission besides a goal.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Stop:
         object.__setattr__(self, 'losses', whole_number('stop.losses', self.losses, 0))
 
     def check(self, goal: Goal | None, robots: int) -> None:
-        """Refuse stops that contradict each other or the mission."""
+        """Check that the stops fit each other and the mission."""
         if self.losses > robots:
             raise ValueError(
                 f'stop.losses is {self.losses}, and no more than robots = {robots} are sent: '
@@ -83,12 +83,12 @@ class Stop:
         )
 
 
-# Less information than this is nothing, in nats: the results of updates are rounded.
+# Less information than this, in nats, is rounding.
 LEAST_INFORMATION = 1e-9
 
 
 def why_worthless(plans: Sequence[Plan], loss_cost: float) -> str:
-    """Return why none of the plans of a round is worth a robot; empty if one is."""
+    """Return why no plan of a round is worth a robot; empty if one is."""
     best = max(plans, key=lambda plan: plan.information)
     if best.information < LEAST_INFORMATION:
         return f'no plan is expected to bring more than {best.information:.2g} nats'
@@ -116,7 +116,7 @@ def plan_round(
     bound: bool = False,
 ) -> list[Plan]:
     """
-    Plan a round for a goal, robot after robot, each for what it adds to those before it.
+    Plan a round for a goal, robot after robot, each for what it adds to those before.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def plan_round(
         with GOALS.blamed(goal.name):
             plan = goal.flight(own)
         if plan is None and len(keepout):
-            # The operator keeps robots from where the goal is.
+            # Forbidden cells of the operator may keep robots from the goal.
             return for_information()
         if plan is None:
             raise NoPathError(
@@ -181,7 +181,7 @@ def plan_round(
 
 
 def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None:
-    """Check that what is asked of a plan goes with the goal."""
+    """Check that the options of a plan fit the goal."""
     if goal is not None and options.max_distance:
         raise ValueError(
             f'max_distance is {options.max_distance:.6g} m, which paths for the goal {goal.name} '
