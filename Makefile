@@ -32,7 +32,7 @@ demo: build
 # The studies that docs/results.md shows; what is done of them in runs/study is not done again.
 results: build
 	. ./env.sh && for scenario in paper calibrated mismatched unknown_lethality \
-	  mismatched_learning paper_learning unknown teams loss_cost behavioral last_contact planners prior_maps bases \
+	  mismatched_learning paper_learning unknown teams loss_cost information_per_loss behavioral last_contact planners prior_maps bases \
 	  static_hazards changing_hazards used_up_hazards blobs rows scattered \
 	  lanes lanes_learning certificates certificates_learning certificates_clustered areas; do \
 	  python3 -m kbnitp_ros study $$scenario --out runs/study/$$scenario || exit; \

@@ -211,7 +211,7 @@ class Walk:
         )
 
     def _off_middle(self, x: float, y: float) -> float:
-        """Return the larger distance of a position from the middle of the cell in x or y, in sides."""
+        """Return the larger offset of a position from the middle of the cell, x or y, in sides."""
         row, col = divmod(self.cell, self.grid.width)
         place = self.grid.in_cells([x, y]) - (col, row)
         return float(np.abs(place - 0.5).max())

@@ -33,6 +33,7 @@ from kbnitp_ros.study.questions import (
     differ_in_size,
     equal_rows,
     lane_rows,
+    log_loss_at_equal_losses,
     MOST_CELLS,
     number_rows,
     ROBOTS,
@@ -307,18 +308,24 @@ BY_OBJECTIVE = Comparison(
     caption=(
         'Log loss with the objective of the row less that with {first}, trial by trial, in nats, '
         'after so many robots; the robots lost at the end, and how many more than with {first}; '
-        'and how many more when both had come to the same log loss.'
+        'how many more when both had come to the same log loss; and how much higher the log loss '
+        'was when both had lost as many robots.'
     ),
     columns={
         'objective': ('objective', '{}'),
         'difference': ('', 1),
         **LOST_COLUMNS,
-        'lost_at_equal': ('at equal log loss', 1),
+        'lost_at_equal': ('more lost at equal log loss', 1),
+        'log_loss_at_equal': ('log loss at equal losses', 1),
     },
     **with_first(
         {'objective': objective_of},
         first=('first', objective_of),
-        further={**LOST, 'lost_at_equal': at_equal_log_loss_more},
+        further={
+            **LOST,
+            'lost_at_equal': at_equal_log_loss_more,
+            'log_loss_at_equal': log_loss_at_equal_losses,
+        },
     ),
 )
 

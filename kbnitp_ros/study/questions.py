@@ -101,6 +101,19 @@ def at_equal_log_loss_more(series: Series, least: Strategy, this: Strategy) -> M
     return compare(trade(series, least), trade(series, this))['difference']
 
 
+def log_loss_at_equal_losses(series: Series, first: Strategy, this: Strategy) -> Mean:
+    """Return how much higher the log loss is once both have lost as many robots."""
+
+    def difference(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+        lost = min(one[0, -1], other[0, -1])
+        return float(np.interp(lost, *other) - np.interp(lost, *one))
+
+    missions = trade(series, first), trade(series, this)
+    resampled = [difference(*means) for means in zip(*map(resampled_means, missions))]
+    found = difference(*(each.mean(axis=0) for each in missions))
+    return interval(np.array(found), np.array(resampled))
+
+
 def equal_rows(results: Results) -> Iterator[Row]:
     """Yield what the least loss cost and each other come to at equal log loss: `EQUAL`."""
     least, *others = sorted(results.scenario.teams, key=lambda team: team.loss_cost)

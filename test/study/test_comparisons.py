@@ -72,7 +72,7 @@ def test_each_is_compared_with_the_first(
 
 
 @pytest.mark.slow
-def test_objectives_are_compared_at_equal_log_loss(scenario):
+def test_objectives_are_compared_at_equal_log_loss_and_at_equal_losses(scenario):
     results = compared_by(scenario, OBJECTIVES)
     summary = BY_OBJECTIVE.summarise(results)
     assert summary['first'] == 'information'
@@ -85,6 +85,12 @@ def test_objectives_are_compared_at_equal_log_loss(scenario):
         both = trade(series, NONE), trade(series, team)
         more = compare(*both)['difference'].mean
         assert row['lost_at_equal']['mean'] == pytest.approx(more, abs=1e-6)
+        (lost, log_loss), (other_lost, other_log_loss) = (each.mean(axis=0) for each in both)
+        at = min(lost[-1], other_lost[-1])
+        higher = np.interp(at, other_lost, other_log_loss) - np.interp(at, lost, log_loss)
+        found = row['log_loss_at_equal']
+        assert found['mean'] == pytest.approx(higher, abs=1e-6)
+        assert found['low'] < found['mean'] < found['high']
 
 
 @pytest.mark.slow
