@@ -183,7 +183,7 @@ def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     array = np.array(values)
     if array.dtype == np.bool_:
         return array
-    bad = ~np.isin(array, (0, 1))
+    bad = ~np.asarray((array == 0) | (array == 1))
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)

@@ -100,8 +100,8 @@ def log_predicted_survival(
     log_survival: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return log S of n visits, S = (1 - z) s0^n + z s1^n (:eq:`predicted-survival`)."""
-    _, lost, survived = powers(*log_survival.tolist(), int(np.max(counts, initial=0)))
-    lost, survived, safe = lost[:, counts], survived[:, counts], 1.0 - hazard
+    _, lost, survived = powers(*log_survival.tolist(), int(counts.max(initial=0)))
+    lost, survived, safe = lost.take(counts, 1), survived.take(counts, 1), 1.0 - hazard
     loss = safe * lost[0] + hazard * lost[1]
     with np.errstate(divide='ignore'):
         # 1 - loss cancels where nearly nobody survives, the plain sum where nearly everybody does.

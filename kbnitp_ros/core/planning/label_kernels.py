@@ -300,7 +300,7 @@ def find_best(
     for slot in range(heuristic.size):
         heuristic[slot] = -inf
     is_limited = reach.longest > 0.0
-    length, fits = 0.0, True
+    length, fits, touches, tangent = 0.0, True, 0.0, inf
     left = reach.within.size - 1 - step
     completion = completions.room
     if heuristic.size and not is_limited:
@@ -346,11 +346,17 @@ def find_best(
             mean = factor[row, 0] * gain_factor[rank, before, 0]
             spread = term[row, 0] + gain_term[rank, before, 0]
 
-            value = averaged_value(brought, lost, lost_square, loss_cost)
-            value = floor((value - (left_open - mean * spread)) * units + 0.5)
-            # A twin of the last may be shorter.
-            if value > score[-1] or (is_limited and value == score[-1]):
-                insert(value, next_mark, length, 16 * slot + column, by_value)
+            left_open -= mean * spread
+            # The tangent of -p ln p rules most out without a logarithm; NaN and inf are computed.
+            above = brought + lost * tangent + touches - loss_cost * lost - left_open
+            if not above * units < score[-1] - 1.0:
+                value = averaged_value(brought, lost, lost_square, loss_cost)
+                value = floor((value - left_open) * units + 0.5)
+                # A twin of the last may be shorter.
+                if value > score[-1] or (is_limited and value == score[-1]):
+                    insert(value, next_mark, length, 16 * slot + column, by_value)
+                    touches = lost
+                    tangent = -log(lost) - 1.0 if lost > 0.0 else inf
             if not heuristic.size or not fits:
                 continue
             for k in range(powers):
