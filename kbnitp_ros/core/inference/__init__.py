@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is learnt of the field: the belief after deployments."""
+"""Inference of the field from deployments."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A bank of one-pass filters, one for each of many guesses of the numbers that are not known.
+A bank of one-pass filters, one for each of many guesses of unknown numbers.
 
 Iterated batch importance sampling (Chopin 2002): a particle is a guess with the filter's joints of
 all cells, and the evidence of each deployment weighs it. Where few particles have most of the
@@ -38,27 +38,27 @@ from kbnitp_ros.core.inference.particle_filter import (
 import numpy as np
 from numpy.typing import NDArray
 
-# Particles for up to three numbers, and for more.
+# Number of particles for up to three unknown numbers, and for more.
 FEW, MANY = 192, 512
 
-# Metropolis steps after each resampling.
+# Number of Metropolis steps after each resampling.
 MOVES = 3
 
-# Particles drawn, as a multiple, where the evidence is impossible for all that there are.
+# Factor of the particles drawn anew if the evidence is impossible for all there are.
 MORE = 8
 
-# Copies of all joints in memory: particles drawn anew, banks to replay from, and moves.
+# Copies of all joints in memory: resampled particles, banks to replay from, and moves.
 COPIES = MORE + 24
 
-# Memory that a bank may take, bytes.
+# Maximum bytes of a bank.
 MAX_MEMORY = 4 << 30
 
-# Groups of particles whose beliefs are compared to find the sampling error.
+# Number of groups of particles whose beliefs give the sampling error.
 GROUPS = 8
 
 
 class Bank:
-    """A belief and numbers that are learnt, by a bank of filters."""
+    """A belief and learnt numbers, by a bank of filters."""
 
     def __init__(
         self,
@@ -92,16 +92,16 @@ class Bank:
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         self._joints = self._first_joints(self._numbers)
-        # Of all outcomes so far, and of those since the particles were drawn.
+        # Of all outcomes so far, and of those since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 
     def copy(self) -> Bank:
-        """Return a bank that goes on by itself from here; no array is ever changed."""
+        """Return an independent copy; arrays are shared, since none is ever changed."""
         return copy(self)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Weigh the particles by the evidence of one more deployment; resample them if due."""
+        """Weight the particles by the evidence of one more deployment; resample them if due."""
         check_cells(self._prior, observation)
         self.take(Evidence.of(observation, robot_type))
 
@@ -172,7 +172,7 @@ class Bank:
 
     @property
     def sampling_error(self) -> float:
-        """Return the expected KL divergence of the belief by chance, nats (by groups)."""
+        """Return the expected KL divergence of the belief due to sampling, nats (by groups)."""
         weights = self.weights
         hazard = self._joints[:, 1].sum(axis=1).T
         groups = np.arange(weights.size) % GROUPS
@@ -189,7 +189,7 @@ class Bank:
     is_converged = True
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
-        """Draw particles, and the hazards of each cell independently given the particle."""
+        """Draw particles, and then the hazards of each cell independently."""
         hazardous, _ = self._drawn(count, rng)
         return hazardous, float(min(count, self._effective()))
 
@@ -252,7 +252,7 @@ class Bank:
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in steps:
                 model = robot_type.model(self._known)
-                # Their own numbers are known.
+                # Robots with numbers of their own need none of these.
                 of_all = {k: v for k, v in learnt.items() if k not in robot_type.sensors}
                 own = {
                     name: np.broadcast_to(
@@ -269,7 +269,7 @@ class Bank:
         return joints, log_chances
 
     def _resample(self, rng: np.random.Generator) -> None:
-        """Draw the particles anew by their weights, and move them."""
+        """Resample the particles by their weights, and move them."""
         low, high = np.array([(prior.low, prior.high) for prior in self._priors]).T
         weights = self.weights
         logits = np.log(self._numbers - low) - np.log(high - self._numbers)

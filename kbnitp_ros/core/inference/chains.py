@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many chains that draw hazards and unknown numbers, and what is read off them."""
+"""Gibbs chains that draw hazards and unknown numbers, and their averages."""
 
 from __future__ import annotations
 
@@ -32,35 +32,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 CHAINS = 256
-# Chains are independent of each other, so groups of them tell how far chance takes an average.
+# Number of groups of independent chains, whose spread gives the sampling error.
 GROUPS = 16
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 
-# Swaps proposed in a sweep.
+# Number of swaps proposed in a sweep.
 SWAPS = 4
-# What the log odds of readings alone may come to: it stays below what stands for certainty in a
-# prior.
+# Limit of the log odds from readings alone, below what stands for certainty in a prior.
 CERTAIN_READING = 1e5
-# The numbers that what a chain's readings tell depends on.
+# Numbers that the likelihood of readings depends on.
 OF_READINGS = {'kappa', 'target_background', 'true_positive', 'false_positive'}
 
 
 @dataclass(frozen=True, eq=False)
 class ChainState:
-    """What each chain holds. No array is changed once it is made."""
+    """State of the chains; arrays are never changed."""
 
-    # Shape (chains,). Which value of its bins each number has, by name.
+    # Index of each number's value, by name, shape (chains,).
     place: Mapping[str, Places]
-    # Shape (held,). The cells whose hazards the chains draw, in ascending order.
+    # The cells whose hazards the chains draw, in ascending order, shape (held,).
     cells: Places
-    # Shape (chains, held). Z of these.
+    # Z of these, shape (chains, held).
     hazardous: NDArray[np.int8]
 
     @classmethod
     def start(cls, all_bins: Mapping[str, Bins], rng: np.random.Generator) -> ChainState:
-        """Return chains that hold numbers drawn from their priors, and no cells."""
+        """Return chains with numbers drawn from their priors, and without cells."""
         place = {
             name: np.searchsorted(
                 np.cumsum(np.exp(bins.log_prior))[:-1], even(1, rng)[:, 0], 'right'
@@ -72,7 +71,7 @@ class ChainState:
     def with_cells(
         self, cells: Places, hypotheses: Hypotheses, rng: np.random.Generator
     ) -> ChainState:
-        """Return the state with `cells`, those that it holds among them."""
+        """Return the state extended to `cells`."""
         is_held = np.isin(cells, self.cells)
         offset = hypotheses.offset('hazard_density', self.place)
         probability = expit(hypotheses.maps['hazard_density'].at(offset, cells[~is_held]))
@@ -83,14 +82,14 @@ class ChainState:
 
 
 def even(numbers: int, rng: np.random.Generator) -> Floats:
-    """Return `numbers` uniform numbers a chain, each spread evenly over the chains."""
+    """Return `numbers` uniform numbers for each chain, stratified over the chains."""
     order = rng.permuted(np.tile(np.arange(CHAINS), (numbers, 1)), axis=1).T
     uniform: Floats = (order + rng.random(order.shape)) / CHAINS
     return uniform
 
 
 class Chains:
-    """The chains on their way through the posterior of some evidence (:eq:`sampled-posterior`)."""
+    """Sweeps of the chains through the posterior of some evidence (:eq:`sampled-posterior`)."""
 
     def __init__(
         self,
@@ -99,10 +98,9 @@ class Chains:
         state: ChainState,
         rng: np.random.Generator,
     ) -> None:
-        # From here on, cells are those that the chains hold; of the others nothing is drawn.
+        # From here on, cells are those of the chains; others are not drawn.
         self._cells = state.cells
-        # Of these the joints are the prior, with the numbers of each chain; as it stands where all
-        # of that is known.
+        # Joints of the others: the prior with the numbers of each chain.
         elsewhere = np.setdiff1d(np.arange(hypotheses.belief.cells), state.cells)
         self._elsewhere = elsewhere[:0] if hypotheses.prior_is_known else elsewhere
         self._elsewhere_odds = {
@@ -122,14 +120,14 @@ class Chains:
         self._place = {name: each.copy() for name, each in state.place.items()}
         self.sweeps = 0
         self._undecided = np.flatnonzero(undecided)
-        # On a large field robots come back from few cells: the others have the odds of the prior.
+        # On a large field robots return from few cells; the others have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
         self._prior_odds = {name: each.odds(*LIMITS[name]) for name, each in maps.items()}
-        # By robot type, as the tally counts them.
+        # By robot type, in the order of the tally.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
-        # The same in all sweeps, where all that it depends on is known.
+        # Constant over sweeps if all that it depends on is known.
         self._of_readings = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()
-        # What losses have in common with others: the robot type and the number of steps.
+        # Properties that losses share: robot type and number of steps.
         longest = tally.steps.max(initial=0)
         lengths, length = np.unique(
             tally.robot_type * (longest + 1) + tally.steps, return_inverse=True
@@ -177,12 +175,12 @@ class Chains:
             name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
             for name in hypotheses.unknown
         }
-        # Sums of the chances to survive a step into a safe cell and into a hazard, of robots like
-        # all others.
+        # Sums of the chances to survive a step into a safe cell and into a hazard, of the common
+        # type.
         self._steps_survived = np.zeros(2)
 
     def sweep(self) -> None:
-        """Draw everything once, and add up the probabilities it was drawn with."""
+        """Draw everything once, and add up the conditional probabilities."""
         odds = self.draw_field()
         self._draw_survival()
         self._draw_the_rest(odds)
@@ -194,7 +192,7 @@ class Chains:
         self.sweeps += 1
 
     def draw_field(self) -> gibbs.FieldOdds:
-        """Draw the hazards alone; return the odds that they were drawn with, and of targets."""
+        """Draw the hazards alone; return their odds, and those of targets."""
         odds = self._given_returns()
         factors = self._factors._replace(odds=odds.hazard)
         with np.errstate(over='ignore'):
@@ -214,7 +212,7 @@ class Chains:
 
     @property
     def state(self) -> ChainState:
-        """Where the chains are now; they are not to go on from there."""
+        """Return the present state; the chains must not continue from it."""
         return ChainState(self._place, self._cells, self._hazardous)
 
     def hazards(self) -> NDArray[np.bool_]:
@@ -225,7 +223,7 @@ class Chains:
         return hazards
 
     def models(self) -> list[SensorModel]:
-        """Return the sensor model of robots like all others in each chain."""
+        """Return the sensor model of the common robot type in each chain."""
         unknown = self._hypotheses.unknown
         values = [self._hypotheses.bins[name].values[self._place[name]] for name in unknown]
         numbers = np.reshape(values, (len(unknown), CHAINS)).T.tolist()
@@ -242,7 +240,7 @@ class Chains:
         return joint, float((variance[seen] / joint[seen]).sum() / 2.0)
 
     def _offset(self, name: str) -> Places:
-        """Return which offset of a prior map each chain has."""
+        """Return the index of the prior map's offset in each chain."""
         return self._hypotheses.offset(name, self._place)
 
     def _coupling_strength(self) -> Floats:
@@ -254,11 +252,11 @@ class Chains:
         return strength
 
     def _of_chains(self, name: str, of_values: Floats) -> Floats:
-        """Return what belongs to the value of a number in each chain, shape (1 or chains, 1)."""
+        """Return the row for a number's value in each chain, shape (1 or chains, 1)."""
         return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
 
     def _given_returns(self) -> gibbs.FieldOdds:
-        """Weigh cells (:eq:`reading-odds`, :eq:`hazard-odds`, :eq:`target-conditional`)."""
+        """Weight cells by returns (eqs `reading-odds`, `hazard-odds`, `target-conditional`)."""
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
             self._of_readings or self._given_readings()
@@ -273,7 +271,7 @@ class Chains:
         return gibbs.FieldOdds(odds, target_if_safe, target_if_hazardous)
 
     def _given_readings(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return what readings tell, each of shape (1 or chains, cells)."""
+        """Return the factors of the readings, each of shape (1 or chains, cells)."""
         tally, maps, cells = self._tally, self._maps, self._returned
         read: Floats = np.zeros((1, cells.size))
         if_safe = maps['target_background'].at(self._place['target_background'], cells)
@@ -295,7 +293,7 @@ class Chains:
         )
 
     def _odds_with(self, name: str, log_odds: Floats) -> Floats:
-        """Return the odds by a map of the prior, but for the cells with returns."""
+        """Return the odds by a map of the prior; cells with returns are left aside."""
         of_values = self._prior_odds[name]
         is_known = of_values.shape[0] == 1
         odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._offset(name)]
@@ -303,7 +301,7 @@ class Chains:
         return odds
 
     def _draw(self, name: str, log_likelihood: Floats) -> Floats:
-        """Draw a number in each chain, if it is unknown, and add up its values' weights."""
+        """Draw a number in each chain if it is unknown, and add up the weights of its values."""
         log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
         weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         draw_values(weight, self._rng.random(CHAINS), self._place[name])
@@ -311,7 +309,7 @@ class Chains:
         return weight
 
     def _draw_survival(self) -> None:
-        """Draw lethality and malfunction, given hazards (:eq:`rate-conditional`)."""
+        """Draw lethality and malfunction given hazards (:eq:`rate-conditional`)."""
         tally, hypotheses = self._tally, self._hypotheses
         exposures, factors = self._hazard_state.exposures, self._factors
         malfunction, lethality = self._place['malfunction'], self._place['lethality']
@@ -356,7 +354,7 @@ class Chains:
             self._draw('malfunction', log_likelihood)
 
     def _weigh_by_located(self, endured: Floats, spared: Floats, likelihood: Floats) -> None:
-        """Weigh the values of a rate by the located losses; (1 or chains, types, 1 or values)."""
+        """Weight the values of a rate by the located losses; (1 or chains, types, 1 or values)."""
         if self._tally.located_steps.size:
             shape = (CHAINS, endured.shape[1], likelihood.shape[1])
             safe, exposed = (
@@ -379,7 +377,7 @@ class Chains:
             self._draw('hazard_density', log_likelihood)
         if self._of_readings is not None:
             return
-        # There is no evidence on a target that nobody looked for.
+        # Without a look there is no evidence on a target.
         read = self._read
         hazardous, if_safe, if_hazardous = (
             np.take(each, read, axis=1)
@@ -423,18 +421,18 @@ class Chains:
             self._factors = self._factors._replace(coupling=coupling)
 
     def learnt(self) -> dict[str, Learnt]:
-        """Return what is known of each unknown number by now, by its name."""
+        """Return the posterior of each unknown number, by name."""
         return {
             name: Learnt.by_groups(self._hypotheses.bins[name], weights / self.sweeps)
             for name, weights in self._weights.items()
         }
 
     def model(self) -> SensorModel:
-        """Return the expected model of robots like all others (:eq:`mean-model`)."""
+        """Return the expected sensor model of the common robot type (:eq:`mean-model`)."""
         means = {name: learnt.mean for name, learnt in self.learnt().items()}
         if 'lethality' in means:
-            # That of a step into a hazard is the mean of a product: where both are unknown, a
-            # high lethality goes with few malfunctions.
+            # Survival of a hazard is the mean of a product: if both are unknown, a high lethality
+            # goes with few malfunctions.
             endured, spared = self._steps_survived
             means['lethality'] = self._hypotheses.lethality(spared / endured)
         return self._hypotheses.model_with(means)

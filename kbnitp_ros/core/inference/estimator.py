@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running estimate of a mission, and the fold of its record."""
+"""The running estimate of a mission, and the ledger of its record."""
 
 from __future__ import annotations
 
@@ -122,14 +122,14 @@ class Estimator:
         self.seed = whole_number('seed', seed, 0)
         self.dynamics = dynamics
         self.clustering = clustering
-        # Methods that know of independent static hazards alone are not told.
+        # Methods for independent static hazards alone do not take these arguments.
         further = () if dynamics.effect == 'static' else (dynamics,)
         clusters = clustering is not None and clustering.coupling != 0.0
         named = {'clustering': clustering} if clusters else {}
         make: Callable[..., Inference] = start
         self.version = start.version
         self._evidence: tuple[tuple[Observation, RobotType], ...] = ()
-        # Made when it is first asked for, since studies never do.
+        # Made on first use, since studies never use it.
         self._make_checker: Callable[[], Checker] | None = None
         self._checker: Checker | None = None
         self._checked_deployments = 0
@@ -151,13 +151,13 @@ class Estimator:
 
     @property
     def belief(self) -> Belief:
-        """Given all deployments so far, averaged over what is not known."""
+        """Return the belief given all deployments so far, averaged over unknown numbers."""
         return self._inference.belief
 
     @property
     def model(self) -> SensorModel:
         """
-        Return the sensor model to plan with: as given, or as expected by what was learnt.
+        Return the sensor model to plan with: the given one, or its posterior mean.
 
         It is that of robots like all others, and `RobotType.model` makes that of a type of it.
         """
@@ -165,12 +165,12 @@ class Estimator:
 
     @property
     def parameters(self) -> Mapping[str, Learnt]:
-        """Return what is known by now of each number that was not, by its name in `Unknowns`."""
+        """Return the posterior of each number to learn, by its name in `Unknowns`."""
         return self._inference.parameters
 
     @property
     def kinds(self) -> Mapping[str, float]:
-        """Return the probability of each kind of hazards: 1 of the one that is given."""
+        """Return the probability of each kind of hazards; 1 for a given kind."""
         kinds: Mapping[str, float] = getattr(self._inference, 'kinds', {self.dynamics.kind: 1.0})
         return kinds
 
@@ -212,7 +212,7 @@ class Estimator:
     @property
     def sampling_error(self) -> float:
         """
-        How far chance takes the belief, as an expected KL divergence in nats; 0 without.
+        Expected KL divergence of the belief due to sampling, nats; 0 for exact methods.
 
         It is found from the spread of chains and blind to a bias that they share.
         """
@@ -220,7 +220,7 @@ class Estimator:
 
     @property
     def is_converged(self) -> bool:
-        """Whether that is as little as the method aims at."""
+        """Whether the sampling error is within the method's limit."""
         return self._inference.is_converged
 
     @typed
@@ -258,7 +258,7 @@ class Estimator:
         self._evidence = (*self._evidence, (observation, robot_type))
 
     def _checked(self, inference: Inference) -> Inference:
-        """Refuse what is no inference of the field."""
+        """Check that a method returned an inference of the field."""
         lacking = [name for name in (*CALLED, *KNOWN) if not hasattr(inference, name)]
         if lacking:
             raise METHODS.fault(self.method, f'has no {" and no ".join(lacking)}')
@@ -274,12 +274,12 @@ class Estimator:
 
     @property
     def draws_are_exact(self) -> bool:
-        """Whether `draws` come from the joint posterior itself, and not from an approximation."""
+        """Whether `draws` come from the joint posterior, and not from an approximation."""
         return bool(getattr(self._inference, 'draws_are_exact', False))
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """
-        Draw the hazards of all cells together, as they may be given all deployments so far.
+        Draw the hazards of all cells jointly, given all deployments so far.
 
         'kappa_bnitp_sampled' draws from the joint posterior. One-pass methods, and those of other
         packages without `draws` of their own, draw each cell independently; where they learn
@@ -322,7 +322,7 @@ class Estimator:
         return hazardous, float(independent)
 
     def worlds(self, count: int, rng: np.random.Generator) -> list[tuple[World, SensorModel]]:
-        """Draw fields as by `draws`, their targets, and the sensor model that goes with each."""
+        """Draw fields as by `draws`, their targets, and the sensor model of each."""
         draw = getattr(self._inference, 'draws_with_models', None)
         if draw is None:
             hazardous, models = self.draws(count, rng)[0], [self.model] * count
@@ -335,21 +335,21 @@ class Estimator:
         return [(World(*maps), model) for *maps, model in zip(hazardous, target, models)]
 
     def copy(self) -> Estimator:
-        """Return an estimator that goes on by itself from here; it costs next to no memory."""
+        """Return an independent copy; it takes next to no memory."""
         other = copy(self)
         other._inference = self._inference.copy()
         return other
 
 
-# How far back, as a power of two, an estimator is kept after each deployment. Twice as far back
-# it is after every second one, and so on: few are kept, and going back any way to assimilate a
-# late deployment costs little more than the deployments that follow it.
+# Keeps an estimator after each of the last few deployments, after every second one twice as far
+# back, and so on (a power of two). So few are kept, and going back for a late deployment costs
+# little more than the deployments after it.
 DENSE = 2
 
 
 class Ledger(MissionRecord):
     """
-    The record of a mission and the belief that it gives, each deployment counted exactly once.
+    The record of a mission and its belief, with each deployment counted exactly once.
 
     The belief is always, bit for bit, that of an estimator that assimilates the deployments whose
     path and report are both known one after another in deployment order, so the order of arrival
@@ -390,32 +390,32 @@ class Ledger(MissionRecord):
         self.newest_stamp = 0
         self.report_contents: dict[DeploymentKey, int] = {}
         self.assimilations = 0
-        # Some of those on the way to the belief, by how many deployments they have assimilated.
+        # Estimators at some earlier numbers of deployments.
         self._estimators = {0: estimator}
 
     @property
     def estimator(self) -> Estimator:
-        """As it is after the deployments held."""
+        """Return the estimator given the deployments held."""
         return self._estimators[len(self.deployments)]
 
     @property
     def belief(self) -> Belief:
-        """Given the deployments held."""
+        """Return the belief given the deployments held."""
         return self.estimator.belief
 
     def copy(self) -> Ledger:
-        """Return a ledger that goes on by itself from here."""
+        """Return an independent copy."""
         other = super().copy()
         other.deployments = self.deployments.copy()
         other.report_contents = self.report_contents.copy()
         return other
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # The message heard before may have died with its publisher and a recorder.
+        # The message received before may have died with its publisher and a recorder.
         self.report_contents[key] = report.content
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Go back to before a deployment, and from there on with this outcome of it."""
+        """Assimilate a deployment with this outcome, and all after it again."""
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         start = max(count for count in self._estimators if count <= place)
         estimators = {count: each for count, each in self._estimators.items() if count <= start}

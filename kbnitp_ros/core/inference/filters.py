@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Filters of one pass: the posterior of the field after a deployment in closed form."""
+"""One-pass filters: the posterior after a deployment in closed form."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# Those of a sensor model that can be unknown.
+# Numbers of a sensor model that can be unknown.
 RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
 
-# What is said of evidence that cannot be.
+# The error on impossible evidence.
 IMPOSSIBLE = (
     'the outcome is impossible under this belief and sensor model: '
     'allow for it with probabilities that are not exactly 0 or 1'
@@ -46,19 +46,19 @@ IMPOSSIBLE = (
 
 
 def log_of(chance: Floats) -> Floats:
-    """Return the logarithm, -inf of 0."""
+    """Return the logarithm, -inf for 0."""
     log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
     return log
 
 
 def ratio(part: Floats, whole: Floats) -> Floats:
-    """Return part / whole, 0 where both are 0."""
+    """Return part / whole, 0 if both are 0."""
     share: Floats = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
     return share
 
 
 def check_cells(belief: Belief, observation: Observation) -> None:
-    """Check that a path lies in the field that a belief is of."""
+    """Check that a path lies in the field of a belief."""
     beyond = observation.path[observation.path >= belief.cells]
     if beyond.size:
         raise ValueError(
@@ -78,7 +78,7 @@ def read_log_likelihood(
 
 
 def loss_weights(observation: Observation) -> NDArray[np.float64]:
-    """Return how well what is known of a loss fits each step of the path, shape (steps,)."""
+    """Return the likelihood of a loss in each step given its observation, shape (steps,)."""
     if observation.lost_at is not None:
         return observation.lost_at
     weights = np.ones(observation.steps)
@@ -87,7 +87,7 @@ def loss_weights(observation: Observation) -> NDArray[np.float64]:
 
 
 def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.float64]) -> Belief:
-    """Return the belief given evidence on some cells; the others keep their bits."""
+    """Return the belief given evidence on some cells; other cells keep their bits."""
     joint = belief.joint.copy()
     joint[cells] = condition(joint[cells], log_likelihood)
     return Belief(joint)
@@ -176,11 +176,11 @@ def multi_universe_likelihood(
     log_survival = model.log_survival
     cells = len(visits.cells)
     visited = visits.of_step[:, None] == np.arange(cells)
-    # Visits made before each step, and after the last one: shape (steps + 1, n).
+    # Visits before each step, and after the last one, shape (steps + 1, n).
     made = np.concatenate([np.zeros((1, cells), dtype=np.intp), visited.cumsum(axis=0)])
     predicted = log_predicted_survival(hazard, made, log_survival)
     given = times_log(made[..., None], log_survival)
-    # Survival of every cell but i, without a difference of infinities where S_i = 0.
+    # Survival of every cell but i, avoiding a difference of infinities where S_i = 0.
     but_own = np.where(np.eye(cells, dtype=bool), 0.0, predicted[:, None, :]).sum(axis=-1)
     alive = np.exp(but_own[..., None] + given)
     destroyed: NDArray[np.float64] = (alive[:-1] - alive[1:]).sum(axis=0)
@@ -193,7 +193,7 @@ def published_likelihood(
     visits: Visits,
     lost_at: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Return eq. 5 and 10-12 of the paper as printed (arXiv:2305.06929) (:eq:`loss-published`)."""
+    """Return the paper's likelihood of a loss, eq. 5 and 10-12 (:eq:`loss-published`)."""
     survives = model.survival(hazard)[visits.of_step]
     reached = np.concatenate([[1.0], np.cumprod(survives[:-1])])
     destroyed_here = reached * (1.0 - survives)
@@ -214,7 +214,7 @@ def can_be_lost(
     survives: NDArray[np.float64],
     dies: NDArray[np.float64],
 ) -> bool:
-    """Return whether any hazards explain a loss in a step that fits what was observed."""
+    """Return whether any hazards explain the loss."""
     open_to = possible.copy()
     for cell, weight in zip(of_step, lost_at):
         if weight > 0.0 and (open_to[cell] & (dies > 0.0)).any():
@@ -252,7 +252,7 @@ def hazards_used_up(belief: Belief, model: SensorModel, observation: Observation
 def moves(
     belief: Belief, model: SensorModel, observation: Observation
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return how the hazards on a path move in a deployment."""
+    """Return the moves of hazards on a path in a deployment."""
     check_cells(belief, observation)
     visits = Visits.of(observation.path)
     before = belief.joint[visits.cells]
@@ -283,10 +283,10 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
     """Return sum_k w_k P(lost in k, Z after | Z before), exactly (:eq:`used-up-lost`)."""
     here = np.arange(visits.of_step.size)
     entered = visits.of_step[:, None] == np.arange(visits.cells.size)
-    # Visits to each cell before each step, (steps, n), and what they do to its hazard.
+    # Visits to each cell before each step, (steps, n), and their effect on its hazard.
     made = np.concatenate([np.zeros((1, visits.cells.size), np.intp), entered[:-1]]).cumsum(axis=0)
     moved = survived_transition(model, made)
-    # In the step itself a robot that is lost has failed, or set the hazard off.
+    # In the last step the robot has failed, or set the hazard off.
     failed, struck = model.malfunction, model.lethality * (1.0 - model.false_negative)
     lost = np.array([[failed, 0.0], [(1.0 - failed) * struck, failed]])
     own = np.matmul(moved[here, visits.of_step], lost)
@@ -306,14 +306,14 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """A hazard of its own for each loss that no malfunction explains."""
+    """Assignments of losses without malfunction to hazards of their own."""
 
-    # Shape (cells,). Where there may be a hazard, and no robot with a lethality of 1 has set it
-    # off.
+    # Cells that may have a hazard, unless a robot with a lethality of 1 set it off, shape
+    # (cells,).
     possible: NDArray[np.bool_]
-    # For each of the losses, the cells whose hazard may have caused it.
+    # For each loss, the cells whose hazard may have caused it.
     allowed: tuple[tuple[int, ...], ...] = ()
-    # By its cell, which loss a hazard explains.
+    # The loss assigned to the hazard of each cell.
     chosen: Mapping[int, int] = field(default_factory=dict)
 
     def with_deployment(self, observation: Observation, model: SensorModel) -> Explanations:
@@ -328,7 +328,7 @@ class Explanations:
         fits = (loss_weights(observation) > 0.0) & self.possible[path]
         if not is_certain:
             return self._explained(tuple(np.unique(path[fits]).tolist()))
-        # The first step that explains it leaves most hazards to explain other losses.
+        # Assigning the first such step leaves most hazards for other losses.
         fits[np.setdiff1d(np.arange(path.size), np.unique(path, return_index=True)[1])] = False
         for step in np.flatnonzero(fits).tolist():
             try:
@@ -339,13 +339,13 @@ class Explanations:
         return self._explained(())
 
     def _entered(self, cells: NDArray[np.intp]) -> Explanations:
-        """Return it when robots that set off every hazard entered these cells."""
+        """Return the explanations after robots that set off every hazard entered these cells."""
         possible = self.possible.copy()
         possible[cells] = False
         return replace(self, possible=possible)
 
     def _explained(self, cells: tuple[int, ...]) -> Explanations:
-        """Return it with a loss that a hazard in one of these cells explains."""
+        """Return the explanations with a loss due to a hazard in one of these cells."""
         allowed, chosen = (*self.allowed, cells), dict(self.chosen)
         seen: set[int] = set()
 
@@ -385,23 +385,23 @@ class KnownModel:
         self.model = model
 
     def copy(self: Self) -> Self:
-        """Return an inference that goes on by itself from here; no array is ever changed."""
+        """Return an independent copy; arrays are shared, since none is ever changed."""
         return copy(self)
 
 
 @dataclass(frozen=True)
 class OnePass:
-    """A method that folds each deployment into the belief once and forgets it."""
+    """A method that assimilates each deployment once and keeps no evidence."""
 
     # (hazard of the visited cells (n,), model, visits, lost_at of the steps or None) ->
-    # likelihood, shape (n, 2), indexed [visited cell, z]; any common factor is normalised away.
+    # likelihood, shape (n, 2), indexed [visited cell, z], up to a common factor.
     lost: Callable[
         [NDArray[np.float64], SensorModel, Visits, NDArray[np.float64] | None], NDArray[np.float64]
     ]
-    # Whether it holds kappa; without it a mission starts from kappa := target.
+    # Whether it updates kappa; without that a mission starts from kappa := target.
     correlated: bool
-    # The kinds of `Dynamics` that it takes besides static hazards. That of hazards that are used
-    # up is the exact likelihood, whatever `lost` is.
+    # Kinds of `Dynamics` besides static hazards. For hazards that are used up the exact likelihood
+    # replaces `lost`.
     dynamics: tuple[str, ...] = ('changing',)
     # Makes the inference of a mission that learns numbers or the kind of hazards.
     bank: Callable[..., Any] | None = None
@@ -416,7 +416,7 @@ class OnePass:
         seed: int = 0,
         dynamics: Dynamics = STATIC,
     ) -> Any:
-        """Return the estimate before the first deployment."""
+        """Return the inference before the first deployment."""
         prior = belief if self.correlated else belief.independent()
         if self.bank is not None and (
             unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'
@@ -427,7 +427,7 @@ class OnePass:
 
     @property
     def learns(self) -> bool:
-        """Return whether it can learn numbers that are not known."""
+        """Return whether it can learn unknown numbers."""
         return self.bank is not None
 
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
@@ -459,7 +459,7 @@ class OnePass:
 
 
 class OnePassEstimate(KnownModel):
-    """A belief of a one-pass method; hazards change or move before every deployment but one."""
+    """A one-pass belief; hazards change or move before every deployment but the first."""
 
     def __init__(
         self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics = STATIC
@@ -471,7 +471,7 @@ class OnePassEstimate(KnownModel):
         self._has_begun = False
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Have hazards change or move, and assimilate one more deployment."""
+        """Apply the change or moves of hazards, and assimilate one more deployment."""
         now = self.belief
         if self._has_begun and self._change is not None:
             now = Belief(self._change(now.joint))

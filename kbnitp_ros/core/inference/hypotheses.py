@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of the sensors and of the field beforehand, and what is left open."""
+"""Priors of the sensors and the field, and the values of unknown numbers."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from kbnitp_ros.core.inference.sampling_kernels import Tally
 import numpy as np
 from numpy.typing import NDArray
 
-# Log odds that stand for certainty where others are added to them: far above what evidence comes
-# to, and low enough to keep it apart.
+# Log odds that stand for certainty in sums: far above any evidence, and low enough not to round it
+# away.
 CERTAIN = 1e6
-# Log odds beyond which a hazard is as good as certain, and a target.
+# Log odds beyond which a hazard, and a target, count as certain.
 CERTAIN_HAZARD = 300.0
 CERTAIN_TARGET = 700.0
-# Offsets of log odds within which that of any average is found, and how often they are halved.
+# Bounds of the bisection for offsets of log odds, and its number of steps.
 FURTHEST = 1000.0
 HALVINGS = 60
 
 
 @dataclass(frozen=True, eq=False)
 class PriorMap:
-    """One probability a cell, the same as the prior's but for an offset common to all log odds."""
+    """A probability for each cell: the prior's, with an offset common to all log odds."""
 
-    # Shape (cells,). As the prior has them.
+    # The prior's probabilities, shape (cells,).
     log_odds: NDArray[np.float64]
-    # Shape (cells,). Where the probability is neither 0 nor 1; elsewhere no offset changes it.
+    # Whether the probability is neither 0 nor 1, so that an offset changes it, shape (cells,).
     undecided: NDArray[np.bool_]
-    # Shape (values,). That takes the undecided cells to each value of their average; 0 alone if it
-    # is known.
+    # The offset for each value of the undecided cells' average, shape (values,); 0 alone if it is
+    # known.
     offset: NDArray[np.float64]
-    # Shape (cells, values). log (1 - p) with each offset; 0 where the probability is decided.
+    # log (1 - p) with each offset, shape (cells, values); 0 where the probability is decided.
     log_absent: NDArray[np.float64]
 
     @classmethod
@@ -68,13 +68,13 @@ class PriorMap:
     def at(
         self, place: NDArray[np.intp], cells: NDArray[np.intp] | slice = slice(None)
     ) -> NDArray[np.float64]:
-        """Return log odds of cells in chains with these values, shape (1 or chains, cells)."""
+        """Return the log odds of cells in chains with these values, shape (1 or chains, cells)."""
         if self.offset.size == 1:
             return self.log_odds[None, cells]
         return self.log_odds[cells] + self.undecided[cells] * self.offset[place, None]
 
     def odds(self, lowest: float, highest: float) -> NDArray[np.float64]:
-        """Return the odds with each value, of log odds in some range, shape (values, cells)."""
+        """Return the odds for each value, within limits, shape (values, cells)."""
         log_odds = self.at(np.arange(self.offset.size))
         odds: NDArray[np.float64] = np.exp(log_odds.clip(lowest, highest))
         return odds
@@ -110,13 +110,12 @@ def expit(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
     return probability
 
 
-# How far the hazards of a prior that is the same in all cells may differ by rounding.
+# Tolerance of equal hazards in a uniform prior.
 SAME = 1e-12
 
-# The averages of the maps of a prior that can be unknown: P(Z = 1), P(X = 1 | Z = 1) and
-# P(X = 1 | Z = 0).
+# The prior's maps with unknown averages: P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
 MAPS = ('hazard_density', 'kappa', 'target_background')
-# The log odds that each may come to.
+# Limits of the log odds of each.
 LIMITS = {
     'hazard_density': (-CERTAIN_HAZARD, CERTAIN_HAZARD),
     'kappa': (-np.inf, CERTAIN_TARGET),
@@ -127,7 +126,7 @@ LIMITS = {
 def prior_maps(
     belief: Belief, model: SensorModel, unknown: Sequence[str]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]]:
-    """Return `MAPS` and where each is open; refuse unknown numbers that make no difference."""
+    """Return `MAPS` and where each is open; refuse unknown numbers without effect."""
     if 'lethality' in unknown and model.false_negative == 1.0:
         raise ValueError(
             'lethality is unknown, and makes no difference: '
@@ -159,33 +158,32 @@ def joint_of(
 
 
 class Clusters(NamedTuple):
-    """A clustered prior, for each coupling J and each hazard density."""
+    """A clustered prior for each coupling J and each hazard density."""
 
-    # Shape (cells, 4). The cells that share a side with each, -1 for none.
+    # The cells that share a side with each, shape (cells, 4); -1 for none.
     neighbors: NDArray[np.intp]
-    # Shape (couplings,). J.
+    # J, shape (couplings,).
     coupling: NDArray[np.float64]
-    # Shape (couplings, densities). a and ln Z.
+    # a and ln Z, shape (couplings, densities).
     field: NDArray[np.float64]
     log_z: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """Rates of one robot type for each value of the numbers; one value where they are known."""
+    """Rates of one robot type for each value of the numbers; one value if they are known."""
 
-    # Shape (values,). Log chance of a step without malfunction, for each malfunction.
+    # Log chance of a step without malfunction, for each malfunction, shape (values,).
     log_endured: NDArray[np.float64]
-    # Shape (values,). Log chance that a step into a hazard does not destroy the robot, for each
-    # lethality.
+    # Log chance to survive the strike of a hazard, for each lethality, shape (values,).
     log_spared: NDArray[np.float64]
-    # Shape (values,). As of a `SensorModel`.
+    # As in a `SensorModel`, shape (values,).
     true_positive: NDArray[np.float64]
     false_positive: NDArray[np.float64]
 
 
 class Hypotheses:
-    """The values that each number of the sensor model and of the prior may have."""
+    """The possible values of each number of the sensor model and of the prior."""
 
     def __init__(
         self,
@@ -203,7 +201,7 @@ class Hypotheses:
             **{name: Bins.known(getattr(model, name)) for name in RATES},
             **open_bins,
         }
-        # Where there may be a hazard.
+        # Cells that may have a hazard.
         self.possible = belief.hazard > 0.0
         self.maps = {
             name: PriorMap.of(*each, self.bins[name] if name in self.unknown else None)
@@ -213,7 +211,7 @@ class Hypotheses:
         if clustering is not None:
             self._cluster(belief, clustering)
         self.prior_is_known = not set(MAPS) & set(self.unknown)
-        # Of a clustered prior only the chains know what is expected in each cell.
+        # Only the chains know the expectation of a clustered prior in each cell.
         is_expected = self.prior_is_known or self.clusters is not None
         self.belief = belief
         if not is_expected:
@@ -221,7 +219,7 @@ class Hypotheses:
             self.belief = self.belief_of(joint_of(*means))
 
     def _cluster(self, belief: Belief, clustering: Clustering) -> None:
-        """Take hazards for clustered."""
+        """Set up clustered hazards."""
         undecided = self.maps['hazard_density'].undecided
         if clustering.grid.cells != belief.cells:
             raise ValueError(
@@ -253,13 +251,13 @@ class Hypotheses:
         )
 
     def offset(self, name: str, place: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
-        """Return which offset of a prior map belongs to the numbers of each chain."""
+        """Return the index of a prior map's offset for the numbers of each chain."""
         if name != 'hazard_density' or self.clusters is None:
             return place[name]
         return place['coupling'] * self.clusters.field.shape[1] + place['hazard_density']
 
     def rates(self, robot_type: RobotType) -> Rates:
-        """Return what robots of a type do: their own numbers are known, the others as here."""
+        """Return the rates of a robot type: its own numbers are known, the others as here."""
         values = {name: self.bins[name].values for name in RATES}
         values |= {name: np.array([value]) for name, value in robot_type.sensors.items()}
         strike = values['lethality'] * (1.0 - robot_type.model(self._model).false_negative)
@@ -272,24 +270,24 @@ class Hypotheses:
             )
 
     def belief_of(self, joint: NDArray[np.float64]) -> Belief:
-        """Return the belief with these joints, without what the prior excludes."""
+        """Return the belief with these joints, without states that the prior excludes."""
         joint = np.where(self._prior.joint > 0.0, joint, 0.0)
         return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
 
     def lethality(self, spared: float) -> float:
-        """Return the lethality with which that share of robots survives a hazard."""
+        """Return the lethality for a share of robots that survive a hazard."""
         lethality = (1.0 - spared) / (1.0 - self._model.false_negative)
         return min(max(lethality, 0.0), 1.0)
 
     def model_with(self, numbers: Mapping[str, float]) -> SensorModel:
-        """Return the sensor model with some numbers, those of the prior left aside."""
+        """Return the sensor model with some numbers; those of the prior are ignored."""
         return replace(
             self._model, **{name: value for name, value in numbers.items() if name in RATES}
         )
 
     def refuse_impossible(self, tally: Tally) -> None:
-        """Refuse evidence that no value allowed, and no hazards, explain."""
-        # Whatever is unknown lies strictly between 0 and 1, and where makes no difference here.
+        """Refuse evidence that no allowed values and no hazards explain."""
+        # All unknowns lie strictly between 0 and 1, and their values make no difference here.
         model = self.model_with({name: self.bins[name].values[0] for name in self.unknown})
         models = [robot_type.model(model) for robot_type in tally.robot_types]
         with np.errstate(divide='ignore'):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of hazard as hypotheses: a bank of filters for each, weighed by its evidence."""
+"""Kinds of hazards as hypotheses: a bank of filters for each, weighted by its evidence."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from kbnitp_ros.core.inference.particle_filter import Evidence, Floats
 import numpy as np
 from numpy.typing import NDArray
 
-# Prior probability of each kind. Slow changes look like static hazards to a hundred robots, so a
-# prior that favours change by as much as standing still would find it in most static fields.
+# Prior probability of each kind. A hundred robots can hardly tell slow changes from static
+# hazards, so under equal priors most static fields would be taken for changing.
 PRIOR = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12}
 
 
 class Kinds:
-    """A belief for hazards whose kind is not known: the mixture of a bank a kind (:eq:`kinds`)."""
+    """A belief for hazards of unknown kind: a mixture with a bank for each kind (:eq:`kinds`)."""
 
     is_converged = True
 
@@ -48,11 +48,11 @@ class Kinds:
         self.predicted: tuple[Floats, ...] = ()
 
     def copy(self) -> Kinds:
-        """Return a mixture that goes on by itself from here; no array is ever changed."""
+        """Return an independent copy; arrays are shared, since none is ever changed."""
         return copy(self)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Weigh the kinds by the evidence of one more deployment."""
+        """Weight the kinds by the evidence of one more deployment."""
         check_cells(self._prior, observation)
         self.take(Evidence.of(observation, robot_type))
 
@@ -117,7 +117,7 @@ class Kinds:
 
     @property
     def parameters(self) -> Mapping[str, Learnt]:
-        """Return the posterior of each number, of a rate given its kind of hazards."""
+        """Return the posterior of each number, and of each rate given its kind."""
         told = [bank.parameters for bank in self._banks.values()]
         learnt = {}
         for name, prior in self._priors.items():
@@ -133,7 +133,7 @@ class Kinds:
 
     @property
     def sampling_error(self) -> float:
-        """Return the expected KL divergence of the belief by chance, nats."""
+        """Return the expected KL divergence of the belief due to sampling, nats."""
         return float(self._weights @ [bank.sampling_error for bank in self._banks.values()])
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
@@ -169,6 +169,6 @@ def learning(
     correlated: bool,
     count: int | None = None,
 ) -> Bank | Kinds:
-    """Return a bank, or one for each kind of hazards where the kind is learnt."""
+    """Return a bank, or a mixture of banks where the kind of hazards is learnt."""
     make = Kinds if dynamics.kind == 'learn' else Bank
     return make(belief, model, unknowns, seed, dynamics, correlated, count)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The methods: what each makes of the outcome of a deployment.
+The inference methods.
 
 A new one is one file and one line here, or an entry point of another package.
 """
@@ -25,35 +25,34 @@ from kbnitp_ros.core.inference.kinds import learning
 from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
-# What an inference can do, and what it knows.
+# Capabilities and properties of an inference.
 CALLED = ('assimilate', 'copy')
 KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_converged')
 
 
 class Inference(Protocol):
-    """What a method made of a mission so far."""
+    """The state of a method after some deployments."""
 
     # Given all deployments.
     belief: Belief
     # To plan with.
     model: SensorModel
-    # What is known by now of each number that was not.
+    # The posterior of each unknown number.
     parameters: Mapping[str, Learnt]
-    # How far chance takes the belief from what the method would come to without, as an expected KL
-    # divergence in nats.
+    # Expected KL divergence of the belief due to sampling, nats.
     sampling_error: float
-    # Whether that is as little as the method aims at.
+    # Whether the sampling error is within the method's limit.
     is_converged: bool
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Assimilate one deployment of a robot of a type; a ValueError leaves all as it was."""
+        """Assimilate a deployment by a robot type; a ValueError leaves all as it was."""
 
     def copy(self) -> Inference:
-        """Return one that goes on by itself from here, at next to no cost in memory."""
+        """Return an independent copy that takes next to no memory."""
 
 
 class Method(Protocol):
-    """A start of a mission, with a prior, a sensor model, what is unknown of them, and a seed."""
+    """A method makes an inference from a prior, a sensor model, its unknowns and a seed."""
 
     @property
     def learns(self) -> bool: ...
@@ -73,7 +72,7 @@ class Method(Protocol):
 
 
 def as_method(given: object) -> Method:
-    """Return a method that is to be registered."""
+    """Return a method for the registry."""
     takes(given, ('belief', 'model', 'unknowns', 'seed'))
     if dynamics := dynamics_of(given):
         others = [kind for kind in dynamics if kind not in HAZARDS]
@@ -94,14 +93,14 @@ def as_method(given: object) -> Method:
 
 
 def dynamics_of(method: object) -> tuple[str, ...]:
-    """Return the kinds of `Dynamics` that a method takes besides static hazards."""
+    """Return the kinds of `Dynamics` that a method supports besides static hazards."""
     return tuple(getattr(method, 'dynamics', ()))
 
 
 def check_able(
     given: str | Callable[..., object], is_able: Callable[[Method], object], lack: str
 ) -> None:
-    """Check that a method can do what it is asked for."""
+    """Check that a method supports what is asked of it."""
     if not is_able(METHODS.find(given)):
         able = [name for name, each in METHODS.items() if is_able(each)]
         raise ValueError(f'{lack}: use {" or ".join(able)}')

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The model check: whether stated alternatives predict the evidence better than the belief does.
+The model check: how well stated alternatives predict the evidence, compared with the belief.
 
 An alternative's running evidence over that of the belief is, under a right model, a nonnegative
 martingale that starts at 1: so is the average of such ratios, and it ever passes 20 with a
@@ -22,14 +22,15 @@ from kbnitp_ros.core.inference.kinds import Kinds, learning
 from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
 
-# The average ratio at which the model is in doubt.
+# The average ratio from which the model is in doubt.
 IN_DOUBT = 20.0
 
 # Factors of the odds of a return.
 RETURN_SHIFTS = (2.0, 0.5)
 
-# Most particles of an alternative that leaves a number open, and most of them times cells: fewer
-# particles in a large field find less, and keep the check as fast as the search.
+# Maximum number of particles of an alternative that leaves a number open, and of particles times
+# cells: fewer particles in a large field are less sensitive, and keep the check as fast as the
+# search.
 PARTICLES, MAX_CELLS = 64, 60_000
 
 WORDS = {
@@ -40,14 +41,14 @@ WORDS = {
 }
 SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
 
-# Weights of the alternatives in the average, in proportion: the more what they state would matter.
+# Relative weights of the alternatives in the average, by how much each would matter.
 WEIGHTS = {'used_up': 5, 'malfunction': 4, 'lethality': 3, 'static': 3, 'changing': 2, 'moving': 2}
 
 
 @dataclass(frozen=True)
 class ModelCheck:
     """
-    Evidence of a mission for and against the assumptions of its belief.
+    Evidence for and against the assumptions of a belief.
 
     Attributes
     ----------
@@ -107,7 +108,7 @@ class Checker:
     def after(
         self, observation: Observation, robot_type: RobotType, predicted: Floats | None
     ) -> Checker:
-        """Return the checker after one more deployment, with what the belief `predicted` of it."""
+        """Return the checker after one more deployment, given the belief's prediction."""
         other, evidence = copy(self), Evidence.of(observation, robot_type)
         other._count += 1
         if self._own is not None:

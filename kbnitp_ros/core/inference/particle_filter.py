@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one-pass filter of many particles at once: outcomes counted by cell, and what they do."""
+"""One-pass filters of many particles at once, on outcomes counted by cell."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ READING_SHIFTS = (2.0, 0.5)
 class Evidence:
     """The outcome of one deployment, counted by cell."""
 
-    # To the cells of the path.
+    # Visits to the cells of the path.
     visits: Visits
-    # Readings of each cell; none of a lost robot. Shape (n,).
+    # Readings of each cell, shape (n,); none of a lost robot.
     positive: NDArray[np.intp]
     negative: NDArray[np.intp]
-    # Visits to the cell of each step before it. Shape (steps,).
+    # Visits to the cell of each step before it, shape (steps,).
     before: NDArray[np.intp]
-    # 1 for the cell of each step, or for each other cell, with its visits before; else 0. Shape (n
+    # 1 for the cell of each step, or for each other cell with its visits before, else 0; shape (n
     # * (most visits + 1), steps).
     inside: Floats
     elsewhere: Floats
-    # How well a loss in each step fits what was observed; None of a return. Shape (steps,).
+    # Likelihood of a loss in each step, shape (steps,); None for a return.
     lost_in: Floats | None
     # Of the robot.
     robot_type: RobotType
 
     @classmethod
     def of(cls, observation: Observation, robot_type: RobotType) -> Evidence:
-        """Count what came of a robot."""
+        """Count the outcome of a robot."""
         visits = Visits.of(observation.path)
         readings = observation.readings
         read = np.full(observation.steps, -1) if readings is None else readings
@@ -66,11 +66,11 @@ class Evidence:
 class Steps:
     """Effects of a step into a cell, by particle."""
 
-    # P(survived or lost, hazard y after it | hazard z before it), indexed [z, y, particle]. Shape
+    # P(survived or lost, hazard y after it | hazard z before it), indexed [z, y, particle], shape
     # (2, 2, particles).
     survive: Floats
     lose: Floats
-    # P(reading y | X = x), indexed [y, x, particle]. Shape (2, 2, particles).
+    # P(reading y | X = x), indexed [y, x, particle], shape (2, 2, particles).
     read: Floats
 
     @classmethod
@@ -122,7 +122,7 @@ def assimilated(
     here = alive[cell, before]
     goes_on = ratio(alive[cell, before + 1], here)
     reached = np.cumprod(np.concatenate([np.ones_like(here[:1]), goes_on[:-1]]), axis=0)
-    # Lost in each step, and that over what the hazard of its own cell has to do with it.
+    # A loss in each step, and that over the effect of its own cell's hazard.
     fits = ratio(reached * evidence.lost_in[:, None], here)
     lost = fits * fatal[cell, before]
     elsewhere = ratio((evidence.elsewhere @ lost).reshape(alive.shape), alive)
@@ -150,7 +150,7 @@ def moved_by(moves: Floats, joint: Floats) -> Floats:
 
 
 def normalised(moved: Floats, joint: Floats) -> Floats:
-    """Return joints that sum to 1; those before where the outcome is impossible."""
+    """Return normalized joints; the former ones where the outcome is impossible."""
     total = moved.sum(axis=(1, 2), keepdims=True)
     posterior: Floats = np.divide(moved, total, out=joint.copy(), where=total > 0.0)
     return posterior

@@ -17,18 +17,18 @@ from numpy.typing import ArrayLike, NDArray
 
 Self = TypeVar('Self', bound='MissionRecord')
 
-# Bytes: of pending reports at most, of those left when that is reached, of a report, of a reading.
+# Bytes: maximum of pending reports, what a cut leaves of them, a report, a reading.
 MOST_PENDING = 50_000_000
 LEFT_PENDING = 45_000_000
 REPORT, READING = 1000, 100
 
-# How many times as many steps as its orders may have a robot can have made.
+# Maximum ratio of the steps of a robot's walk to those of its orders.
 LONGEST_WALK = 10
 
 
 class DeploymentKey(NamedTuple):
     """
-    What tells a deployment from all others.
+    The key of a deployment.
 
     Attributes
     ----------
@@ -47,14 +47,14 @@ class DeploymentKey(NamedTuple):
 
 
 def deployment_order(key: DeploymentKey) -> tuple[int, str]:
-    """Return the sorting key of deployments: their stamps, then their agents."""
+    """Return the sorting key of deployments: stamp, then agent."""
     return key.stamp, key.agent
 
 
 @dataclass(frozen=True)
 class Report:
     """
-    What the base learnt of a deployment.
+    The outcome of a deployment as reported to the base.
 
     Attributes
     ----------
@@ -140,11 +140,11 @@ class MissionRecord:
         self._newest_path = 0
 
     def robot_type(self, key: DeploymentKey) -> RobotType:
-        """Return the type of the robot that makes a deployment."""
+        """Return the robot type of a deployment."""
         return self.robot_types.get(key.agent, ORDINARY)
 
     def most_steps(self, key: DeploymentKey) -> int:
-        """Return the most steps that the path of a deployment may have."""
+        """Return the maximum number of steps of a deployment's path."""
         own = self.robot_type(key).max_steps
         return self.max_steps if own is None else own
 
@@ -154,12 +154,12 @@ class MissionRecord:
         return grid.check_path(path, self.most_steps(key))
 
     def copy_pending_of(self, other: MissionRecord) -> None:
-        """Copy the pending reports of another."""
+        """Copy the pending reports of another record."""
         self._pending = {key: reports.copy() for key, reports in other._pending.items()}
         self.pending, self._pending_bytes = other.pending, other._pending_bytes
 
     def copy(self: Self) -> Self:
-        """Return a copy that goes on by itself from here."""
+        """Return an independent copy."""
         other = copy(self)
         other.paths, other.outcomes = self.paths.copy(), self.outcomes.copy()
         other.path_contents = self.path_contents.copy()
@@ -189,7 +189,7 @@ class MissionRecord:
         return key in self.outcomes
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Record a report; return whether the outcome changes. A refusal changes nothing."""
+        """Record a report; return whether the outcome changes. Refused reports change nothing."""
         if key not in self.paths:
             self._keep_pending(key, report)
             return False
@@ -225,7 +225,7 @@ class MissionRecord:
         if self._pending_bytes <= MOST_PENDING:
             return
         before = self.pending
-        # Sorting keeps the order of what came first.
+        # The sort is stable: earlier reports stay first.
         by_distance = sorted(self._pending, key=lambda each: -abs(each.stamp - self._newest_path))
         for dropped in by_distance:
             self._take_pending(dropped)
@@ -237,17 +237,17 @@ class MissionRecord:
         )
 
     def _take_pending(self, key: DeploymentKey) -> list[Report]:
-        """Return the reports of a deployment that were pending, and keep them no longer."""
+        """Return and remove the pending reports of a deployment."""
         reports = list(self._pending.pop(key, ()))
         self.pending -= len(reports)
         self._pending_bytes -= sum(map(size_of, reports))
         return reports
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Take in a new outcome before it is recorded; may raise ValueError."""
+        """Assimilate a new outcome before it is recorded; may raise ValueError."""
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        """Take in a report that says the same as the one that counts."""
+        """Handle a duplicate report."""
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
         """Return the outcome of a report; raise ValueError if no robot can have made it."""
@@ -255,15 +255,16 @@ class MissionRecord:
 
 
 def ending_of(outcome: Observation) -> tuple[bool, int, float, list[float]]:
-    """Return how a deployment ended: of two endings the greater one says more."""
+    """Return how a deployment ended; the greater of two endings says more."""
     lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
-    # The largest value is 1, so a smaller sum tells more closely where; without, all are alike.
+    # The largest value is 1, so a smaller sum locates the loss more closely; without, all are
+    # alike.
     located = -sum(lost_at) if lost_at else -np.inf
     return outcome.survived, outcome.steps_survived, located, lost_at
 
 
 def rank_of(outcome: Observation) -> tuple[Any, ...]:
-    """Return what outcomes of a deployment are ranked by: the greatest counts."""
+    """Return the rank of an outcome among those of a deployment; the greatest counts."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
     read = sum(each >= 0 for each in readings)
     return ending_of(outcome), read, readings, outcome.path.tolist()
@@ -277,7 +278,7 @@ def size_of(report: Report) -> int:
 def observation_of(
     report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
 ) -> Observation:
-    """Return what a report tells of a path; raise ValueError if no robot can have made it."""
+    """Return the observation of a report on a path; ValueError if no robot can have made it."""
     read = [reading for _, reading in report.readings]
     walk = path
     if report.survived:

@@ -28,26 +28,25 @@ from kbnitp_ros.core.inference.sampling_kernels import Tally
 import numpy as np
 from numpy.typing import NDArray
 
-# Sweeps are made so many at a time until the belief has converged, and at most MOST_SWEEPS for a
-# deployment.
+# Number of sweeps between two tests of convergence, and maximum for a deployment.
 SWEEPS = 4
 MOST_SWEEPS = 32
 
-# Sweeps that take the chains into a clustered prior, and as many that its belief averages.
+# Number of sweeps that take the chains into a clustered prior, and number averaged for its belief.
 PRIOR_SWEEPS = 64
 
-# How far chance may take a converged belief from what endless sweeps would give (KL divergence,
-# nats), with all numbers known, with some to learn and with a coupling to learn. What is yet to be
-# learnt of a number moves the belief by nats, so there more is left to chance; a coupling moves
-# the cells that were never visited as well.
+# Limits of the sampling error of a converged belief (KL divergence, nats): with all numbers known,
+# with some to learn, and with a coupling to learn. What is yet to be learnt moves the belief by
+# nats, so a larger error is accepted there; a coupling also moves the cells that were never
+# visited.
 CONVERGED = 2.5e-4
 CONVERGED_LEARNING = 5e-3
 CONVERGED_CLUSTERING = 1e-2
 
-# The variance of a hazard below which a cell tells nothing of how much chains repeat themselves.
+# Variance of a hazard below which a cell is ignored in the autocorrelation of the chains.
 TOLD_APART = 0.01
 
-# The most bytes that the chains may take, and how many they take for each of their cells.
+# Maximum bytes of the chains, and bytes of a chain for each cell.
 MOST_MEMORY = 1 << 31
 BYTES = 48
 
@@ -56,12 +55,12 @@ OWN_KEY = 0x53414D50
 
 
 def generator(seed: int, deployments: int) -> np.random.Generator:
-    """Return the generator for one deployment, which no world and no robot of that seed has."""
+    """Return the generator of a deployment, different from those of worlds and robots."""
     return np.random.default_rng([OWN_KEY, seed, deployments])
 
 
 class Sampler:
-    """The evidence of a mission, and the belief that sampling gives."""
+    """The evidence of a mission, and its belief by sampling."""
 
     learns: ClassVar[bool] = True
     draws_are_exact: ClassVar[bool] = True
@@ -102,11 +101,11 @@ class Sampler:
             self._enter_prior(rng)
 
     def _enter_prior(self, rng: np.random.Generator) -> None:
-        """Bring the chains into the clustered prior, and believe what they then expect."""
+        """Bring the chains into the clustered prior, and take their expectation as the belief."""
         cells = np.arange(self.belief.cells)
         state = self._state.with_cells(cells, self._hypotheses, rng)
         chains = Chains(self._hypotheses, self._tally, state, rng)
-        # The numbers stay as they were drawn, so that each chain comes to the field of its own.
+        # The numbers stay as drawn, so that each chain gets a field of its own.
         for _ in range(PRIOR_SWEEPS):
             chains.draw_field()
         chains = Chains(self._hypotheses, self._tally, chains.state, rng)
@@ -143,7 +142,7 @@ class Sampler:
         self.model = chains.model()
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
-        """Draw the hazards of all cells together, by copies of the chains."""
+        """Draw the hazards of all cells jointly, by copies of the chains."""
         hazardous = np.stack([chains.hazards() for chains in self._after_sweeps(count, rng)])
         average = hazardous.mean(axis=(0, 1))
         spread = average * (1.0 - average)
@@ -155,18 +154,18 @@ class Sampler:
     def draws_with_models(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
-        """Draw the hazards of all cells together with the sensor model that goes with them."""
+        """Draw hazards jointly, with the sensor model of each draw."""
         drawn = [(chains.hazards(), chains.models()) for chains in self._after_sweeps(count, rng)]
         hazardous = np.concatenate([hazards for hazards, _ in drawn])[:count]
         return hazardous, [model for _, models in drawn for model in models][:count]
 
     def _after_sweeps(self, count: int, rng: np.random.Generator) -> Iterator[Chains]:
-        """Yield the chains after each of the sweeps that make so many draws."""
+        """Yield the chains after each of the sweeps needed for so many draws."""
         chains = Chains(self._hypotheses, self._tally, self._state, rng)
         for _ in range(-(-count // CHAINS)):
             chains.sweep()
             yield chains
 
     def copy(self) -> Sampler:
-        """Return a sampler that goes on by itself from here."""
+        """Return an independent copy."""
         return copy(self)

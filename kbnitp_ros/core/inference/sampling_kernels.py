@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of the Gibbs chains: draws of fields and numbers, and their tally."""
+"""Kernels of the Gibbs chains: draws of fields and numbers, and the tally of the evidence."""
 
 from __future__ import annotations
 
@@ -22,31 +22,29 @@ def none_yet() -> NDArray[np.int32]:
 class Tally:
     """The evidence of all deployments, losses as factors (:eq:`loss-factor`); never changed."""
 
-    # Shape (types, cells). Steps of robots of each type into each cell that are known to have been
-    # survived, and how many of them brought a reading of a target, and of none.
+    # Survived steps of robots of each type into each cell, with positive and with negative
+    # readings, shape (types, cells).
     survived: NDArray[np.int32]
     positive: NDArray[np.int32]
     negative: NDArray[np.int32]
-    # Of the robots so far, by what sets their sensor models apart.
+    # The robot types so far, by what sets their sensor models apart.
     robot_types: tuple[RobotType, ...] = (ORDINARY,)
-    # How many there were.
+    # Number of deployments.
     deployments: int = 0
-    # Shape (losses,). Of each path on which a robot was lost, without those it is known to have
-    # survived, and of which type the robot was. Those of which it is known how well each step fits
-    # are not among them.
+    # Steps and robot type of each lost path without its survived steps, shape (losses,). Located
+    # losses are not among them.
     steps: NDArray[np.int32] = field(default_factory=none_yet)
     robot_type: NDArray[np.int32] = field(default_factory=none_yet)
-    # Shape (entries,). Which cell is on which of these paths, and how often it enters it; in the
-    # order of paths.
+    # Cells of these paths and their visits, in the order of paths, shape (entries,).
     cell: NDArray[np.int32] = field(default_factory=none_yet)
     path: NDArray[np.int32] = field(default_factory=none_yet)
     visits: NDArray[np.int32] = field(default_factory=none_yet)
-    # Shape (located losses,). The same of losses of which that is known.
+    # The same of located losses, shape (located losses,).
     located_steps: NDArray[np.int32] = field(default_factory=none_yet)
     located_type: NDArray[np.int32] = field(default_factory=none_yet)
-    # Shape (steps,). The cells that the steps of these lead to, one loss after another.
+    # The cells of their steps, one loss after another, shape (steps,).
     step_cell: NDArray[np.int32] = field(default_factory=none_yet)
-    # Shape (steps,). How well a loss in each step fits what was observed.
+    # Likelihood of a loss in each step, shape (steps,).
     lost_at: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @classmethod
@@ -55,7 +53,7 @@ class Tally:
         return cls(*np.zeros((3, 1, cells), np.int32))
 
     def with_deployment(self, observation: Observation, robot_type: RobotType) -> Tally:
-        """Return the tally with one more deployment, of a robot of this type."""
+        """Return the tally with one more deployment, by a robot of this type."""
         sensors = RobotType(**robot_type.sensors)
         known = self.with_type(sensors)
         of_type, steps = known.robot_types.index(sensors), observation.path[1:]
@@ -90,7 +88,7 @@ class Tally:
         )
 
     def with_type(self, robot_type: RobotType) -> Tally:
-        """Return the tally with room for a robot type."""
+        """Return the tally with a row for a robot type."""
         if robot_type in self.robot_types:
             return self
         survived, positive, negative = (
@@ -107,19 +105,19 @@ class Tally:
 
     @property
     def visited(self) -> NDArray[np.bool_]:
-        """Which cells some robot was to step into, shape (cells,)."""
+        """Return the cells that some robot was sent into, shape (cells,)."""
         visited: NDArray[np.bool_] = np.any(self.survived > 0, axis=0)
         visited[self.cell] = visited[self.step_cell] = True
         return visited
 
     @property
     def read(self) -> NDArray[np.bool_]:
-        """In which cells a target was looked for, shape (cells,)."""
+        """Return the cells with readings, shape (cells,)."""
         read: NDArray[np.bool_] = np.any(self.positive + self.negative > 0, axis=0)
         return read
 
     def within(self, cells: NDArray[np.intp]) -> Tally:
-        """Return the same of cells in ascending order, all that were visited among them."""
+        """Return the tally of some cells in ascending order, all visited ones among them."""
         return replace(
             self,
             survived=self.survived[:, cells],
@@ -131,14 +129,14 @@ class Tally:
 
     @property
     def first_step(self) -> NDArray[np.int32]:
-        """Where the steps of each located loss start, and the end."""
+        """Return where the steps of each located loss start, and the end."""
         return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
     def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:
         """Return the lost paths with their cells of possible, and those of undecided, hazards."""
         held = np.flatnonzero(possible[self.cell])
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
-        # Hazards may be moved along every lost path, those of located losses last.
+        # Hazards may be swapped along every lost path; those of located losses come last.
         loss, cell, *_ = self._located_visits()
         path = np.append(self.path, loss + self.steps.size)
         cell = np.append(self.cell, cell)
@@ -172,7 +170,7 @@ class Tally:
         loss = np.repeat(np.arange(self.located_steps.size), self.located_steps)
         order = np.lexsort((self.step_cell, loss))
         loss, cell = loss[order], self.step_cell[order]
-        # Sorting keeps the order of steps into the same cell.
+        # The sort is stable: steps into the same cell keep their order.
         starts = np.ones(order.size, dtype=bool)
         starts[1:] = (loss[1:] != loss[:-1]) | (cell[1:] != cell[:-1])
         ends = np.append(starts[1:], True)[: order.size]
@@ -183,60 +181,60 @@ class Tally:
 def add_steps(
     counts: NDArray[np.int32], robot_type: int, steps: NDArray[np.intp]
 ) -> NDArray[np.int32]:
-    """Return how often each cell was stepped into, with some steps more of one type."""
+    """Return the counts of steps into each cell, with some more of one type."""
     more = counts.copy()
     more[robot_type] += np.bincount(steps, minlength=counts.shape[1]).astype(np.int32)
     return more
 
 
 def group_starts(group: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
-    """Return where each group starts among sorted entries, and the end, shape (groups + 1,)."""
+    """Return where each group of sorted entries starts, and the end, shape (groups + 1,)."""
     return np.append(0, np.cumsum(np.bincount(group, minlength=groups))).astype(np.int32)
 
 
-# The chance of a loss is never less than this, so that a chain finds out of states that explain it
-# not at all; nothing is subtracted in it.
+# Lower limit of the chance of a loss, so that a chain can leave states that explain no loss;
+# nothing is subtracted from it.
 LEAST_FIT = 1e-100
 # Products are divided before they leave the range of floating point.
 LARGE = 1e300
 
 
 class LocatedGraph(NamedTuple):
-    """The losses of which it is known how well each step fits."""
+    """Losses for which the likelihood of each step is known."""
 
-    # Shape (cells + 1,). Those through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``.
+    # The losses through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``; shape (cells +
+    # 1,).
     first_entry: NDArray[np.int32]
-    # Shape (entries,). A loss, and its first and last steps into the cell.
+    # A loss, and its first and last steps into the cell, shape (entries,).
     loss: NDArray[np.int32]
     first: NDArray[np.int32]
     last: NDArray[np.int32]
-    # Shape (losses + 1,). The steps of loss a are those from ``first_step[a]`` to ``first_step[a +
-    # 1] - 1``.
+    # The steps of loss a are ``first_step[a]`` to ``first_step[a + 1] - 1``; shape (losses + 1,).
     first_step: NDArray[np.int32]
-    # Shape (losses,). Of the robot.
+    # The robot type, shape (losses,).
     robot_type: NDArray[np.int32]
-    # Shape (steps,). The cell that each step leads to.
+    # The cell of each step, shape (steps,).
     cell: NDArray[np.int32]
-    # Shape (steps,). How well a loss in each step fits what was observed.
+    # Likelihood of a loss in each step, shape (steps,).
     lost_at: NDArray[np.float64]
 
 
 class LocatedSums(NamedTuple):
     """Sums of one chain over the steps before and after each step of the located losses."""
 
-    # Shape (steps,). Chance of the loss in the steps before this one, each by how well it fits.
+    # Likelihood of the loss in the steps before this one, shape (steps,).
     before: NDArray[np.float64]
-    # Shape (steps,). Chance to survive the steps before this one.
+    # Chance to survive the steps before this one, shape (steps,).
     reached: NDArray[np.float64]
-    # Shape (steps,). Chance of the loss from this step on, of a robot that reaches it.
+    # Likelihood of the loss from this step on, of a robot that reaches it, shape (steps,).
     rest: NDArray[np.float64]
-    # Shape (types, 2). s_z of one step, by robot type.
+    # s_z of one step, by robot type, shape (types, 2).
     survival: NDArray[np.float64]
 
 
 @compiled
 def new_sums(located: LocatedGraph, robot_types: int) -> LocatedSums:
-    """Return the sums of one chain, not found yet."""
+    """Return empty sums of one chain."""
     steps = located.cell.size
     return LocatedSums(
         np.empty(steps), np.empty(steps), np.empty(steps), np.empty((robot_types, 2))
@@ -247,7 +245,7 @@ def new_sums(located: LocatedGraph, robot_types: int) -> LocatedSums:
 def sum_steps(
     sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], path: int
 ) -> None:
-    """Find the sums of a located loss by the hazards of a chain (equation :eq:`loss-located`)."""
+    """Compute the sums of a located loss for the hazards of a chain (:eq:`loss-located`)."""
     survival = sums.survival[located.robot_type[path]]
     first, end = located.first_step[path], located.first_step[path + 1]
     before, reached = 0.0, 1.0
@@ -271,7 +269,7 @@ def sum_all_steps(
     endured: NDArray[np.float64],
     spared: NDArray[np.float64],
 ) -> None:
-    """Find the sums of all located losses by the hazards and the rates of a chain."""
+    """Compute the sums of all located losses for the hazards and rates of a chain."""
     sums.survival[:, 0] = endured
     sums.survival[:, 1] = endured * spared
     for path in range(located.robot_type.size):
@@ -286,7 +284,7 @@ def located_chance(
     entry: int,
     hazard: int,
 ) -> float:
-    """Return the chance of a located loss if the cell of an entry had this hazard."""
+    """Return the likelihood of a located loss if the cell of an entry had this hazard."""
     path, first, last = located.loss[entry], located.first[entry], located.last[entry]
     survival, cell = sums.survival[located.robot_type[path]], located.cell[first]
     rest = sums.rest[last + 1] if last + 1 < located.first_step[path + 1] else 0.0
@@ -301,7 +299,7 @@ def located_chance(
 def sum_through(
     sums: LocatedSums, located: LocatedGraph, hazardous: NDArray[np.int8], cell: int
 ) -> None:
-    """Find the sums of the located losses through a cell again."""
+    """Update the sums of the located losses through a cell."""
     for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
         sum_steps(sums, located, hazardous, located.loss[entry])
 
@@ -315,7 +313,7 @@ def located_ratio(
     hazard: int,
     ratio: float,
 ) -> float:
-    """Return `ratio` times that of the chances with this hazard in a cell and with the other."""
+    """Return `ratio` times the ratio of located losses, this hazard in a cell to the other."""
     for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
         now = located_chance(sums, located, hazardous, entry, hazard)
         other = located_chance(sums, located, hazardous, entry, 1 - hazard)
@@ -331,7 +329,7 @@ def weigh_by_located(
     exposed: NDArray[np.float64],
     likelihood: NDArray[np.float64],
 ) -> None:
-    """Weigh numbers by the located losses (:eq:`loss-located`)."""
+    """Weight numbers by the located losses (:eq:`loss-located`)."""
     rest = np.empty(likelihood.shape[1])
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
@@ -355,18 +353,18 @@ def weigh_by_located(
                 own[value] /= largest
 
 
-# How many losses may be multiplied up before products are divided.
+# Maximum number of losses multiplied before products are divided.
 OFTEN = 6
 
 
 class LossSurvival(NamedTuple):
-    """The chance to survive each lost path as a product of two, of which a rate changes one."""
+    """The chance to survive each lost path as a product of two; a rate changes one of them."""
 
-    # Shape (chains, losses). The chance that the rate has nothing to do with.
+    # The factor independent of the rate, shape (chains, losses).
     fixed: NDArray[np.float64]
-    # Shape (chains, losses). The row of the other.
+    # The row of the other factor, shape (chains, losses).
     place: NDArray[np.int32]
-    # Shape (places, values). The other for each value of the rate.
+    # The other factor for each value of the rate, shape (places, values).
     by_rate: NDArray[np.float64]
 
 
@@ -374,7 +372,7 @@ class LossSurvival(NamedTuple):
 def draw_values(
     weights: NDArray[np.float64], uniform: NDArray[np.float64], place: NDArray[np.intp]
 ) -> None:
-    """Draw the place of each chain by its `weights`, (chains, values), and normalise these."""
+    """Draw a value for each chain by `weights`, (chains, values), and normalize these."""
     for chain in range(weights.shape[0]):
         own = weights[chain]
         total = 0.0
@@ -419,24 +417,24 @@ def sum_of_cells(
                     total[chain, value] += table[cell, value]
 
 
-# A loss is never less likely than this, so that a chain finds out of states that explain it not
-# at all; far above what rounding leaves of 1 - 1.
+# Lower limit of the likelihood of a loss, so that a chain can leave states that explain no loss;
+# far above the rounding of 1 - 1.
 LEAST = 1e-30
 # Products are divided before they leave the range of floating point.
 SMALL = 1e-200
 
 
 class LossGraph(NamedTuple):
-    """Which cells are on which lost paths, both ways round."""
+    """The cells of lost paths, indexed both ways."""
 
-    # Shape (cells + 1,). The lost paths through cell i are ``loss[first_loss[i]:first_loss[i +
-    # 1]]``.
+    # The lost paths through cell i are ``loss[first_loss[i]:first_loss[i + 1]]``; shape (cells +
+    # 1,).
     first_loss: NDArray[np.int32]
-    # Shape (entries,). A lost path, and how often it enters the cell.
+    # A lost path, and its visits to the cell, shape (entries,).
     loss: NDArray[np.int32]
     visits: NDArray[np.int32]
-    # Shape (losses + 1,). The cells of lost path a that may be hazardous or safe are
-    # ``cell[first_cell[a]:first_cell[a + 1]]``; located losses come last.
+    # The undecided cells of lost path a are ``cell[first_cell[a]:first_cell[a + 1]]``; located
+    # losses come last; shape (losses + 1,).
     first_cell: NDArray[np.int32]
     cell: NDArray[np.int32]
 
@@ -444,11 +442,11 @@ class LossGraph(NamedTuple):
 class HazardState(NamedTuple):
     """The hazards of each chain, and what follows from them; kernels change it."""
 
-    # Shape (chains, cells). Z of each cell.
+    # Z of each cell, shape (chains, cells).
     hazardous: NDArray[np.int8]
-    # Shape (chains, losses). How many steps of each lost path led into a hazard.
+    # Number of steps of each lost path into hazards, shape (chains, losses).
     exposures: NDArray[np.int32]
-    # Shape (chains,). Rows of `Factors.endured` and `Factors.spared`.
+    # Rows of `Factors.endured` and `Factors.spared`, shape (chains,).
     malfunction: NDArray[np.intp]
     strike: NDArray[np.intp]
 
@@ -456,47 +454,47 @@ class HazardState(NamedTuple):
 class Coupling(NamedTuple):
     """Coupling of neighbouring hazards in the prior (equation :eq:`clustered-prior`)."""
 
-    # Shape (cells, 4). The cells that share a side with each, -1 for none; no rows if hazards are
+    # The cells that share a side with each, -1 for none, shape (cells, 4); no rows if hazards are
     # independent.
     neighbors: NDArray[np.intp]
-    # Shape (chains,). e^J.
+    # e^J, shape (chains,).
     strength: NDArray[np.float64]
 
 
 class Factors(NamedTuple):
     """The factors of the conditionals that hazards are drawn from."""
 
-    # Shape (1 or chains, cells). Of each hazard without the losses; from `SMALL` to `LARGE`.
+    # Odds of each hazard without the losses, from `SMALL` to `LARGE`, shape (1 or chains, cells).
     odds: NDArray[np.float64]
-    # Shape (losses,). Which of the lengths that lost paths have is that of each; of robots of
-    # different types they count as different.
+    # Index of the length of each lost path, shape (losses,); lengths of different robot types
+    # differ.
     length: NDArray[np.intp]
-    # Shape (lengths,). Of the robots whose paths have each length.
+    # Robot type of each length, shape (lengths,).
     robot_type: NDArray[np.intp]
-    # Shape (values, lengths). Chance of no malfunction in a path of each length.
+    # Chance of no malfunction in a path of each length, shape (values, lengths).
     endured: NDArray[np.float64]
-    # Shape (values, types, most exposures + 1). Chance of no strike in that many exposures of a
-    # robot of each type.
+    # Chance of no strike in so many exposures of a robot of each type, shape (values, types, most
+    # exposures + 1).
     spared: NDArray[np.float64]
-    # Shape (values, types). Chances of no malfunction and of no strike in one step.
+    # Chances of no malfunction and of no strike in one step, shape (values, types).
     step_endured: NDArray[np.float64]
     step_spared: NDArray[np.float64]
     # The lost paths.
     graph: LossGraph
-    # The losses of which it is known how well each step fits.
+    # The located losses.
     located: LocatedGraph
-    # Of neighbouring hazards.
+    # The coupling of neighbouring hazards.
     coupling: Coupling
 
 
 class LossTable(NamedTuple):
-    """The losses of one chain by how many of their steps led into a hazard; kernels change it."""
+    """The losses of one chain by their number of exposures; kernels change it."""
 
-    # Shape (losses,). As of `HazardState`.
+    # As in `HazardState`, shape (losses,).
     exposures: NDArray[np.int32]
-    # Shape (losses,). As of `Factors`.
+    # As in `Factors`, shape (losses,).
     length: NDArray[np.intp]
-    # Shape (lengths, most exposures + 1). Of a loss, by the rates of the chain.
+    # Likelihood of a loss by the rates of the chain, shape (lengths, most exposures + 1).
     chance: NDArray[np.float64]
 
 
@@ -512,7 +510,7 @@ class FieldOdds(NamedTuple):
 
 @compiled
 def lost(survived: float) -> float:
-    """Return the chance to be lost, from that to survive (equation :eq:`loss-probability`)."""
+    """Return the chance of a loss from that to survive (equation :eq:`loss-probability`)."""
     return max(1.0 - survived, LEAST)
 
 
@@ -523,7 +521,7 @@ def tabulate_losses(
     robot_type: NDArray[np.intp],
     table: NDArray[np.float64],
 ) -> None:
-    """Fill `table`, (lengths, exposures), with the chance to be lost by the rates of a chain."""
+    """Fill `table`, (lengths, exposures), with a chain's likelihoods of losses."""
     for length in range(endured.size):
         of_type = spared[robot_type[length]]
         for exposures in range(of_type.size):
@@ -532,7 +530,7 @@ def tabulate_losses(
 
 @compiled
 def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, hazards: int) -> None:
-    """Add the exposures of lost paths to hazards that come into a cell, or go if negative."""
+    """Add the exposures of lost paths to hazards that appear in a cell; negative: vanish."""
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         exposures[graph.loss[entry]] += hazards * graph.visits[entry]
 
@@ -541,7 +539,7 @@ def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, haz
 def loss_ratio(
     losses: LossTable, graph: LossGraph, cell: int, hazards: int, ratio: float
 ) -> float:
-    """Do what `add_exposures` does, and return `ratio` times that of the losses' chances."""
+    """Apply `add_exposures`, and return `ratio` times the likelihood ratio of the losses."""
     exposures = losses.exposures
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         path = graph.loss[entry]
@@ -554,7 +552,7 @@ def loss_ratio(
 
 @compiled
 def hazards_around(coupling: Coupling, hazardous: NDArray[np.int8], cell: int) -> int:
-    """Return how many of a cell's neighbours are hazardous."""
+    """Return the number of hazardous neighbours of a cell."""
     count = 0
     for side in range(coupling.neighbors.shape[1]):
         neighbor = coupling.neighbors[cell, side]
@@ -578,7 +576,7 @@ def count_coupled(
 
 @compiled
 def nth_cell(cells: NDArray[np.int32], hazardous: NDArray[np.int8], hazard: int, n: int) -> int:
-    """Return the cell number n, from 0, of those that have this hazard."""
+    """Return cell number n, from 0, among those with this hazard."""
     for cell in cells:
         if hazardous[cell] == hazard:
             if n == 0:
@@ -597,11 +595,11 @@ def draw_hazards(
 ) -> None:
     """Draw each cell given all others (:eq:`hazard-conditional`, :eq:`loss-located`)."""
     graph, located, coupling = factors.graph, factors.located, factors.coupling
-    # Handing so many arrays to a function takes longer than what it does without such losses.
+    # Without located losses, passing so many arrays takes longer than the call itself.
     any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
-    # By the number of hazardous neighbours: a power takes longer than all else of most cells.
+    # By the number of hazardous neighbours: computing the power would dominate most cells.
     weight_around = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
         malfunction, strike = state.malfunction[chain], state.strike[chain]
@@ -646,9 +644,9 @@ def draw_hazards(
 
 @compiled
 def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float64]) -> None:
-    """Propose that a hazardous and a safe cell of a lost path change places (:eq:`swap`)."""
+    """Propose to swap a hazardous and a safe cell of a lost path (:eq:`swap`)."""
     graph, located, coupling = factors.graph, factors.located, factors.coupling
-    # Handing so many arrays to a function takes longer than what it does without such losses.
+    # Without located losses, passing so many arrays takes longer than the call itself.
     any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
@@ -676,13 +674,13 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
             ratio = odds[new] / odds[old]
             if any_coupled:
-                # Neither is a neighbour of the other's hazard.
+                # Neither counts as a neighbour of the other's hazard.
                 hazardous[old] = 0
                 more = hazards_around(coupling, hazardous, new)
                 more -= hazards_around(coupling, hazardous, old)
                 hazardous[old] = 1
                 ratio = min(ratio * coupling.strength[chain] ** more, LARGE)
-            # The new hazard comes first, so that no loss is left unexplained in between.
+            # The new hazard comes first, so that every loss stays explained.
             ratio = loss_ratio(losses, graph, new, 1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
@@ -703,7 +701,7 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
 
 @compiled
 def count_exposures(state: HazardState, graph: LossGraph) -> None:
-    """Add up the exposures of each lost path, which are 0."""
+    """Add up the exposures of each lost path, starting from 0."""
     for chain in range(state.hazardous.shape[0]):
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         for cell in range(hazardous.size):
