@@ -309,7 +309,9 @@ def test_a_dead_link_is_found(tmp_path):
 
 # Equations
 
-LABELS = re.findall(r'^ *:label: (\S+)$', (ROOT / 'docs/mathematics.md').read_text(), re.MULTILINE)
+DERIVATIONS = [ROOT / 'docs/mathematics.md', *sorted(ROOT.glob('docs/mathematics/*.md'))]
+TEXT = '\n'.join(page.read_text() for page in DERIVATIONS)
+LABELS = re.findall(r'^ *:label: (\S+)$', TEXT, re.MULTILINE)
 
 
 def test_equations_have_labels_that_the_code_cites_and_no_others():

@@ -5,7 +5,7 @@ Bring the figures and tables of studies into the documentation.
 
 ``python3 tools/results_page.py RUNS DOCS`` takes them from RUNS/<scenario>/, puts the tables
 between their marks in DOCS/tables/<scenario>.md, and of the figures those that DOCS/results.md
-shows into DOCS/images/, as <scenario>_<figure>.png.
+and DOCS/results/ show into DOCS/images/, as <scenario>_<figure>.png.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ TABLE = re.compile(r'(?<=<!-- table -->\n)(.*?)(?=<!-- end -->)', re.DOTALL)
 # Of a figure in the page, in pixels, and how many colours it has there.
 WIDTH, COLOURS = 1600, 128
 
-FIGURE = re.compile(r'\(images/(\w+\.png)\)')
+FIGURE = re.compile(r'images/(\w+\.png)\)')
 
 
 def main(runs: Path, docs: Path) -> None:
     """Bring every study that has a page of tables."""
     pages = sorted((docs / 'tables').glob('*.md'))
-    for figure in FIGURE.findall((docs / 'results.md').read_text()):
+    shown = [docs / 'results.md', *docs.glob('results/*.md')]
+    for figure in FIGURE.findall(''.join(page.read_text() for page in shown)):
         # The name of a scenario may begin with another's.
         of = [each.stem for each in pages if figure.startswith(f'{each.stem}_')]
         if of:

@@ -70,8 +70,14 @@ def test_tables_are_of_whole_studies_and_call_rows_as_a_study_does(path):
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
+def results():
+    """Return the text of all pages of results."""
+    pages = [DOCS / 'results.md', *sorted(DOCS.glob('results/*.md'))]
+    return '\n'.join(page.read_text() for page in pages)
+
+
 def test_every_figure_is_shown():
-    shown = re.findall(r'\]\(images/(\w+\.png)\)', (DOCS / 'results.md').read_text())
+    shown = re.findall(r'\]\((?:\.\./)?images/(\w+\.png)\)', results())
     others = ('before_after', 'benchmark', 'maps', 'page')
     there = {each.name for each in (DOCS / 'images').iterdir() if not each.stem.startswith(others)}
     assert sorted(shown) == sorted(there)
@@ -176,17 +182,17 @@ def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_p
 
 
 def test_every_study_of_the_page_has_a_page_of_tables():
-    linked = re.findall(r'\]\(tables/(\w+)\.md\)', (DOCS / 'results.md').read_text())
+    linked = re.findall(r'\]\((?:\.\./)?tables/(\w+)\.md\)', results())
     assert sorted(linked) == sorted(each.stem for each in (DOCS / 'tables').glob('*.md'))
     for scenario in linked:
-        assert '../results.md#' in (DOCS / f'tables/{scenario}.md').read_text()
+        assert '[Results](../results' in (DOCS / f'tables/{scenario}.md').read_text()
 
 
 def test_numbers_of_the_page_stand_in_the_tables_of_their_studies():
     number = re.compile(r'-?\d+(?:\.\d+)?')
     checked = []
-    for section in re.split('^(?=#)', (DOCS / 'results.md').read_text(), flags=re.MULTILINE):
-        scenarios = re.findall(r'\]\(tables/(\w+)\.md\)', section)
+    for section in re.split('^(?=#)', results(), flags=re.MULTILINE):
+        scenarios = re.findall(r'\]\((?:\.\./)?tables/(\w+)\.md\)', section)
         told = {n for scenario in scenarios for n in number.findall(text_of(scenario))}
         told |= {f'{float(n):.0f}' for n in told}
         for row in re.findall(r'^\| (?!lethality|study|---).*', section, re.MULTILINE):

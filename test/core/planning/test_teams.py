@@ -96,7 +96,7 @@ def test_team_information_is_the_joint_information_but_for_a_little():
         f'at most {above.max():.0%}, at least {above.min():.0%}'
     )
     assert above.min() > -1e-9
-    page = words('docs/mathematics.md')
+    page = words('docs/mathematics/plans.md')
     assert f'in {cases} random small cases it was never below' in page
     assert f'{100 * above.mean():.1f} % above on average, and more than 3 % above in three' in page
     assert far == 3
@@ -158,7 +158,7 @@ def every_path(base, steps):
 @for_each('steps', [4, 5])
 def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
     shares = [shares_of_the_best(*random_problem(seed), steps) for seed in range(30)]
-    page = rows('docs/mathematics.md', f'{steps} steps, least')
+    page = rows('docs/mathematics/plans.md', f'{steps} steps, least')
     place = 2 * (steps - 4)
     for allocation in ALLOCATIONS:
         of_best = [share[allocation] for share in shares]
