@@ -277,7 +277,7 @@ def summary(mission: Mission, curves: Curves) -> str:
     words = [
         f'{counted(len(mission.deployments), "robot")} of {counted(agents, "agent")} went into '
         f'a field of {mission.grid.width} x {mission.grid.height} cells: '
-        f'{len(ended) - lost} returned, {lost} were lost.',
+        f'{len(ended) - lost} returned, {lost} lost.',
         f'{share:.0f} % of the uncertainty about hazards and targets is left.',
         f'Method {mission.rules["method"]}.',
     ]

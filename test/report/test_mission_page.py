@@ -682,13 +682,18 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     assert Image.open(downloaded(page, 'Save the map')).format == 'PNG'
 
 
-def test_it_is_printed_on_one_sheet_of_a4(opened):
-    page = opened(794, 1123)
-    page.emulate_media(media='print')
-    assert page.evaluate('document.documentElement.scrollWidth') == 794
-    assert not page.locator('#play').is_visible()
-    assert page.locator('#map').is_visible()
-    assert len(re.findall(rb'/Type\s*/Page\b', page.pdf(prefer_css_page_size=True))) == 1
+def test_it_is_printed_on_one_sheet_of_a4_and_two_missions_on_three(opened, shown, two):
+    for file, button, plot, sheets in (
+        (shown[1], '#play', '#map', 1),
+        (two[1], '#take', '#A-hazard', 3),
+    ):
+        page = opened(794, 1123, file=file)
+        page.emulate_media(media='print')
+        assert page.evaluate('document.documentElement.scrollWidth') == 794
+        assert not page.locator(button).is_visible()
+        assert page.locator(plot).is_visible()
+        printed = page.pdf(prefer_css_page_size=True)
+        assert len(re.findall(rb'/Type\s*/Page\b', printed)) <= sheets
 
 
 def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):

@@ -86,6 +86,13 @@ function hatching(grid, entered) {
   }] : [];
 }
 
+// Give plots a size in print: a sheet of A4 is 700 pixels wide between its margins.
+function fitSheet(ids, width, height, signal) {
+  const resize = (size) => ids.forEach((id) => Plotly.relayout(page(id), size));
+  window.addEventListener('beforeprint', () => resize({ width, height }), { signal });
+  window.addEventListener('afterprint', () => resize({ width: null, height: null, autosize: true }), { signal });
+}
+
 function saveFigures(name) {
   document.querySelectorAll('.save').forEach((button) => {
     const { plot } = button.dataset;

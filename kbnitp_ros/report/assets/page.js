@@ -505,9 +505,7 @@ async function start(signal, kept) {
   page('next').addEventListener('click', () => ask(now + 1));
   document.addEventListener('keydown', pressed, { signal });
   signal.addEventListener('abort', () => clearInterval(timer));
-  // A sheet of A4 is 700 pixels wide between its margins.
-  window.addEventListener('beforeprint', () => Plotly.relayout(page('map'), { width: 640, height: 440 }), { signal });
-  window.addEventListener('afterprint', () => Plotly.relayout(page('map'), { width: null, height: null, autosize: true }), { signal });
+  fitSheet(['map'], 640, 440, signal);
   document.querySelectorAll('.take').forEach((button) => {
     button.addEventListener('click', () => TAKES[button.dataset.take]());
   });
