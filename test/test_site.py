@@ -69,6 +69,33 @@ def test_every_equation_is_typeset_without_a_network(site, browser, name):
     assert failed == []
 
 
+# Words that users search for, and the page that answers each.
+SOUGHT = {
+    'approve': 'operator',
+    'blast': 'tutorials/heard',
+    'certificate': 'results/goals',
+    'GPS': 'maps',
+    'lane': 'tutorials/safe_lane',
+    'minefield': 'maps',
+    'Nav2': 'robots',
+    'obstacle': 'maps',
+    'RViz': 'commands',
+    'survivors': 'mathematics',
+}
+
+
+def test_the_search_finds_what_users_call_it_among_the_first_three(site, browser):
+    page = browser.new_page()
+    found = {}
+    for word in SOUGHT:
+        page.goto(f'{(site / "search.html").as_uri()}?q={word}')
+        page.wait_for_selector('#search-results .search-summary:has-text("found")')
+        links = page.locator('#search-results li > a')
+        hrefs = links.evaluate_all('links => links.map(a => a.getAttribute("href"))')
+        found[word] = list(dict.fromkeys(re.split(r'\.html', href)[0] for href in hrefs))[:3]
+    assert {word: page for word, page in SOUGHT.items() if page not in found[word]} == {}, found
+
+
 def test_no_page_is_wider_than_the_window(site, browser):
     """The pictures of all pages are kept beside the site that `make docs` makes."""
     # The pages of objects are made alike: one with many arguments stands for all.
