@@ -46,7 +46,7 @@ logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'pyproj', 'zstandard']
 
 setup(
     name=package_name,
-    version='0.3.0',
+    version='1.0.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
     package_data={package_name: ['py.typed', 'report/assets/*']},
     data_files=[
