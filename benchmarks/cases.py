@@ -5,8 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+import re
 from statistics import median
 import time
+
+PAGE = Path(__file__).parents[1] / 'docs' / 'performance.md'
 
 # How often a case is run at most, and for how many seconds it is run again.
 RUNS = 20
@@ -55,3 +59,9 @@ def in_words(seconds: float) -> str:
         if seconds >= size:
             return f'{seconds / size:.3g} {unit}'
     return f'{seconds / 1e-6:.3g} µs'
+
+
+def write(name: str, text: str, page: Path = PAGE) -> None:
+    """Replace what a page has between the marks of a name."""
+    marked = re.compile(rf'(?<=<!-- table {name} -->\n)(.*?)(?=<!-- end -->)', re.DOTALL)
+    page.write_text(marked.sub(lambda old: f'{text}\n', page.read_text()), encoding='utf-8')

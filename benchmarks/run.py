@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 import os
-from pathlib import Path
 import platform
 import sys
 
-from cases import Benchmark, in_words
+from cases import Benchmark, in_words, PAGE, write
 import kinds
 import nodes
 import numba
@@ -25,8 +24,6 @@ import study
 from tqdm import tqdm
 import updates
 
-PAGE = Path(__file__).parents[1] / 'docs' / 'performance.md'
-
 BENCHMARKS = (
     *planning.BENCHMARKS,
     *updates.BENCHMARKS,
@@ -36,14 +33,6 @@ BENCHMARKS = (
     *study.BENCHMARKS,
     *peers.BENCHMARKS,
 )
-
-INTRODUCTION = """\
-# How long it takes
-
-`make benchmarks` wrote this page. Seconds are those of one machine. Ratios tell more: each is to
-the first line of its table, from the same run.
-
-"""
 
 # A benchmark and the seconds of each of its cases.
 Measured = tuple[Benchmark, dict[str, float]]
@@ -61,7 +50,7 @@ def main() -> int:
                 bar.update()
             measured.append((benchmark, seconds))
     print('\n'.join(summary(measured)))
-    PAGE.write_text(INTRODUCTION + '\n'.join(page(measured)), encoding='utf-8')
+    write('benchmarks', '\n'.join(page(measured)), PAGE)
     return 0
 
 
@@ -82,7 +71,7 @@ def summary(measured: Sequence[Measured]) -> Iterator[str]:
 
 
 def page(measured: Sequence[Measured]) -> Iterator[str]:
-    """Yield the page, in Markdown."""
+    """Yield the tables, in Markdown."""
     yield (
         f'Measured with Python {platform.python_version()}, numpy {np.__version__} and numba '
         f'{numba.__version__}\non {os.cpu_count()} cores, {platform.machine()}.'
@@ -91,7 +80,6 @@ def page(measured: Sequence[Measured]) -> Iterator[str]:
         yield f'\n## {benchmark.title}\n\n{benchmark.text}\n\n| | takes | ratio |\n|---|---|---|'
         for row in rows(seconds):
             yield f'| {" | ".join(row)} |'
-    yield ''
 
 
 if __name__ == '__main__':

@@ -1,215 +1,148 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Compare two versions of the package: their missions, paired, and the times of their plans.
+Compare the speed of another version of the package with this one.
 
-    OLD/.venv/bin/python benchmarks/versions.py fly old.csv
-    NEW/.venv/bin/python benchmarks/versions.py fly new.csv
-    python3 benchmarks/versions.py compare old.csv new.csv
-    python3 benchmarks/versions.py plans OLD/.venv/bin/python NEW/.venv/bin/python
+    python3 benchmarks/versions.py 245539b
+    python3 benchmarks/versions.py ../another/tree
 
-`fly` sends 100 robots into fields of 9x9 cells, with a right prior; the same worlds and random
-numbers every time. `compare` prints the mean difference new - old of log losses (nats) and of
-robots lost, its standard error, and the ratio of processor times. `plans` plans on the same
-beliefs in both versions in turn, and prints the ratios new / old of times and of information.
+Writes a table into docs/performance.md. Versions take turns in this one's environment, after a
+first time that loads or compiles kernels.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-import csv
-from itertools import product
+from collections.abc import Iterator
+from contextlib import contextmanager
+import gzip
 import json
+import os
 from pathlib import Path
+from statistics import median
 import subprocess
 import sys
 from tempfile import TemporaryDirectory
-import time
+from typing import Any
 
-from kbnitp_ros.core import (
-    Belief,
-    Grid,
-    log_loss,
-    plan,
-    run_mission,
-    SearchOptions,
-    SensorModel,
-    World,
-)
-import numpy as np
+from cases import in_words, write
 from tqdm import tqdm
 
-LETHALITIES = (0.1, 0.3, 0.5, 0.9)
-AFTER = (25, 50, 100)
+ROOT = Path(__file__).parents[1]
 
-# Sides and steps of fields whose plans are timed, and after how many robots.
-FIELDS = ((9, 18, (0, 5, 20, 50, 100)), (30, 60, (0, 20, 100)), (100, 200, (0, 30)))
+# Both versions have all that is named here.
+SETUP = """
+from functools import cache
+from hashlib import sha256
+import json, os, shutil, subprocess, sys, time
+from kbnitp_ros.core import Belief, Grid, plan, plan_team, run_mission, SearchOptions
+from kbnitp_ros.core import SensorModel, Team, World
+import numpy as np
 
+MODEL = SensorModel(0.5)
 
-def fly(arguments: argparse.Namespace) -> None:
-    """Fly missions and write one row each."""
-    grid = Grid(9, 9)
-    prior = Belief.prior(grid, 0.15, 0.15 * 0.8 + 0.85 * 0.1, 0.8)
-    options = SearchOptions(planner=arguments.planner)
-    keys = [(world, lethality) for world in range(arguments.worlds) for lethality in LETHALITIES]
-    with arguments.file.open('w', newline='') as file:
-        rows = csv.writer(file)
-        after = [f'log_loss_{robots}' for robots in AFTER]
-        rows.writerow(['world', 'lethality', *after, 'lost', 'seconds'])
-        for seed, lethality in tqdm(keys, unit='mission', disable=None):
-            world = World.random(grid, np.random.default_rng([seed, 1]), 0.15, 0.8, 0.1)
-            began = time.process_time()
-            mission = run_mission(
-                grid,
-                prior,
-                SensorModel(lethality),
-                world,
-                AFTER[-1],
-                np.random.default_rng([seed, 2]),
-                arguments.method,
-                options,
-            )
-            seconds = time.process_time() - began
-            losses = []
-            for robots in AFTER:
-                belief = mission[robots - 1].belief
-                losses.append(
-                    log_loss(belief.hazard, world.hazard) + log_loss(belief.target, world.target)
-                )
-            lost = sum(not each.observation.survived for each in mission)
-            rows.writerow([seed, lethality, *losses, lost, seconds])
-            file.flush()
-
-
-def compare(arguments: argparse.Namespace) -> None:
-    """Print paired differences."""
-    old, new = read(arguments.old), read(arguments.new)
-    names = [*(f'log_loss_{robots}' for robots in AFTER), 'lost']
-    print('| lethality | worlds | ' + ' | '.join(names) + ' | time |')
-    print('|---|---|' + '---|' * (len(names) + 1))
-    for lethality in LETHALITIES:
-        keys = sorted(key for key in old.keys() & new.keys() if key[1] == lethality)
-        if len(keys) < 2:
-            continue
-        cells = []
-        for name in names:
-            gained = np.array([new[key][name] - old[key][name] for key in keys])
-            error = gained.std(ddof=1) / np.sqrt(gained.size)
-            cells.append(f'{gained.mean():+.2f} +- {error:.2f}')
-        ratio = sum(new[key]['seconds'] for key in keys) / sum(old[key]['seconds'] for key in keys)
-        print(f'| {lethality} | {len(keys)} | {" | ".join(cells)} | {ratio:.2f} |')
-
-
-def read(file: Path) -> dict[tuple[int, float], dict[str, float]]:
-    """Return the rows of a file by world and lethality."""
-    with file.open(newline='') as lines:
-        return {
-            (int(row['world']), float(row['lethality'])): {
-                name: float(value) for name, value in row.items()
-            }
-            for row in csv.DictReader(lines)
-        }
-
-
-def plans(arguments: argparse.Namespace) -> None:
-    """Time plans in both versions in turn, and print the ratios by field and malfunction."""
-    print('| cells | steps | malfunction | beliefs | time | most | information | least |')
-    print('|---|---|---|---|---|---|---|---|')
-    with TemporaryDirectory() as folder:
-        file = Path(folder, 'beliefs.npz')
-        workers = [
-            subprocess.Popen(
-                [python, __file__, 'answer', str(file)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-            for python in (arguments.old, arguments.new)
-        ]
-        for (side, steps, robots), malfunction in product(FIELDS, (0.001, 0.05)):
-            ratios = []
-            for lethality in LETHALITIES:
-                model = SensorModel(lethality, malfunction)
-                for joint in tqdm(beliefs_of_missions(side, steps, robots, model), disable=None):
-                    np.savez(file, joint=joint)
-                    request = json.dumps([side, steps, lethality, malfunction])
-                    (old, old_value), (new, new_value) = [
-                        ask(worker, request) for worker in workers
-                    ]
-                    ratios.append((new / old, new_value / old_value))
-            times, values = np.array(ratios).T
-            print(
-                f'| {side}x{side} | {steps} | {malfunction} | {len(ratios)} | {times.mean():.3f} '
-                f'| {times.max():.3f} | {values.mean():.4f} | {values.min():.4f} |'
-            )
-        for worker in workers:
-            worker.communicate()
-
-
-def beliefs_of_missions(
-    side: int, steps: int, robots: Sequence[int], model: SensorModel
-) -> list[np.ndarray]:
-    """Return the joints believed after so many robots of one mission."""
+def fly(side, steps, planner, robots, **team):
     grid = Grid(side, side)
-    prior = Belief.prior(grid, 0.15, 0.15 * 0.8 + 0.85 * 0.1, 0.8)
-    world = World.random(grid, np.random.default_rng([side, 1]), 0.15, 0.8, 0.1)
-    options = SearchOptions('relaxed', steps)
-    rng = np.random.default_rng([side, 2])
-    mission = run_mission(grid, prior, model, world, max(robots), rng, options=options)
-    return [(mission[count - 1].belief if count else prior).joint for count in robots]
+    world = World.random(grid, np.random.default_rng(1), 0.15, 0.8, 0.1)
+    prior = Belief.prior(grid, 0.15, 0.205, 0.8)
+    rng, options = np.random.default_rng(2), SearchOptions(planner, steps)
+    return run_mission(grid, prior, MODEL, world, robots, rng, options=options, **team)
+
+@cache
+def belief(side, steps):
+    return fly(side, steps, 'relaxed', 3)[-1].belief
+
+def mission(*arguments, **team):
+    bits = sha256()
+    for each in fly(*arguments, **team):
+        bits.update(each.plan.path.tobytes() + each.belief.joint.tobytes())
+    return bits.hexdigest()
+
+def search(side, steps):
+    plan(Grid(side, side), belief(side, steps), MODEL, steps)
+
+def team(robots):
+    plan_team(Grid(9, 9), belief(9, 18), MODEL, Team(robots), SearchOptions())
+
+def command(*words):
+    shutil.rmtree('out', ignore_errors=True)
+    subprocess.run([sys.executable, '-m', 'kbnitp_ros', *words], check=True, capture_output=True)
+
+seconds = lambda: time.process_time() + sum(os.times()[2:4])
+for line in sys.stdin:
+    before = seconds()
+    found = eval(line)
+    print(json.dumps([seconds() - before, found]), flush=True)
+"""
+
+# By name; what both versions return must be equal.
+CASES = {
+    'mission of 100 robots, `relaxed`': "mission(9, 18, 'relaxed', 100)",
+    'mission of 50 pairs, `relaxed`': "mission(9, 18, 'relaxed', 100, team=Team(2))",
+    'mission of 20 robots, `beam`': "fly(9, 18, 'beam', 20) and None",
+    'plan of `beam`, 9x9 cells, 18 steps': 'search(9, 18)',
+    'plan of `beam`, 30x30 cells, 60 steps': 'search(30, 60)',
+    'plan of `beam`, 100x100 cells, 200 steps': 'search(100, 200)',
+    'plans of `beam` for 2 robots': 'team(2)',
+    'plans of `beam` for 64 robots': 'team(64)',
+    'report of a log': "command('report', 'log.mcap', '--out', 'out')",
+    '`demo --help`': "command('demo', '--help')",
+    '`study --help`': "command('study', '--help')",
+}
 
 
-def ask(worker: subprocess.Popen[str], request: str) -> tuple[float, float]:
-    """Return the seconds and the information of a plan that a worker makes."""
-    assert worker.stdin
-    assert worker.stdout
-    worker.stdin.write(request + '\n')
-    worker.stdin.flush()
-    seconds, information = json.loads(worker.stdout.readline())
-    return seconds, information
+@contextmanager
+def tree(version: str, folder: Path) -> Iterator[Path]:
+    """Yield the tree of a version: the folder itself, or a commit's in a folder of its own."""
+    if Path(version).is_dir():
+        yield Path(version).resolve()
+        return
+    git = ['git', '-C', str(ROOT), 'worktree']
+    subprocess.run([*git, 'add', '--quiet', '--detach', str(folder), version], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run([*git, 'remove', '--force', str(folder)], check=True)
 
 
-def answer(arguments: argparse.Namespace) -> None:
-    """Plan on the belief in a file at each request; time the best of up to five plans."""
-    # The first plan compiles kernels.
-    plan(Grid(3, 3), Belief.prior(Grid(3, 3), 0.3, 0.3, 0.5), SensorModel(0.5), 6)
-    for request in sys.stdin:
-        side, steps, lethality, malfunction = json.loads(request)
-        grid, model = Grid(side, side), SensorModel(lethality, malfunction)
-        belief = Belief(np.load(arguments.file)['joint'])
-        best, spent = np.inf, 0.0
-        for _ in range(5):
-            if spent < 3.0:
-                began = time.process_time()
-                found = plan(grid, belief, model, steps)
-                seconds = time.process_time() - began
-                best, spent = min(best, seconds), spent + seconds
-        print(json.dumps([best, found.information]), flush=True)
+def worker(root: Path, folder: str) -> subprocess.Popen[str]:
+    """Start a process that times what it is asked for in one version."""
+    one = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'), '1')
+    paths = f'{root}:{os.environ.get("PYTHONPATH", "")}'
+    return subprocess.Popen(
+        [sys.executable, '-c', SETUP],
+        cwd=folder,
+        env={**os.environ, **one, 'PYTHONPATH': paths},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ask(process: subprocess.Popen[str], case: str) -> list[Any]:
+    """Return the processor time of a case, s, and what it returns."""
+    print(case, file=process.stdin, flush=True)
+    return json.loads(process.stdout.readline())
 
 
 def main() -> int:
-    """Run a command; return the exit code."""
+    """Compare, print and write the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    commands = parser.add_subparsers(required=True)
-    flying = commands.add_parser('fly', help='fly missions')
-    flying.add_argument('file', type=Path)
-    flying.add_argument('--worlds', type=int, default=60)
-    flying.add_argument('--method', default='kappa_bnitp')
-    flying.add_argument('--planner', default='beam')
-    flying.set_defaults(run=fly)
-    comparing = commands.add_parser('compare', help='compare two files')
-    comparing.add_argument('old', type=Path)
-    comparing.add_argument('new', type=Path)
-    comparing.set_defaults(run=compare)
-    timing = commands.add_parser('plans', help='time plans')
-    timing.add_argument('old', help='the python of one version')
-    timing.add_argument('new', help='that of another')
-    timing.set_defaults(run=plans)
-    answering = commands.add_parser('answer')
-    answering.add_argument('file', type=Path)
-    answering.set_defaults(run=answer)
-    arguments = parser.parse_args()
-    arguments.run(arguments)
+    parser.add_argument('version', help='a commit, or the folder of a tree')
+    parser.add_argument('--turns', type=int, default=9)
+    options, lines = parser.parse_args(), ['| | before | now | ratio |', '|---|---|---|---|']
+    with TemporaryDirectory() as out, tree(options.version, Path(out, 'tree')) as before:
+        log = ROOT / 'test/log/recorded/kappa_bnitp.mcap.gz'
+        Path(out, 'log.mcap').write_bytes(gzip.decompress(log.read_bytes()))
+        workers = [worker(root, out) for root in (before, ROOT)]
+        for name, case in tqdm(CASES.items(), unit='case', disable=None):
+            firsts = [ask(each, case)[1] for each in workers]
+            assert firsts[0] == firsts[1], f'{name} has other bits'
+            turns = [[ask(each, case)[0] for each in workers] for _ in range(options.turns)]
+            old, new = (in_words(median(times)) for times in zip(*turns))
+            lines.append(f'| {name} | {old} | {new} | {median(n / o for o, n in turns):.2g} |')
+        for each in workers:
+            each.communicate()
+    write('versions', '\n'.join(lines))
     return 0
 
 

@@ -258,7 +258,9 @@ def test_ratios_are_to_the_first_case(load, monkeypatch, tmp_path, capsys):
         for title, names in (('A plan', ('small', 'large')), ('An update', ('early', 'late')))
     ]
     monkeypatch.setattr(command, 'BENCHMARKS', few)
-    monkeypatch.setattr(command, 'PAGE', tmp_path / 'performance.md')
+    kept = tmp_path / 'performance.md'
+    kept.write_text('Before\n<!-- table benchmarks -->\nold\n<!-- end -->\nAfter\n')
+    monkeypatch.setattr(command, 'PAGE', kept)
     assert command.main() == 0
     printed = capsys.readouterr().out.splitlines()
     assert printed[2:] == [
@@ -267,7 +269,10 @@ def test_ratios_are_to_the_first_case(load, monkeypatch, tmp_path, capsys):
         '| An update | early | 3 µs | 1 |',
         '| An update | late | 2 s | 6.67e+05 |',
     ]
-    page = (tmp_path / 'performance.md').read_text()
+    page = kept.read_text()
+    assert page.startswith('Before\n')
+    assert page.endswith('<!-- end -->\nAfter\n')
+    assert 'old' not in page
     assert '## A plan\n\nAll alike.\n\n| | takes | ratio |\n|---|---|---|\n| small' in page
 
 
