@@ -58,6 +58,8 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         assert int(page.get_attribute('#moment', 'max')) < 6
         # It is drawn in place: what was chosen stays.
         page.evaluate('window.chosen = 1')
+        page.locator('#deployments th button').nth(3).click()
+        page.locator('#deployments th button').nth(3).click()
         page.check('#colour-target')
         page.uncheck('[value=free]')
         page.fill('#x', '-1.25')
@@ -70,6 +72,10 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         )
         assert page.evaluate('window.chosen') == 1
         assert page.input_value('#x') == '-1.25'
+        steps = page.locator('#deployments tbody td:nth-child(4)').all_inner_texts()
+        assert steps == sorted(steps, key=int)
+        assert len(steps) == 6
+        assert page.evaluate('document.activeElement.id') == 'way-to'
         assert page.is_checked('#colour-target')
         assert not page.is_checked('[value=free]')
         assert page.inner_text('#way').startswith('The safest way from')

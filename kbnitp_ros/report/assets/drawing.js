@@ -122,6 +122,11 @@ function sort(heading) {
   body.append(...rows);
 }
 
+// The places of the headings to sort by again, in their order, for the order that a table has.
+function sortedBy(table) {
+  return [...table.tHead.rows[0].cells].flatMap((head, place) => ({ descending: [place], ascending: [place, place] })[head.getAttribute('aria-sort')] || []);
+}
+
 function sortable(table) {
   table.tHead.addEventListener('click', (event) => {
     if (event.target.tagName === 'BUTTON') sort(event.target);

@@ -7,12 +7,20 @@ async function unpacked(id) {
 }
 
 const NAMES = ['hazard', 'target', 'kappa'];
+const LISTS = ['deployments', 'findings', 'safe'];
 
 // Draw the page; return what is looked at. `signal` ends what listens beside the parts that are replaced.
-async function start(signal, kept) {
+async function start(signal, kept, main) {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
+  // Newer parts came meanwhile.
+  if (signal.aborted) return view;
   const plots = JSON.parse(page('plots').textContent);
+  // Nothing is waited for from here on, so that nobody sees a page half drawn.
+  if (main) {
+    document.querySelectorAll('.js-plotly-plot').forEach(Plotly.purge);
+    document.querySelector('main').replaceWith(main);
+  }
   const CURVES = Object.keys(plots).filter((id) => id.startsWith('curve-'));
   const SMALL = Object.keys(mission.colours).map((name) => `small-${name}`);
   const { width, height } = mission.grid;
@@ -516,7 +524,7 @@ async function start(signal, kept) {
   document.querySelectorAll('#answers a[href^="#colour-"]').forEach((link) => {
     link.addEventListener('click', () => page(link.hash.slice(1)).click());
   });
-  ['deployments', 'findings', 'safe', 'lost'].forEach((id) => sortable(page(id)));
+  [...LISTS, 'lost'].forEach((id) => sortable(page(id)));
   page('deployments').tBodies[0].addEventListener('click', (event) => {
     const row = event.target.closest('tr');
     if (row.dataset.moment !== '') ask(Number(row.dataset.moment));
@@ -528,20 +536,29 @@ async function start(signal, kept) {
     page('way-from').addEventListener('click', () => wayEnds(0));
     page('way-to').addEventListener('click', () => wayEnds(1));
   }
+  if (kept) {
+    kept.lists.forEach(({ sorted, scrolled }, place) => {
+      const table = page(LISTS[place]);
+      sorted.forEach((heading) => sort(table.tHead.rows[0].cells[heading].firstChild));
+      table.closest('.wide').scrollTop = scrolled;
+    });
+    page(kept.focus)?.focus({ preventScroll: true });
+  }
   document.documentElement.dataset.ready = 'true';
   return () => ({
-    moment: now === last ? null : now, cell, isAsked, isNamed, ends, colour: colourId(),
+    moment: now === last ? null : now, cell, isAsked, isNamed, ends, colour: colourId(), focus: document.activeElement.id,
+    lists: LISTS.map((id) => ({ sorted: sortedBy(page(id)), scrolled: page(id).closest('.wide').scrollTop })),
     shown: layers.filter((layer) => layer.checked).map((layer) => layer.value),
   });
 }
 
 let view = null;
 let drawing = new AbortController();
-async function draw(kept) {
+async function draw(kept, main) {
   drawing.abort();
   drawing = new AbortController();
   try {
-    view = await start(drawing.signal, kept);
+    view = await start(drawing.signal, kept, main);
   } catch (error) {
     page('trouble').hidden = false;
     page('trouble').textContent = `The page cannot be shown here: ${error.message}. It needs a browser of 2023 or later.`;
@@ -568,8 +585,7 @@ function follow() {
     }
     const kept = view && view();
     ['summary', 'notes', 'mission', 'frames', 'plots'].forEach((id) => page(id).replaceWith(next.getElementById(id)));
-    document.querySelector('main').replaceWith(next.querySelector('main'));
-    await draw(kept);
+    await draw(kept, next.querySelector('main'));
   });
 }
 
