@@ -142,7 +142,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     @property
     def sent(self) -> int:
-        """Number of robots sent that have departed or may still depart."""
+        """Return the number of robots sent that have departed or may still depart."""
         return len(self._sent)
 
     @property
@@ -164,7 +164,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     @property
     def forgotten(self) -> int:
-        """Number of deployments that their publishers no longer keep."""
+        """Return the number of deployments that their publishers no longer keep."""
         return sum(max(0, sent - self.kept) for sent in self._sent_by_agent.values())
 
     def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
@@ -218,8 +218,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         if not is_known:
             remember(self._unknown, key, status)
             raise ValueError(
-                f'deployment {key} is {status.state.name}, and no path of it was sent, as far as '
-                'is known here'
+                f'deployment {key} is {status.state.name}, but this planner knows no path of it'
             )
         if not self._departures.take(key, status):
             return False

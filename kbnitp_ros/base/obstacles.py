@@ -92,12 +92,12 @@ class Circumstances:
 
     @property
     def reported(self) -> int:
-        """Number of deployments reported, which a belief must hold."""
+        """Return the number of deployments reported, which a belief must hold."""
         return self.sent - len(self.in_flight)
 
     @property
     def robots(self) -> int:
-        """Number of robots to deploy; after the end, of those that have departed."""
+        """Return the number of robots to deploy; after the end, of those that have departed."""
         if self.operator.is_ended:
             return self.sent - len(self.in_flight.undeparted)
         robots: int = self.values['robots']
@@ -216,13 +216,13 @@ def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) 
             return 'the decision for the goal to be made'
         case Obstacle.UNDECIDED:
             return (
-                'all evidence of the belief, for the goal: restart the planner with the '
-                'parameter resume, which names the log'
+                'the evidence behind the belief, which the goal needs: restart the planner with '
+                'the parameter resume set to the log'
             )
         case Obstacle.NOT_HEARD:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:
-            return f'robots that were sent: {some(now.in_flight)}; no more are (parameter robots)'
+            return f'robots in flight: {some(now.in_flight)}; all were sent (parameter robots)'
         case Obstacle.PAUSED:
             return f'the operator to end the pause by the service {names.of_service("pause")}'
         case Obstacle.NO_FREE_AGENT:
@@ -231,8 +231,8 @@ def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) 
             return f'the search for the paths of {some(now.searched)} to end'
         case Obstacle.WORTHLESS:
             return (
-                f'the operator, since nothing is worth a robot: {now.why_worthless}; other '
-                f'parameters, or the service {names.of_service("end_mission")}, go on'
+                f'the operator, since nothing is worth a robot: {now.why_worthless}; change '
+                f'parameters, or call {names.of_service("end_mission")}'
             )
         case Obstacle.UNAPPROVED:
             proposals = names.of_topics((key.agent for key in now.proposed), 'proposal')
@@ -255,8 +255,8 @@ def deployed(now: Circumstances) -> str:
 def not_heard_again(kept: int) -> str:
     """Return why an estimator may never hold all deployments, given how many are kept."""
     return (
-        f', and only the last {kept} of each agent are heard again: restart the '
-        'estimator with the parameter resume, which names the log'
+        f', and publishers keep only the last {kept} of each agent: restart the estimator with '
+        'the parameter resume set to the log'
     )
 
 
@@ -265,7 +265,7 @@ def first_belief(now: Circumstances, names: FullNames) -> str:
     wait = f'the belief on {belief_topic(now, names)}'
     if not now.estimators:
         return f'{wait}: start an estimator'
-    return f'{wait}: its estimator waits for those that its parameter await_nodes names'
+    return f'{wait}: its estimator waits for the nodes in its parameter await_nodes'
 
 
 def next_belief(now: Circumstances, names: FullNames) -> str:
@@ -291,11 +291,11 @@ def report(now: Circumstances, names: FullNames) -> str:
     wait = f'{key} to be reported on {agent}/report'
     if now.values['recorded'] and not now.in_flight[key].is_recorded:
         return (
-            f'{wait}: it may leave when the recorder tells on {agent}/recorded that its '
-            'path is on disk (parameter recorded)'
+            f'{wait}: it may leave when the recorder acknowledges its path on {agent}/recorded '
+            '(parameter recorded)'
         )
     if not now.in_flight.has_departed(key) and now.agents[key.agent].says_status:
-        return f'{key} to depart, as its agent tells on {agent}/status; it is not given up before'
+        return f'{key} to depart: its agent reports that on {agent}/status'
     if now.values['silent_loss']:
         deadline = now.values['return_deadline']
         return f'{wait}, at most until {deadline} s after it is due (parameter return_deadline)'
@@ -309,8 +309,8 @@ def free_agent(now: Circumstances, names: FullNames) -> str:
         f'nobody publishes {names.of_topics(absent, "report")}' if absent else '',
         f'{some(now.in_flight)} are out' if now.in_flight else '',
         f'{some(left_alone)} refused the last order' if left_alone else '',
-        f'nobody publishes {names.of_topics(mute, "status")}, so that the silence of a robot '
-        'that has not left would count as its loss (parameter presume_departure)'
+        f'nobody publishes {names.of_topics(mute, "status")}, so a robot that never left would '
+        'count as lost (parameter presume_departure)'
         if mute
         else '',
     ]

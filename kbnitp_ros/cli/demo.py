@@ -81,8 +81,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--params',
         metavar='FILE',
-        help='YAML file with parameters of the nodes, such as config/mission.yaml. What the demo '
-        f'decides by itself is not taken from it: {", ".join(OWN)}',
+        help='YAML file with parameters of the nodes, such as config/mission.yaml. The demo '
+        f'sets these itself: {", ".join(OWN)}',
     )
     parser.add_argument(
         '--set',
@@ -108,12 +108,12 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--resume',
         type=Path,
         metavar='FILE',
-        help='log of a dead mission, or its folder, to go on with; goes alone',
+        help='log of an interrupted mission, or its folder, to resume; without other options',
     )
     options = parser.parse_args(argv)
     others = {
         name: value for name, value in vars(options).items() if name not in ('resume', 'page')
     }
     if options.resume and any(value not in (None, []) for value in others.values()):
-        raise ValueError('--resume goes alone: the log says how its mission was configured')
+        raise ValueError('--resume takes no other options: the log has the configuration')
     return options

@@ -185,13 +185,13 @@ def locked(path: Path) -> IO[bytes]:
         # Network file systems only lock files that are open for writing.
         file = path.open('r+b')
     except OSError as error:
-        raise LogError(f'{path} cannot be gone on with: {error.strerror}') from error
+        raise LogError(f'{path} cannot be resumed: {error.strerror}') from error
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         file.close()
         raise LogError(
-            f'{path} is being written by another recorder: end that one before going on with it'
+            f'{path} is being written by another recorder: end that one before resuming it'
         ) from error
     except OSError as error:
         file.close()

@@ -218,4 +218,4 @@ def check_goes_on(first: Path) -> None:
     if is_later_part(first):
         raise LogError(f'{first} is a part of the log beside it: name the first file of that')
     if first.suffix != '.mcap':
-        raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be gone on with')
+        raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be resumed')

@@ -166,8 +166,8 @@ class Dispatch:
             self.late.end(key)
             if is_awaited and len({cell for cell, _ in report.readings}) == 1:
                 self._node.get_logger().warning(
-                    f'{key} is back without a step, which counts as a deployment: the console of '
-                    'its robot tells why'
+                    f'{key} returned without moving; it still counts as a deployment: see the '
+                    'console of its robot'
                 )
         self._knowledge.note_report(key, report)
         self._act()
@@ -188,8 +188,8 @@ class Dispatch:
             self.refusals.add(agent)
             self._goals.pop(key, None)
             self._node.get_logger().warning(
-                f'{key} is refused by its agent, and its robot stays at the base: '
-                f'{status.reason}; nothing is learnt of it'
+                f'{key} is refused by its agent, so its robot stays at the base and brings no '
+                f'evidence: {status.reason}'
             )
         self.tell_departures()
 

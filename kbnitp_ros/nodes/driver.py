@@ -61,7 +61,7 @@ class Lifecycle:
             answer = self._client.call_async(GetState.Request())
             answer.add_done_callback(self._node.guarded(self._on_answer))
         if self._state is None:
-            return f'{self._name} to tell its lifecycle state'
+            return f'{self._name} to report its lifecycle state'
         if self._state.id == State.PRIMARY_STATE_ACTIVE:
             return ''
         return f'{self._name} to be active: its lifecycle state is {shown(self._state.label)}'
@@ -295,7 +295,7 @@ class Driver:
         elif (silent := time.monotonic() - self._heard) > self._patience:
             self._end(
                 self._number,
-                f'the action server {self.name} has said nothing for {silent:.0f} s '
+                f'the action server {self.name} has been silent for {silent:.0f} s '
                 '(parameter server_timeout)',
             )
             self.cancel()

@@ -190,8 +190,8 @@ class EstimatorNode(FieldNode):
             # A robot at home need not look there.
             if changed and steps - last > 1:
                 self.get_logger().warning(
-                    f'{key} has read nothing after step {last} of {steps}: its detector failed, '
-                    'or it is in doubt of where it was'
+                    f'{key} has no readings after step {last} of {steps}: its detector failed, '
+                    'or its place was uncertain'
                 )
             self._accept(key, changed)
 
@@ -291,7 +291,7 @@ class EstimatorNode(FieldNode):
         self._unconverged = (
             ''
             if estimator.is_converged
-            else f'sampling has not converged: the belief is {error} nats off by chance'
+            else f'sampling has not converged: its error is {error} nats'
         )
         self._say_what_is_pending()
 
@@ -300,7 +300,7 @@ class EstimatorNode(FieldNode):
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
         if pending > MOST_AGENTS:
-            unknown = f'{pending} reports are of deployments whose paths are not known'
+            unknown = f'{pending} reports have no known path'
         self.diagnostics.warning = '; '.join(
             filter(None, (self._unconverged, self._weak_density, self._doubt, unknown))
         )
@@ -308,7 +308,7 @@ class EstimatorNode(FieldNode):
     def _say_what_is_held(self) -> None:
         self.diagnostics.state = working(
             f'{counted(len(self._ledger.deployments), "deployment")} in the belief, '
-            f'{counted(self._ledger.duplicates, "message")} said nothing new'
+            f'{counted(self._ledger.duplicates, "duplicate message")}'
         )
 
     def finish(self) -> None:

@@ -89,9 +89,9 @@ class NewestBelief:
         unknown = snapshot.deployments - self._in_flight.sent
         if unknown > self.sent_unknown:
             self._node.get_logger().warning(
-                f'the belief holds {counted(unknown, "deployment")} more than '
-                'known here: their paths died with the planner before this one, and a restarted '
-                'estimator will lack them, unless the parameter resume names the log'
+                f'the belief holds {counted(unknown, "deployment")} that this planner does not '
+                'know: their paths were lost with the former planner, and a restarted estimator '
+                'will lack them unless its parameter resume is set to the log'
             )
             self.sent_unknown = unknown
         held = self.last_heard = snapshot.deployments

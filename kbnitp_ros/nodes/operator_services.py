@@ -111,8 +111,8 @@ class Operator:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')
         return (
-            f'the recorder to tell on {topic} that it is on disk that the operator '
-            f'{self._pending[0]} (parameter recorded)'
+            f'the recorder to confirm on {topic} that the operator {self._pending[0]} '
+            '(parameter recorded)'
         )
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
@@ -137,14 +137,13 @@ class Operator:
         }
         if not out:
             names = ', '.join(sorted(self._in_flight.agents)) or 'none'
-            why = f'no robot of {shown(request.agent)} is out: {names} is'
+            why = f'no robot of {shown(request.agent)} is in flight: {names} is'
             return answered(response, False, why)
         key = min(out)
         if not self._in_flight.has_departed(key):
             why = (
-                f'{key} is not known to have departed, and a robot at its base is not lost: its '
-                f'agent tells on {request.agent}/status when it departs. Of an agent that tells '
-                'nothing the parameter presume_departure presumes it'
+                f'{key} has not reported its departure, so it cannot be declared lost: its agent '
+                f'reports that on {request.agent}/status, or presume_departure assumes it'
             )
             return answered(response, False, why)
         try:
@@ -163,7 +162,7 @@ class Operator:
         if self.state.is_ended and what != Action.GIVE_UP:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
-            return answered(response, False, f'waiting for {self.awaited}: ask again when it is')
+            return answered(response, False, f'waiting for {self.awaited}: call again after that')
         try:
             self.state.check_times(what)
         except ValueError as error:

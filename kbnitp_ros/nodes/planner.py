@@ -261,8 +261,8 @@ class PlannerNode(FieldNode):
         self.get_logger().info(f'the mission is over: {how}')
         if not self.values['keep_running'] and (late := self._dispatch.late.awaited):
             self.get_logger().info(
-                f'the base stays for {max(late.values()):.0f} s at the most, in which robots that '
-                f'were given up may come home: {some(late)}'
+                f'the base stays for up to {max(late.values()):.0f} s, since robots that were '
+                f'given up may return: {some(late)}'
             )
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
@@ -277,9 +277,8 @@ class PlannerNode(FieldNode):
             return {}
         if search and not search.request.lasts(now, self.values['rolling']):
             self.get_logger().info(
-                f'the paths found for {some(search.request.agents)} are dropped: the belief, '
-                'the team, a parameter or what the operator refuses has changed since the search '
-                'began'
+                f'discarding the plan for {some(search.request.agents)}: the belief, the team, a '
+                'parameter or a refusal of the operator changed during the search'
             )
             search = None
         if search is None:
@@ -312,7 +311,7 @@ class PlannerNode(FieldNode):
         self._deploy()
         if self._search and self._search.found.done():
             self.get_logger().info(
-                f'paths were found for {some(self._search.request.agents)}, and are kept: '
+                f'the plan for {some(self._search.request.agents)} is ready, and kept: '
                 f'{self.diagnostics.state.sentence}'
             )
 

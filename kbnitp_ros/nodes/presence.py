@@ -135,10 +135,12 @@ class Recorders:
     def why_silent(self) -> str:
         """Return why acknowledgements of this recorder do not count: the first one's do."""
         if time.monotonic() < self._looks_until:
-            return 'word from another recorder'
+            return 'diagnostics of another recorder'
         own = rank(self._node.diagnostics.values)
         if earlier := [each for each in self.alive if rank(each.values) < own]:
-            return f'the end of an earlier recorder, whose word counts: {records(earlier)}'
+            return (
+                f'the end of an earlier recorder, whose acknowledgements count: {records(earlier)}'
+            )
         return ''
 
 
@@ -241,8 +243,8 @@ class Peers:
                 self._unknown_agents.add(agent)
                 self._node.diagnostics.refuse(
                     f'{agent}/report',
-                    f'agent {agent} is unknown, and nobody hears it: the parameter agents names '
-                    f'{", ".join(self._agents)}',
+                    f'agent {agent} is unknown, and its reports are ignored: the parameter agents '
+                    f'names {", ".join(self._agents)}',
                 )
 
 
@@ -274,7 +276,7 @@ class Hold:
     def awaited(self) -> str:
         """Return the condition that blocks departures; empty if there is none."""
         if self.is_held is None:
-            return f'the planner to tell on {self._topic} whether robots may depart'
+            return f'the planner to publish on {self._topic} whether robots may depart'
         if self.is_held:
             return f'the operator to end the pause ({self._topic} is true)'
         # A killed planner stays in the graph beside its successor of the same name.
@@ -327,6 +329,6 @@ class Holding:
             self._heard_at = -inf
             self._node.diagnostics.refuse(
                 HOLD,
-                f'data is {not self._is_held}, and this planner says {self._is_held}, which '
-                f'holds: nodes {", ".join(others)} publish it',
+                f'data is {not self._is_held}, but this planner publishes {self._is_held}, which '
+                f'counts: nodes {", ".join(others)} publish it',
             )

@@ -70,8 +70,8 @@ class RecordedPaths(Generic[P]):
             return ''
         stamp, _ = next(iter(self._pending))
         return (
-            f'the recorder to tell on {self._agent}/recorded that the path of '
-            f'{DeploymentKey(self._agent, stamp)} is on disk (parameter recorded)'
+            f'the recorder to acknowledge the path of {DeploymentKey(self._agent, stamp)} on '
+            f'{self._agent}/recorded (parameter recorded)'
         )
 
     def when_recorded(self, stamp: int, content: int, depart: Callable[[], None]) -> None:
@@ -234,7 +234,7 @@ class PendingPaths:
         # Acknowledgements of later paths that came too early are requested again.
         settled = 2 * ASK_FIRST if self._sent.pending else SETTLED
         if time.monotonic() < self._last + settled:
-            return 'the last of the paths to come'
+            return 'paths that may still arrive'
         return ''
 
     def superseded(self) -> list[Deployment]:

@@ -101,9 +101,8 @@ class RecorderNode(MissionNode):
         self.get_logger().info(f'recording to {self._log.path}')
         if self._log.shares_folder:
             self.get_logger().warning(
-                f'folder {self._log.path.parent} is the bag of another log and stays it: ros2 bag '
-                f'finds this one by the names of its files, such as {self._log.path}; a folder '
-                'for each log avoids that'
+                f'folder {self._log.path.parent} stays the bag of another log: open this log by '
+                f'its files, such as {self._log.path}, or use a folder for each log'
             )
         self._recorders = Recorders(self)
         self._recorders.begin(self._log.path)
@@ -300,8 +299,8 @@ class RecorderNode(MissionNode):
         if self._differing:
             node, differs = next(iter(self._differing.items()))
             return waiting_for(
-                f'{node} to have the same names of topics: its {differs}; no robot leaves before '
-                '(remapped topics and the parameter agents must be those of all nodes)'
+                f'{node} to use the same topics: its {differs}; no robot leaves before '
+                '(remapped topics and the parameter agents must be the same in all nodes)'
             )
         if self._why_silent:
             return waiting_for(f'{self._why_silent}; {recording}')

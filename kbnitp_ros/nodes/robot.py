@@ -99,8 +99,9 @@ class RobotNode(FieldNode):
         self._resume()
         if self._links.are_missing:
             self.get_logger().warning(
-                'this computer has no link but lo: until it has one nobody elsewhere hears this '
-                f'robot. Then this node ends with exit code {NEW_LINKS}, and must be started again'
+                'this computer has no network link but lo, so no other computer can reach this '
+                f'robot. Once it has one, this node ends with exit code {NEW_LINKS} and must be '
+                'started again'
             )
         self._hear_places()
         self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, is_timed=True)
@@ -213,7 +214,7 @@ class RobotNode(FieldNode):
 
     def _doubt(self, deployment: Deployment, why: str) -> None:
         """Stop recording readings: the robot's cell is uncertain."""
-        warning = f'{self._key(deployment)}: its walk is doubted, and nothing more is read: {why}'
+        warning = f'{self._key(deployment)}: its place is uncertain, so it reads no more: {why}'
         self.get_logger().warning(warning)
         self.diagnostics.values['doubt'] = warning
         self._keep(partial(self._journal.doubt, deployment, self.now()))
@@ -223,7 +224,7 @@ class RobotNode(FieldNode):
         try:
             write()
         except OSError as error:
-            self._say('journal', f'{in_words(error)}: what it lacks is kept in memory')
+            self._say('journal', f'{in_words(error)}: the rest is kept in memory')
             return False
         self._say('journal', '')
         return True
@@ -400,7 +401,7 @@ class RobotNode(FieldNode):
             self._ended_at = self._ended_at or self.now()
             is_behind = self._place.stamp < self._ended_at
             if is_behind and self.now() < self._ended_at + self.values['tf_timeout'] * SECOND:
-                return waiting_for(f'TF to tell where the robot is after driving {goal}')
+                return waiting_for(f'TF to place the robot after driving {goal}')
             self._is_driving, self._ended_at = False, 0
             self._end_leg(self._place)
         if itinerary.heads_home and self._is_at_base(self._place):
@@ -428,8 +429,8 @@ class RobotNode(FieldNode):
             self._come_home(deployment)
             return working(f'home from {self._key(deployment)}')
         return waiting_for(
-            f'the recorder to tell on {self._agent}/recorded that the departure of '
-            f'{self._key(deployment)} is on disk (parameter recorded)'
+            f'the recorder to acknowledge the departure of {self._key(deployment)} on '
+            f'{self._agent}/recorded (parameter recorded)'
         )
 
     def _end_leg(self, place: Place) -> None:
@@ -439,15 +440,15 @@ class RobotNode(FieldNode):
             try:
                 cell = self._walk.cell_at(place.x, place.y)
             except ValueError as error:
-                failure = f'{self._driver.name} says that the goal is reached, and {error}'
+                failure = f'{self._driver.name} reports that the goal is reached, but {error}'
             else:
                 is_there = cell == itinerary.destination
                 if is_there and (not itinerary.heads_home or self._is_at_base(place)):
                     self._enter(self._walk.settle(place.x, place.y))
                 else:
                     failure = (
-                        f'{self._driver.name} says that cell {itinerary.destination} is reached, '
-                        f'and the robot is in cell {cell}, at ({place.x:.2f}, {place.y:.2f}): '
+                        f'{self._driver.name} reports cell {itinerary.destination} as reached, '
+                        f'but the robot is in cell {cell}, at ({place.x:.2f}, {place.y:.2f}): '
                         'its goal tolerance must be below half the side of a cell and at most '
                         'the parameter arrival_tolerance'
                     )

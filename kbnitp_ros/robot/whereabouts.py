@@ -80,8 +80,8 @@ class Transforms:
             link = self._links.get(frame)
             if link is None or frame in passed:
                 raise ValueError(
-                    f'no transform leads from {self._frame!r} to {self._of!r}: nobody tells where '
-                    f'{frame!r} is'
+                    f'no transform leads from {self._frame!r} to {self._of!r}: the place of '
+                    f'{frame!r} is unknown'
                 )
             passed.add(frame)
             changed = now if link.stamp is None else link.stamp
@@ -142,8 +142,8 @@ class Fixes:
             )
         if (deviation := sqrt(max(variances))) > self._largest:
             raise ValueError(
-                f'the standard deviation of the fix is {deviation:.2f} m: it may be half the side '
-                f'of a cell, {self._largest:g} m'
+                f'the standard deviation of the fix is {deviation:.2f} m: at most '
+                f'{self._largest:g} m, half a cell, is accepted'
             )
         x, y = self._in_map(message.latitude, message.longitude)
         stamp = from_stamp(message.header.stamp)
@@ -152,7 +152,7 @@ class Fixes:
     def place(self, now: int, oldest: float) -> Place:
         """Return the place of the robot by a fix of at most so many seconds ago."""
         if self._newest is None:
-            raise ValueError('no fix was taken in yet')
+            raise ValueError('no fix was accepted yet')
         if now - self._newest.stamp > oldest * SECOND:
             raise ValueError(f'the last fix is of more than {oldest} s ago (parameter tf_timeout)')
         return self._newest

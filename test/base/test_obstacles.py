@@ -177,8 +177,8 @@ def test_the_state_of_the_mission(actions, obstacle, state):
 
 @for_each('obstacle, change, words', [
     (Obstacle.NO_BELIEF, {'estimators': 0}, 'the belief on /a/belief, which nobody publishes'),
-    (Obstacle.NO_BELIEF, {}, 'its parameter await_nodes names'),
-    (Obstacle.UNREPORTED, {}, 'scout_1 at 1.000000000 to depart, as its agent tells on'),
+    (Obstacle.NO_BELIEF, {}, 'the nodes in its parameter await_nodes'),
+    (Obstacle.UNREPORTED, {}, 'scout_1 at 1.000000000 to depart: its agent reports that on'),
     (
         Obstacle.UNREPORTED,
         {'agents': {'scout_1': HERE._replace(says_status=False)}},
@@ -189,7 +189,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (
         Obstacle.BELIEF_BEHIND,
         {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},
-        'the last one holds 0, and only the last 2 of each agent are heard again',
+        'the last one holds 0, and publishers keep only the last 2 of each agent',
     ),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
     (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
@@ -199,7 +199,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (
         Obstacle.NO_FREE_AGENT,
         {'agents': {'scout_1': HERE._replace(says_status=False)}},
-        'nobody publishes /a/scout_1/status, so that the silence',
+        'nobody publishes /a/scout_1/status, so a robot that never left',
     ),
 ])  # fmt: skip
 def test_an_obstacle_is_told_with_what_ends_it(obstacle, change, words):

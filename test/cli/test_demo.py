@@ -143,7 +143,7 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
     assert history.learnt[-1]['lethality'].mean == expected[-1].parameters['lethality'].mean
 
     assert main(['--resume', str(log), '--robots', '50']) == 2
-    assert capsys.readouterr().err.startswith('demo: --resume goes alone')
+    assert capsys.readouterr().err.startswith('demo: --resume takes no other options')
     assert main(['--resume', str(tmp_path / 'none.mcap')]) == 2
 
 

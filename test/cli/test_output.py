@@ -143,7 +143,7 @@ def see_that_it_is_in_words(code, told, said):
 
 @for_each('command, said', [
     ('demo --out /proc/here', 'demo: folder /proc/here cannot be made (No such file or '),
-    ('demo --resume nothere.mcap', 'demo: nothere.mcap cannot be gone on with: No such file'),
+    ('demo --resume nothere.mcap', 'demo: nothere.mcap cannot be resumed: No such file'),
     ('demo --params nothere.yaml', 'demo: parameter file nothere.yaml: No such file or '),
     ('demo --set world.file=nothere.yaml', 'demo: nothere.yaml: No such file or directory'),
     ('replay nothere.mcap', 'replay: nothere.mcap cannot be read: No such file or directory'),

@@ -56,7 +56,7 @@ EMPTY_MAP = rclpy.serialization.serialize_message(OccupancyGrid())
     ('run_2_1.mcap', {}, FileExistsError, 'run_2_1.mcap would be taken for a part'),
     ('run.mcap', {}, FileExistsError, 'run_2.mcap would be taken for a part'),
     ('folder', {'resume': True}, LogError, 'holds no log'),
-    ('mission.mcap', {'resume': True}, LogError, 'cannot be gone on with: No such file'),
+    ('mission.mcap', {'resume': True}, LogError, 'cannot be resumed: No such file'),
 ])  # fmt: skip
 def test_what_cannot_be_written_is_refused(tmp_path, whole_mission, name, options, error, told):
     (tmp_path / 'folder').mkdir()

@@ -58,14 +58,14 @@ def test_a_robot_at_its_base_is_not_lost_whoever_says_so(field):
     base = StatedBase(field, robots=2, silent_loss=False)
     base.until_sent(1)
     base.say(OrderState.ACCEPTED)
-    base.until_state('to depart, as its agent tells on /scout_1/status')
+    base.until_state('to depart: its agent reports that on /scout_1/status')
     key, cells = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
     base.reports['scout_1'].publish(report_message(key, Observation(cells, False), key.stamp + 1))
     for node in ('/planner', '/estimator', '/recorder'):
         refusal = 'is reported lost, and its agent has not said that its robot departs'
         field.until(lambda name=node, said=refusal: said in field.said(name), f'refusal by {node}')
     base.crash()
-    base.until_state('to depart, as its agent tells on /scout_1/status')
+    base.until_state('to depart: its agent reports that on /scout_1/status')
     base.until_named(base.say(OrderState.DEPARTED))
     base.come_back()
     base.until_held(1)
@@ -78,9 +78,9 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base.until_sent(1)
     # Neither silence nor acceptance says that it has left, however long it lasts.
     base.say(OrderState.ACCEPTED)
-    base.until_state('to depart, as its agent tells on /scout_1/status')
+    base.until_state('to depart: its agent reports that on /scout_1/status')
     told = base.refused('give_up', agent='scout_1', steps_survived=0)
-    assert 'is not known to have departed, and a robot at its base is not lost' in told
+    assert 'has not reported its departure, so it cannot be declared lost' in told
     # Longer than the deadline of one that departed.
     begun = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > begun + 3 * 10**9, 'three seconds')
@@ -88,7 +88,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     assert 'leaves for' not in field.said('/planner')
     base.say(OrderState.REFUSED, 'the battery is low')
     base.until_sent(2)
-    assert 'the battery is low; nothing is learnt of it' in field.said('/planner')
+    assert 'brings no evidence: the battery is low' in field.said('/planner')
     base.until_named(base.say(OrderState.DEPARTED))
     field.until(lambda: base.heard['scout_1'], 'loss')
     base.until_held(1)
@@ -146,7 +146,7 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     key = read_path(GRID, 'scout_1', base.paths['scout_1'][0])[0]
     unknown = status_message(DeploymentKey('scout_1', 5), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(unknown)
-    assert 'DEPARTED, and no path of it was sent' in field.until_refused('/planner', 1)
+    assert 'DEPARTED, but this planner knows no path of it' in field.until_refused('/planner', 1)
     other = status_message(DeploymentKey('scout_2', key.stamp), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(other)
     assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)
@@ -174,7 +174,7 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     # The same once more is no news.
     base.say(OrderState.DEPARTED)
     field.talk(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
-    assert 'this planner says False, which holds' in field.until_refused('/planner', 8)
+    assert 'this planner publishes False, which counts' in field.until_refused('/planner', 8)
     assert base.beliefs[-1].deployments == 1
 
 
@@ -190,13 +190,13 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     # It is not over yet, though it is not on disk.
     told = base.refused('pause', data=False)
     assert told.startswith('waiting for the recorder')
-    assert told.endswith(': ask again when it is')
+    assert told.endswith(': call again after that')
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     stranger = field.node.create_publisher(Bool, '/hold', qos.LATCHED)
     # It comes before the planner's graph lists its author, or after.
     stranger.publish(Bool(data=False))
-    why = 'hold refused: data is False, and this planner says True, which holds: nodes'
+    why = 'hold refused: data is False, but this planner publishes True, which counts: nodes'
     field.until(lambda: f'{why} /planner, /test/test publish it' in field.said('/planner'), why)
     field.until(lambda: base.holds[-1].data, 'the planner to say it again')
     base.crash()
@@ -211,7 +211,7 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     stranger.publish(Bool(data=True))
     field.until(lambda: [each.data for each in base.holds[heard:]] == [True, False], 'answer')
     bare.leave()
-    why = 'hold refused: data is True, and this planner says False, which holds: nodes'
+    why = 'hold refused: data is True, but this planner publishes False, which counts: nodes'
     field.until(lambda: why in field.said('/planner'), 'name of the stranger')
 
 
@@ -227,7 +227,7 @@ def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_reco
     recorded.publish(on_disk(path(1)))
     stranger = rclpy.create_node('stranger', context=field.node.context)
     for state, is_held in (
-        ('the planner to tell on /hold', True),
+        ('the planner to publish on /hold', True),
         ('the operator to end the pause', False),
         ('one node alone to publish /hold: /stranger, /test/test do', None),
     ):

@@ -113,7 +113,7 @@ def test_a_robot_that_read_nothing_on_its_last_steps_is_told(estimator):
             report_message(key(number), Observation(HOME, True, readings), 0)
         )
         until_held(estimator, number)
-        told = f'{key(number)} has read nothing after step {steps - unread} of {steps}'
+        told = f'{key(number)} has no readings after step {steps - unread} of {steps}'
         assert (told in estimator.said('/estimator')) == (unread > 1)
 
 

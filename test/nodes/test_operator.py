@@ -102,8 +102,8 @@ def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field
 def test_a_robot_that_is_known_lost_is_given_up(field):
     base = Base(field)
     assert base.refused('give_up', agent='scout_9') in (
-        "no robot of 'scout_9' is out: none is",
-        "no robot of 'scout_9' is out: scout_1 is",
+        "no robot of 'scout_9' is in flight: none is",
+        "no robot of 'scout_9' is in flight: scout_1 is",
     )
     base.until_sent(1)
     base.until_state('however long that takes')
@@ -216,10 +216,10 @@ def test_nothing_is_decided_before_it_is_on_disk(field):
     field.until(client.service_is_ready, 'service')
     answer = client.call_async(SetBool.Request(data=True))
     base.until_state(
-        'waiting for the recorder to tell on /operator/recorded that it is on disk that the '
-        'operator paused the mission (parameter recorded)'
+        'waiting for the recorder to confirm on /operator/recorded that the operator paused the '
+        'mission (parameter recorded)'
     )
-    assert base.refused('end_mission').endswith('ask again when it is')
+    assert base.refused('end_mission').endswith('call again after that')
     assert not answer.done()
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')

@@ -192,7 +192,9 @@ def test_a_restarted_planner_sends_the_robot_that_is_out_no_other_way(field):
     field.start('planner', {**PARAMETERS, 'robots': 3})
     mission.until_sent(2)
     assert mission.paths[2] == mission.paths[1]
-    assert 'the belief holds 1 deployment more than known here' in field.said('/planner')
+    assert 'the belief holds 1 deployment that this planner does not know' in field.said(
+        '/planner'
+    )
     mission.reports.publish(mission.lose(1))
     mission.show_belief()
     assert mission.until_sent(3) == mission.planned()
@@ -403,7 +405,7 @@ def test_a_pause_is_answered_while_paths_are_searched_for_and_no_robot_is_sent(b
     assert min(seconds) < 0.5
     field = base.field
     assert 'paths were found' not in field.said('/planner')
-    kept = 'paths were found for scout_1, scout_2, scout_3 and 5 more, and are kept: waiting for '
+    kept = 'the plan for scout_1, scout_2, scout_3 and 5 more is ready, and kept: waiting for '
     until_said(field, f'{kept}the operator')
     assert not any(base.paths.values())
     base.do('pause', data=False)
@@ -414,7 +416,7 @@ def test_a_pause_is_answered_while_paths_are_searched_for_and_no_robot_is_sent(b
 @pytest.mark.full
 def test_what_was_found_by_other_parameters_is_dropped(base):
     base.field.set_parameter('/planner', 'loss_cost', 1.0)
-    dropped = 'the paths found for scout_1, scout_2, scout_3 and 5 more are dropped'
+    dropped = 'discarding the plan for scout_1, scout_2, scout_3 and 5 more'
     until_said(base.field, dropped)
     assert not any(base.paths.values())
     base.do('end_mission')

@@ -46,7 +46,9 @@ def test_a_second_recorder_counts_when_the_first_has_ended(field):
     field.start(
         'recorder', {'file': str(second), 'agents': ['scout_1']}, remaps={'__node': 'other'}
     )
-    waits = f'an earlier recorder, whose word counts: node /recorder records to {base.log}'
+    waits = (
+        f'an earlier recorder, whose acknowledgements count: node /recorder records to {base.log}'
+    )
     field.until(lambda: waits in field.state('/other'), 'the second recorder')
     base.come_back()
     base.until_sent(2)
@@ -55,7 +57,9 @@ def test_a_second_recorder_counts_when_the_first_has_ended(field):
     first = field.processes.started.pop('/recorder 1')
     first.send_signal(SIGSTOP)
     # What it said does not count for longer than it is heard.
-    field.until(lambda: 'whose word counts' not in field.state('/other'), 'the second recorder')
+    field.until(
+        lambda: 'whose acknowledgements count' not in field.state('/other'), 'the second recorder'
+    )
     base.come_back()
     base.until_sent(4)
     first.kill()

@@ -65,7 +65,7 @@ BAD_FIXES = {
     'position_covariance_type is 0': {'position_covariance_type': 0},
     'latitude is nan': {'latitude': float('nan')},
     'longitude is 181.0': {'longitude': 181.0},
-    'the standard deviation of the fix is 3.00 m: it may be half the side of a cell, 0.5 m': {
+    'the standard deviation of the fix is 3.00 m: at most 0.5 m, half a cell, is accepted': {
         'position_covariance': np.diag([9.0, 1.0, 1.0]).ravel()
     },
     'position_covariance has (0.0, 0.0) east and north: they must be positive': {
@@ -215,7 +215,7 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
     key = fleet.send(1, [0, 1, 2, 3, 2, 1, 0])
     field.until(lambda: 2 in fleet.walked(), 'robot under way')
     fleet.inject('jump')
-    field.until(lambda: 'its walk is doubted' in field.said('/scout_1/robot'), 'doubt')
+    field.until(lambda: 'its place is uncertain' in field.said('/scout_1/robot'), 'doubt')
     fleet.inject('live')
     report = fleet.report_of(reports, key)
     first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)
@@ -254,7 +254,7 @@ def test_a_robot_waits_for_what_drives_it_and_says_so(field):
     fleet.start()
     key = fleet.send(1, [0, 1, 0])
     field.until(lambda: 'waiting for TF' in fleet.state(), 'wait for TF')
-    assert "nobody tells where 'base_link' is" in fleet.state()
+    assert "the place of 'base_link' is unknown" in fleet.state()
     fleet.simulate(scout_1=(5.5, 5.5))
     field.until(lambda: 'to be at its base, cell 0: it is 7.1 m' in fleet.state(), 'wait for it')
     fleet.end_simulator()

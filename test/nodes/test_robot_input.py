@@ -118,7 +118,7 @@ def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
         field.until(lambda: words in str(field.diagnosed('/scout_1/robot').values), 'word of it')
         assert field.said('/scout_1/robot').count(words) == starts
         field.kill('/scout_1/robot')
-    field.until(lambda: '1 message said nothing new' in field.state('/estimator'), 'repetition')
+    field.until(lambda: '1 duplicate message' in field.state('/estimator'), 'repetition')
     assert field.count('/estimator', 'refused') == 0
     report = fleet.report_of(reports, fleet.key(1))
     assert report.readings == (*[(1, 1), (2, 1)] * 99, (1, 1), (0, -1))
@@ -283,7 +283,7 @@ def test_a_disk_that_is_full_costs_no_step(field):
     field.until(lambda: 'journal' in field.diagnosed('/scout_1/robot').message, 'word of the disk')
     said = field.said('/scout_1/robot')
     assert f'{journal}: File too large (raise the limit' in said
-    assert 'what it lacks is kept in memory' in said
+    assert 'the rest is kept in memory' in said
     # Without room it does not leave.
     key = fleet.send(2, [0, 1, 0])
     field.until(lambda: 'waiting for room on the disk' in fleet.state(), 'word of it')

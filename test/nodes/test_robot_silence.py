@@ -90,7 +90,7 @@ def test_a_robot_is_heard_again_that_was_rebooted_without_a_link_or_has_another_
         getattr(mission, what)()
         mission.until(lambda: mission.count('home from') == 1, 'return')
         if what == 'reboot':
-            mission.until(lambda: mission.count('no link but lo') == 1, 'word of it')
+            mission.until(lambda: mission.count('no network link but lo') == 1, 'word of it')
         mission.switch('up')
         mission.until(lambda: len(mission.reports()) == 1, 'report')
         assert mission.count('to be started again') == 1

@@ -334,7 +334,7 @@ def test_a_base_stays_for_robots_that_were_given_up(field):
     base = Base(field, robots=1, keep_running=False, **SILENT)
     base.until_sent(1)
     base.until_held(1)
-    stays = 'in which robots that were given up may come home: scout_1 at '
+    stays = 'since robots that were given up may return: scout_1 at '
     field.until(lambda: stays in field.said('/planner'), 'that the base stays')
     base.come_back()
     field.until(lambda: len(base.beliefs) > 2, 'belief in the return')
@@ -353,7 +353,7 @@ def test_console_and_replay_tell_how_a_mission_ended(field):
     stay = Observation([BASE_GRID.base, BASE_GRID.base], True, [-1])
     base.reports['scout_1'].publish(report_message(key, stay, key.stamp + 1))
     base.until_sent(2)
-    assert f'{key} is back without a step' in field.said('/planner')
+    assert f'{key} returned without moving' in field.said('/planner')
 
     def is_recorded(loss_cost):
         planner = read_parameters(base.log).get('/planner', {})

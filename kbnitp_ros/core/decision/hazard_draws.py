@@ -74,7 +74,7 @@ class HazardDraws:
 
     @property
     def cells(self) -> int:
-        """Number of cells of the field."""
+        """Return the number of cells of the field."""
         return self.hazardous.shape[1]
 
     def p_hazard(self) -> Floats:

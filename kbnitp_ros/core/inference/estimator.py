@@ -212,7 +212,7 @@ class Estimator:
     @property
     def sampling_error(self) -> float:
         """
-        Expected KL divergence of the belief due to sampling, nats; 0 for exact methods.
+        Return the expected KL divergence of the belief due to sampling, nats; 0 if exact.
 
         It is found from the spread of chains and blind to a bias that they share.
         """
@@ -220,7 +220,7 @@ class Estimator:
 
     @property
     def is_converged(self) -> bool:
-        """Whether the sampling error is within the method's limit."""
+        """Return whether the sampling error is within the method's limit."""
         return self._inference.is_converged
 
     @typed

@@ -209,7 +209,7 @@ class MissionNode(GraphNode):
                 frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][1:]
                 rooms = [frame.f_globals.get('__name__', '').partition('.')[0] for frame in frames]
                 if rooms[:1] == ['rclpy'] and PACKAGE not in rooms:
-                    self.diagnostics.refuse('what rclpy was sent, a clock or a request,', error)
+                    self.diagnostics.refuse('a clock or request for rclpy', error)
                 else:
                     self.broken = self.broken or error
             # The response of a service.
