@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is: the grid, the world, the sensors, and what is believed and observed of them."""
+"""The model: grid, world and sensors, and beliefs and observations of them."""

@@ -11,10 +11,10 @@ from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# How far a joint given from outside may be off by rounding.
+# Tolerance of a joint given from outside.
 TOLERANCE = 1e-12
 
-# How many cells are named at once.
+# Number of cells named at once.
 SHOWN = 8
 
 
@@ -127,7 +127,7 @@ class Belief(Value):
         return cls.from_maps(*maps).on(grid)
 
     def on(self, grid: Grid) -> Belief:
-        """Return the belief with what is known of a grid, as of `prior`."""
+        """Return the belief with what is known of a grid, as in `prior`."""
         joint = self.joint.copy()
         for base in sorted(grid.bases):
             joint[base, 1] = 0.0
@@ -142,26 +142,26 @@ class Belief(Value):
 
     @property
     def cells(self) -> int:
-        """How many cells there are."""
+        """Return the number of cells."""
         return len(self.joint)
 
     @cached_property
     def hazard(self) -> NDArray[np.float64]:
-        """P(Z = 1), shape (cells,)."""
+        """Return P(Z = 1), shape (cells,)."""
         hazard: NDArray[np.float64] = self.joint[:, 1].sum(axis=1).clip(max=1.0)
         frozen(hazard)
         return hazard
 
     @cached_property
     def target(self) -> NDArray[np.float64]:
-        """P(X = 1), shape (cells,)."""
+        """Return P(X = 1), shape (cells,)."""
         target: NDArray[np.float64] = self.joint[:, :, 1].sum(axis=1).clip(max=1.0)
         frozen(target)
         return target
 
     @cached_property
     def kappa(self) -> NDArray[np.float64]:
-        """P(X = 1 | Z = 1), shape (cells,); P(X = 1) where Z = 1 is impossible."""
+        """Return P(X = 1 | Z = 1), shape (cells,); P(X = 1) where Z = 1 is impossible."""
         kappa = self.target.copy()
         np.divide(self.joint[:, 1, 1], self.hazard, out=kappa, where=self.hazard > 0.0)
         np.minimum(kappa, 1.0, out=kappa)
@@ -181,7 +181,7 @@ class Belief(Value):
         z = np.stack([1.0 - self.hazard, self.hazard], axis=-1)
         x = np.stack([1.0 - self.target, self.target], axis=-1)
         product = z[:, :, None] * x[:, None, :]
-        # One that is so already keeps its bits, as often as this is asked of it.
+        # An independent belief keeps its bits, however often this is called.
         return (
             self if np.abs(self.joint - product).max() <= TOLERANCE else Belief(product, self.grid)
         )
@@ -200,7 +200,7 @@ def binary_entropy(probability: ArrayLike) -> NDArray[np.float64]:
     return surprisal(p) + surprisal(1.0 - p)
 
 
-# A map may say 0 or 1 of a cell and be wrong; the loss of that is held finite, at 36 nats.
+# A map may be certain and wrong; that loss is kept finite, at 36 nats.
 SMALLEST = np.finfo(np.float64).eps
 
 
@@ -261,7 +261,7 @@ def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:
 
 
 def truth_of(probability: NDArray[np.float64], truth: ArrayLike) -> NDArray[np.bool_]:
-    """Return `truth` as booleans if it is the truth of such a map."""
+    """Return `truth` as booleans, checked against a map."""
     if not isinstance(probability, np.ndarray):
         raise TypeError(
             f'probability is {in_short(probability)}: it must be a map, such as Belief.hazard'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dataclasses with arrays that compare like values, and checks of numbers from outside."""
+"""Dataclasses with arrays that compare like values, and checks of values from outside."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHOWN = 24
 
 
 class Value:
-    """A dataclass that equals another of its class if all fields do, arrays bit for bit."""
+    """A dataclass with equality by its fields, arrays bit for bit."""
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and all(
@@ -58,12 +58,12 @@ T = TypeVar('T')
 
 CORE = __name__.removesuffix('.field.check')
 
-# How to make what is no class.
+# Hints on how to make instances of the core's classes.
 MADE_BY = {'Goal': 'Lane(...) or Area(...)'}
 
 
 def typed(call: Callable[P, R]) -> Callable[P, R]:
-    """Refuse arguments that are of another class of the core than their annotations."""
+    """Refuse arguments of another core class than annotated."""
     names = tuple(signature(call).parameters)
 
     @cache
@@ -94,19 +94,19 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
 
 
 def typed_fields(kind: type[T]) -> type[T]:
-    """Refuse fields of a dataclass as `typed` refuses arguments."""
+    """Refuse fields of a dataclass in the same way."""
     kind.__init__ = typed(kind.__init__)  # type: ignore[method-assign]
     return kind
 
 
 def in_short(value: object) -> str:
-    """Return how a value is printed, in one line."""
+    """Return the representation of a value, in one line."""
     words = ' '.join(repr(value).split())
     return words if len(words) <= 80 else f'{words[:76]} ...'
 
 
 def each_of(name: str, values: Iterable[Any]) -> Iterable[Any]:
-    """Return `values` if they are several."""
+    """Check that `values` is a collection."""
     if not isinstance(values, Iterable):
         raise TypeError(f'{name} is {in_short(values)}: it must be a list')
     return values
@@ -141,14 +141,14 @@ def probability(name: str, value: float) -> float:
 
 
 def probabilities(instance: Any) -> None:
-    """Have a frozen dataclass hold its fields as floats, all of which must be probabilities."""
+    """Convert the fields of a frozen dataclass to floats, checked to be probabilities."""
     for field in fields(instance):
         value = probability(field.name, getattr(instance, field.name))
         object.__setattr__(instance, field.name, value)
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:
-    """Return `values` as one probability a cell."""
+    """Return `values` as one probability for each cell."""
     array = np.array(values, dtype=np.float64)
     if array.ndim != 1 or not array.size or cells not in (None, array.size):
         wanted = 'one value a cell' if cells is None else f'shape ({cells},), one value a cell'
@@ -171,7 +171,7 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
 
 
 def cost(name: str, value: float) -> float:
-    """Return a cost as a float, from 0 to a billion: beyond that sums overflow."""
+    """Return a cost as a float, from 0 to a billion: larger sums overflow."""
     number = as_number(name, value)
     if not 0.0 <= number <= 1e9:
         raise ValueError(f'{name} is {value}: it must be at least 0 and at most 1e9')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether hazards lie independently of each other or in clusters, and what normalises that."""
+"""Clustered hazards: their prior, and its normalization."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from kbnitp_ros.core.field.unknowns import Bins
 import numpy as np
 from numpy.typing import NDArray
 
-# Fields of at most so many cells across are summed exactly.
+# Fields up to so many cells across are summed exactly.
 MOST_ACROSS = 16
-# Wider ones are put together of strips of so many columns.
+# Wider ones are combined from strips of so many columns.
 STRIP = 12
 
 
@@ -50,17 +50,17 @@ def log_partition(
 def _sums(
     free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what `transfer` finds."""
+    """Return the sums that `transfer` computes."""
     log_z, count = np.empty_like(fields), np.empty_like(fields)
     transfer(np.ascontiguousarray(free), fields, coupling, log_z, count)
     return log_z, count
 
 
-# Beyond this, hazards come close to filling large regions or none (critical: 1.763).
+# Beyond this, hazards nearly fill large regions or none (critical: 1.763).
 STRONGEST = 1.7
-# How many couplings are weighed when it is learnt.
+# Number of couplings weighted if it is learnt.
 COUPLINGS = 17
-# How close the log odds of the density come to those asked for, and after how many steps at most.
+# Tolerance of the log odds of the density, and maximum number of steps of the search.
 PRECISION = 1e-10
 MOST_STEPS = 100
 
@@ -113,7 +113,7 @@ class Clustering:
 
     @property
     def bins(self) -> Bins:
-        """Return the couplings there may be, and what is believed of each at first."""
+        """Return the possible couplings and their prior."""
         if self.coupling != LEARNT_COUPLING:
             return Bins.known(float(self.coupling))
         edges = STRONGEST * np.arange(COUPLINGS + 1) / COUPLINGS
@@ -143,7 +143,7 @@ class Clustering:
         field = sought.copy()
         fields, log_zs = [], []
         for coupling in self.bins.values:
-            # Each starts from the one before.
+            # Each search starts from the field found before.
             field, log_z = _field_of(free, coupling, sought, field)
             fields.append(field)
             log_zs.append(log_z)

@@ -24,25 +24,25 @@ _CHECKS: list[Callable[[], None]] = []
 
 
 def compiled(kernel: Kernel) -> Kernel:
-    """Return the kernel compiled by numba when it is first called, interpreted without numba."""
+    """Return the kernel, compiled at its first call, or interpreted without numba."""
     return cast(Kernel, Compiled(kernel, is_inlined=False))
 
 
 def inlined(kernel: Kernel) -> Kernel:
-    """Compile a kernel that other kernels call in loops; it makes and returns no arrays."""
+    """Compile a kernel that others call in loops; it makes and returns no arrays."""
     return cast(Kernel, Compiled(kernel, is_inlined=True))
 
 
 def while_compiling(check: Callable[[], None]) -> None:
-    """Call a function before each pass of the compiler; what it raises ends the compilation."""
+    """Call a function before each pass of the compiler; its exceptions end the compilation."""
     _CHECKS.append(check)
 
 
 class Compiled:
-    """A kernel that is compiled, with all that it calls, when it is first called."""
+    """A kernel that is compiled, with all that it calls, at its first call."""
 
     def __init__(self, kernel: Callable[..., Any], is_inlined: bool) -> None:
-        # As numba names what it caches, whichever of several names the file goes by.
+        # The name that numba gives its cache, whichever path the file is imported by.
         file = realpath(kernel.__code__.co_filename)
         kernel.__code__ = kernel.__code__.replace(co_filename=file)
         update_wrapper(self, kernel)
@@ -57,7 +57,7 @@ class Compiled:
         if self._code is None:
             self._code = self._kernel
             if jit := _jit():
-                # Counting references to arrays takes as long as much of what is done with them.
+                # Counting references to arrays takes as long as much of the work on them.
                 options = {'forceinline': self._is_inlined, '_nrt': not self._is_inlined}
                 self._code = _cached(_for_all_values(jit(nogil=True, **options)(self._kernel)))
             # numba follows a call to another kernel only if the name stands for compiled code.
@@ -69,14 +69,14 @@ class Compiled:
 
 
 def cache_folder() -> Path:
-    """Return the folder of the machine code, named by all sources: no code outlives them."""
+    """Return the cache folder, named by a hash of all sources: old code is never used."""
     sources = b''.join(path.read_bytes() for path in sorted(PACKAGE.rglob('*_kernels.py')))
     return PACKAGE / '__pycache__' / f'kernels-{sha256(sources).hexdigest()[:16]}'
 
 
 @cache
 def _jit() -> Any:
-    """Return numba's decorator with its cache set up; None where kernels run interpreted."""
+    """Return numba's decorator with its cache set up; None if kernels run interpreted."""
     try:
         import numba
     except ImportError as error:
@@ -84,11 +84,11 @@ def _jit() -> Any:
         return None
     if numba.config.DISABLE_JIT:
         return None
-    # Where this cannot be written numba looks for another folder.
+    # If this cannot be written, numba looks for another folder.
     numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(cache_folder())
 
     class Compilation(numba.core.event.Listener):  # type: ignore[misc]
-        """Calls of numba at each compilation and at each of its passes."""
+        """Hooks of numba into each compilation and its passes."""
 
         def on_start(self, event: Any) -> None:
             if event.kind == 'numba:compile':
@@ -105,7 +105,7 @@ def _jit() -> Any:
 
 
 def _for_all_values(code: Any) -> Any:
-    """Return a dispatcher that kernels call with constants without one more compilation each."""
+    """Return a dispatcher that compiles once for constants and variables."""
     import numba
 
     compile_for, unliteral = code.get_call_template, numba.types.unliteral
@@ -131,7 +131,7 @@ def _cached(code: Any) -> Any:
             try:
                 return access(*arguments)
             except Exception as error:
-                # pickle raises almost anything when it reads a torn file.
+                # pickle raises many types on a torn file.
                 _warn(f'{error!r}; {files.cache_path} is emptied and kernels are compiled anew')
                 rmtree(files.cache_path, ignore_errors=True)
 

@@ -13,18 +13,18 @@ from kbnitp_ros.core.field.observation import as_path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Into how many parts coordinates must divide a cell: then rounding takes no point of it to the
-# next, which may be computed in several steps.
+# Number of parts of a cell that coordinates must resolve, so that rounding over several steps
+# moves no point to the next cell.
 APART = 1000
 EPSILON = float(np.finfo(np.float64).eps)
 
-# By what part a path may be longer than allowed, since sums of step lengths are rounded.
+# Relative tolerance of a path's length, for rounded sums.
 ROUNDING = 1e-9
 
-# How many rows up and columns to the right each column of `Grid.neighbor_table` leads.
+# Rows up and columns to the right of each column of `Grid.neighbor_table`.
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
-# What a text shows of a grid, and how many of its blocked cells.
+# Fields shown in a grid's text, and maximum number of blocked cells shown.
 TOLD = (
     'width',
     'height',
@@ -133,7 +133,7 @@ class Grid:
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
-        """Return it as it is made, of many blocked cells the first."""
+        """Return a text like the call that makes it, with the first of many blocked cells."""
         blocked = sorted(self.blocked)
         first = ', '.join(map(str, blocked[:SHOWN]))
         more = f', ... {len(blocked)} in all' if len(blocked) > SHOWN else ''
@@ -143,12 +143,12 @@ class Grid:
 
     @property
     def cells(self) -> int:
-        """How many cells there are."""
+        """Return the number of cells."""
         return self.width * self.height
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """Which cells a robot can enter, shape (cells,)."""
+        """Return the cells that a robot can enter, shape (cells,)."""
         free = np.ones(self.cells, dtype=bool)
         free[list(self.blocked)] = False
         free.flags.writeable = False
@@ -156,7 +156,7 @@ class Grid:
 
     @cached_property
     def may_be_hazardous(self) -> NDArray[np.bool_]:
-        """Which cells may have a hazard, shape (cells,): all that are free but the bases."""
+        """Return the cells that may have a hazard, shape (cells,): all free ones but the bases."""
         may_be = self.free.copy()
         may_be[list(self.bases)] = False
         may_be.flags.writeable = False
@@ -168,7 +168,7 @@ class Grid:
         return frozenset(self.other_bases) | {self.base}
 
     def at(self, base: int | None) -> Grid:
-        """Return the same field for robots of one of its bases; None is that of the grid."""
+        """Return the same field for robots of one of its bases; None for the grid's own."""
         if base is None or base == self.base:
             return self
         if base not in self.bases:
@@ -182,7 +182,7 @@ class Grid:
 
     @cached_property
     def _at(self) -> dict[int, Grid]:
-        # Each knows its distances, which take long in a large field.
+        # Each base has its own distances, which take long in a large field.
         return {}
 
     @cached_property
@@ -206,7 +206,7 @@ class Grid:
 
     @cached_property
     def step_lengths(self) -> NDArray[np.float64]:
-        """Metres of a step by each column of `neighbor_table`, shape (9,); 0 of a stay."""
+        """Return the metres of a step by column of `neighbor_table`, (9,); 0 for a stay."""
         lengths: NDArray[np.float64] = np.hypot(*STEPS) * self.resolution
         lengths.flags.writeable = False
         return lengths
@@ -227,7 +227,7 @@ class Grid:
 
     @cached_property
     def steps_to_base(self) -> NDArray[np.intp]:
-        """Fewest steps from each cell to the base, shape (cells,); `cells` if it is cut off."""
+        """Return the fewest steps from each cell to the base, (cells,); `cells` if cut off."""
         steps = self.steps_from(self.base, self.free)
         steps.flags.writeable = False
         return steps
@@ -247,14 +247,14 @@ class Grid:
 
     @cached_property
     def distance_to_base(self) -> NDArray[np.float64]:
-        """Least distance from each cell to the base, shape (cells,), metres; inf if cut off."""
+        """Return the distance of each cell to the base, (cells,), metres; inf if cut off."""
         distance = np.full(self.cells, np.inf)
         distance[self.base] = 0.0
         nearer = np.array([self.base])
         while nearer.size:
             around = self.neighbor_table[nearer]
             through = distance[nearer, None] + self.step_lengths
-            # What is shorter by rounding alone is not.
+            # Differences of rounding are ignored.
             is_nearer = (around >= 0) & (through * (1.0 + ROUNDING) < distance[around])
             np.minimum.at(distance, around[is_nearer], through[is_nearer])
             nearer = np.unique(around[is_nearer])
@@ -357,7 +357,7 @@ class Grid:
 
 
 def longest(max_distance: float) -> float:
-    """Return the greatest sum of step lengths within a distance allowed, both in metres."""
+    """Return the longest sum of step lengths within an allowed distance, both in metres."""
     return max_distance * (1.0 + ROUNDING)
 
 

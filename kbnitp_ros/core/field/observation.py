@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one deployment tells: the path-based sensor's and the target sensor's outcome."""
+"""The observation of one deployment: outcome of the path-based sensor, and target readings."""
 
 from __future__ import annotations
 
@@ -145,12 +145,12 @@ class Observation(Value):
 
     @property
     def steps(self) -> int:
-        """How many steps the path has."""
+        """Return the number of steps of the path."""
         return len(self.path) - 1
 
     @property
     def lost_on(self) -> tuple[NDArray[np.intp], NDArray[np.float64] | None]:
-        """Return the stretch of its path where a robot may be lost, and how each step fits."""
+        """Return where a robot may have been lost: a stretch of its path, with likelihoods."""
         first = self.steps_survived
         if self.lost_at is None:
             return self.path[first:], None
@@ -172,20 +172,20 @@ def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """How often a path enters each of its cells."""
+    """The number of times a path enters each of its cells."""
 
-    # Shape (n,). The cells that some step leads to, ascending. The start is not a visit; the
-    # return is.
+    # The cells that some step leads to, ascending, shape (n,). The return counts as a visit, the
+    # start does not.
     cells: NDArray[np.intp]
-    # Shape (n,). Steps into each.
+    # Steps into each, shape (n,).
     counts: NDArray[np.intp]
-    # Shape (steps,). For each step, the place of its cell in `cells`.
+    # Index into `cells` of each step's cell, shape (steps,).
     of_step: NDArray[np.intp]
 
     @classmethod
     def of(cls, path: NDArray[np.intp]) -> Visits:
         """Count the visits of `path`, or of a stretch of it, shape (steps + 1,)."""
-        # Faster than np.unique for what a robot can walk.
+        # Faster than np.unique for paths of robots.
         cells = np.array(sorted({*path[1:].tolist()}), dtype=np.intp)
         of_step = cells.searchsorted(path[1:])
         return cls(cells, np.bincount(of_step), of_step)

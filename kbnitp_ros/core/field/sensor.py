@@ -69,7 +69,7 @@ class SensorModel:
         return _log_reading(self.true_positive, self.false_positive)
 
 
-# Each update and each plan asks for these several times.
+# Each update and each plan uses these several times.
 @lru_cache(maxsize=64)
 def _log_survival(strike: float, malfunction: float) -> NDArray[np.float64]:
     with np.errstate(divide='ignore'):
@@ -110,7 +110,7 @@ def log_predicted_survival(
         )
 
 
-# Each update and each plan asks for these several times.
+# Each update and each plan uses these several times.
 @lru_cache(maxsize=64)
 def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], ...]:
     """Return log s_z^n, 1 - s_z^n and s_z^n for n up to `most`, each of shape (2, most + 1)."""
@@ -129,14 +129,14 @@ def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 SENSORS = tuple(field.name for field in fields(SensorModel))
 
-# The whole numbers, and the least that each may be.
+# The whole numbers, and their minima.
 LEAST = {'max_steps': 1, 'base': 0}
 
 
 @dataclass(frozen=True)
 class RobotType:
     """
-    What robots of one type have of their own; None where they are like all others.
+    The properties of a robot type; None for the common values.
 
     Parameters
     ----------
@@ -179,16 +179,16 @@ class RobotType:
 
     @property
     def own(self) -> dict[str, Any]:
-        """Return what they have of their own, by name."""
+        """Return its own values, by name."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
     @property
     def sensors(self) -> dict[str, Any]:
-        """Return what of that are numbers of the sensor model."""
+        """Return its own values of the sensor model."""
         return {name: value for name, value in self.own.items() if name in SENSORS}
 
     def model(self, common: SensorModel) -> SensorModel:
-        """Return their sensor model, from that of all others."""
+        """Return its sensor model, given the common one."""
         sensors = self.sensors
         return replace(common, **sensors) if sensors else common
 

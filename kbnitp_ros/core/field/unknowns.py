@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is not known of a mission: numbers and kinds of hazards."""
+"""The unknowns of a mission: numbers and kinds of hazards."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import NDArray
 
-# How many values of a number are weighed. Their spacing is even in asin(sqrt(p)), in which the
-# deviation of a rate found from n trials is 0.5 / sqrt(n) whatever the rate: 64 are finer than
-# twice that up to 1,600 trials, and the error of such a sum falls faster than any power.
+# Number of values of an unknown number, evenly spaced in asin(sqrt(p)), where the deviation of a
+# rate found from n trials is 0.5 / sqrt(n) whatever the rate. 64 are finer than twice that up to
+# 1,600 trials, and the error of such a sum falls faster than any power.
 VALUES = 64
-# Points within each value's bin at which its prior is summed up.
+# Number of points in each value's bin at which its prior is summed.
 POINTS = 32
 
 
 @dataclass(frozen=True)
 class Beta:
     """
-    A Beta distribution, kept to an interval: the prior of an unknown number.
+    A Beta distribution on an interval: the prior of an unknown number.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Beta:
             )
 
     def bins(self) -> Bins:
-        """Return the interval in bins and what the prior gives each (:eq:`value-bins`)."""
+        """Return bins of the interval and their prior probabilities (:eq:`value-bins`)."""
         low, high = np.arcsin(np.sqrt([self.low, self.high]))
         edges = np.linspace(low, high, VALUES * POINTS + 1)
         middle = np.sin((edges[1:] + edges[:-1]) / 2.0) ** 2
@@ -75,13 +75,13 @@ class Beta:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bins(Value):
-    """The values a number may have."""
+    """The possible values of a number."""
 
-    # Shape (values + 1,). Each value stands for all between two edges.
+    # Each value stands for all between two edges, shape (values + 1,).
     edges: NDArray[np.float64]
-    # Shape (values,). In (0, 1), ascending.
+    # In (0, 1), ascending, shape (values,).
     values: NDArray[np.float64]
-    # Shape (values,). Log probability of each.
+    # Log probability of each, shape (values,).
     log_prior: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -90,14 +90,14 @@ class Bins(Value):
 
     @classmethod
     def known(cls, value: float) -> Bins:
-        """Return the bins of a number that is known."""
+        """Return the single bin of a known number."""
         return cls(np.array([value, value]), np.array([value]), np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Learnt(Value):
     """
-    What is known of a number by now.
+    The posterior of a learnt number.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class Learnt(Value):
 
     @classmethod
     def by_groups(cls, bins: Bins, weights: NDArray[np.float64]) -> Learnt:
-        """Return what groups of samples tell, from the weights of each, (groups, values)."""
+        """Return the posterior from groups of samples with weights, (groups, values)."""
         learnt = cls(bins, weights.mean(axis=0))
         of_mean = (weights * bins.values).sum(axis=1).var(ddof=1) / len(weights)
         return replace(learnt, effective_samples=learnt.sd**2 / of_mean if of_mean else np.inf)
@@ -135,7 +135,7 @@ class Learnt(Value):
         return float(np.sqrt((self.weights * (self.bins.values - self.mean) ** 2).sum()))
 
     def quantile(self, q: float) -> float:
-        """Return the value that the number is below with probability `q`."""
+        """Return the quantile `q`."""
         below = np.concatenate([[0.0], np.cumsum(self.weights)])
         return float(np.interp(probability('q', q) * below[-1], below, self.bins.edges))
 
@@ -146,7 +146,7 @@ Interval: TypeAlias = 'Beta | Sequence[float]'
 @dataclass(frozen=True)
 class Unknowns:
     """
-    Which numbers are not known, each with its prior.
+    The unknown numbers, each with its prior.
 
     A number is known, as the sensor model and the prior maps say, if None is given for it. One
     that is not known has a uniform prior on an interval ``(low, high)``, or a `Beta`.
@@ -194,7 +194,7 @@ class Unknowns:
 
     @property
     def priors(self) -> dict[str, Beta]:
-        """Those not known, by name."""
+        """Return the priors of the unknown numbers, by name."""
         given = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: prior for name, prior in given.items() if prior is not None}
 
@@ -207,10 +207,10 @@ HAZARDS = ('static', 'changing', 'used_up', 'moving', 'learn')
 Rate: TypeAlias = 'float | Sequence[float] | Beta'
 Rates: TypeAlias = 'float | NDArray[np.float64]'
 
-# The rates that each kind has.
+# The rates of each kind.
 HAZARD_RATES = {'changing': ('appear', 'vanish'), 'moving': ('move',)}
 
-# The prior of a rate of which nothing is known: log-uniform.
+# The prior of a completely unknown rate: log-uniform.
 ANY_RATE = Beta(0.0, 1.0, 0.001, 0.1)
 
 
@@ -275,13 +275,13 @@ class Dynamics:
 
     @property
     def unknown_rates(self) -> dict[str, Beta]:
-        """Return the priors of the rates that are unknown, by name."""
+        """Return the priors of the unknown rates, by name."""
         rates = {name: getattr(self, name) for name in ('vanish', 'move')}
         return {name: rate for name, rate in rates.items() if isinstance(rate, Beta)}
 
     @property
     def kinds(self) -> tuple[Dynamics, ...]:
-        """Return the kinds that hazards may be of."""
+        """Return the possible kinds of hazards."""
         if self.kind != 'learn':
             return (self,)
         return (
@@ -292,7 +292,7 @@ class Dynamics:
         )
 
     def known_rates(self) -> dict[str, float]:
-        """Return the rates by name."""
+        """Return the rates by name; refuse unknown ones."""
         if self.kind == 'learn':
             raise ValueError(
                 "dynamics is 'learn', which is no kind that the hazards of a world can be of: "
@@ -306,7 +306,7 @@ class Dynamics:
 
 
 def rate_of(name: str, given: Rate) -> float | Beta:
-    """Return a rate, or its prior where it is unknown."""
+    """Return a rate, or its prior if it is unknown."""
     if isinstance(given, Beta):
         return given
     if isinstance(given, int | float | np.number):
@@ -323,7 +323,7 @@ def rate_of(name: str, given: Rate) -> float | Beta:
 
 
 def appearance(vanish: Any, density: Any) -> Any:
-    """Return the rate of appearing that keeps a share of hazards (:eq:`tied-appearance`)."""
+    """Return the rate of appearing that keeps the share of hazards (:eq:`tied-appearance`)."""
     return np.minimum(vanish * density / (1.0 - density), 1.0)
 
 
@@ -363,7 +363,7 @@ def joint_after_moves(
 
 
 def inverse(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return 1 / x, 0 of 0."""
+    """Return 1 / x, 0 for 0."""
     inverted: NDArray[np.float64] = np.divide(
         1.0, values, out=np.zeros_like(values), where=values > 0.0
     )

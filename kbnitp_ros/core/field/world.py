@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hidden world that robots traverse, and how they make their orders."""
+"""The hidden world that robots traverse, and their execution of orders."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 @dataclass(frozen=True, eq=False, repr=False)
 class World(Value):
     """
-    Where the hazards and the targets really are.
+    The true hazards and targets.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class World(Value):
 
     @typed
     def check(self, grid: Grid) -> None:
-        """Refuse a grid that this is no world of."""
+        """Check that this world fits a grid."""
         if self.hazard.size != grid.cells:
             raise ValueError(
                 f'world has {self.hazard.size} cells: the grid has {grid.width} x {grid.height}'
@@ -198,24 +198,23 @@ class World(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Traverse(Value):
-    """One robot's way through a world."""
+    """A robot's way through a world."""
 
-    # The cells of its way had it survived; it may be longer or shorter than its path. Shape (steps
-    # + 1,).
+    # The cells of its way had it survived, shape (steps + 1,); longer or shorter than its path.
     walk: NDArray[np.intp]
-    # How many of its steps it survived. No base ever learns this of a lost robot: it is for those
-    # who watch a simulation.
+    # Number of steps survived. The base never learns this of a lost robot: it is for those who
+    # watch a simulation.
     steps_made: int
-    # What the base learns.
+    # The observation that the base gets.
     observation: Observation
-    # The field as the robot leaves it.
+    # The field after the robot.
     world: World
 
 
 @dataclass(frozen=True)
 class Execution:
     """
-    How robots depart from their orders; each probability is that of one step, in [0, 1].
+    Deviations of robots from their orders, as probabilities of each step, in [0, 1].
 
     Parameters
     ----------
@@ -274,7 +273,7 @@ class Execution:
     def _walk(
         self, grid: Grid, path: NDArray[np.intp], rng: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Draw the way a robot goes."""
+        """Draw the way of a robot."""
         drawn = rng.random((len(path) - 1, 3))
         if not self.early_return and not self.detour:
             return path, np.arange(1, len(path))

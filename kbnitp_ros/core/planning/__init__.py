@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where to go next."""
+"""Planning of paths, teams and regions."""

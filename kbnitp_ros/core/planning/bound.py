@@ -31,19 +31,20 @@ from kbnitp_ros.core.planning.objective import new_information, Objective, readi
 from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 
-# Cuts beyond one for each number of steps, and in a row that gain less than the tolerance.
+# Maximum numbers of cuts beyond one for each number of steps, and of cuts in a row that gain less
+# than the tolerance.
 MAX_CUTS = 60
 MAX_STALLED = 6
 
-# How far the bound may be above the maximum that it stands for: a share of the value, and nats.
+# Tolerance of the bound: a share of the value, and nats.
 TOLERANCE = 2e-4
 MIN_TOLERANCE = 1e-6
 
-# What rounding may take from a bound: nats, and a share of the loss cost.
+# Margins for rounding: nats, and a share of the loss cost.
 ROUNDING = 1e-9
 ROUNDING_OF_COST = 1e-13
 
-# Paths that are survived less often bring nothing that a float can hold.
+# Paths with a lower survival bring nothing in floating point.
 MIN_SURVIVAL = 1e-100
 
 
@@ -51,13 +52,13 @@ MIN_SURVIVAL = 1e-100
 class Cuts:
     """The cuts of paths of so many steps."""
 
-    # Of each path.
+    # Number of steps of each path.
     steps: int
     # The survival, the ratio r2 / r and the sum of W to be cut off next.
     point: tuple[float, float, float]
-    # Of the last cut. Shape (cells + 2,).
+    # Multipliers of the last cut, shape (cells + 2,).
     multipliers: Floats
-    # As of `Region`. Shape (cuts, 3).
+    # As in `Region`, shape (cuts, 3).
     rows: Floats = field(default_factory=lambda: np.empty((0, 3)))
     # On the value of each path, nats.
     bound: float = inf
@@ -81,12 +82,12 @@ def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: 
     lengths = [Cuts(steps, start, none.copy()) for steps in range(1, max_steps + 1)]
 
     def cut(paths: Cuts) -> None:
-        """Add the lowest cut at the point, and bound what is left."""
+        """Add the lowest cut at the point, and bound the rest."""
         steps, (survival, ratio, total) = paths.steps, paths.point
         longest_stay = (steps - 2 * grid.steps_to_base[reach.cells] + 1).clip(min=0)
         longest_stay[0] = steps
         walks = Walks(reach.neighbors, reach.within, added, np.minimum(survivable, longest_stay))
-        # Whoever compares survivals rounds.
+        # Comparisons of survivals are rounded.
         least = options.minimum_survival * (1.0 - 1e-12)
         region = Region(exp(steps * log_safe), least, loss_cost, paths.rows)
         if region.safest < least:
@@ -120,7 +121,7 @@ def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: 
 
 
 def inside(survival: float) -> float:
-    """Return a survival away from 0 and 1, where the slopes of the entropy have no end."""
+    """Return a survival away from 0 and 1, where the entropy has infinite slopes."""
     return min(max(survival, 1e-9), 1.0 - 1e-9)
 
 
@@ -145,7 +146,7 @@ def visit_sums(
 
 
 def check_bound(reach: Reach, options: SearchOptions, robots: int) -> None:
-    """Refuse a bound for several robots or another objective, or beyond `MAX_MEMORY`."""
+    """Check that a bound is possible, and within `MAX_MEMORY`."""
     if robots > 1:
         raise ValueError(
             f'there are {robots} robots, and a bound is for one that goes alone: send one at a '

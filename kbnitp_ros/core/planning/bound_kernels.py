@@ -17,21 +17,20 @@ from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.planning.label_kernels import surprisal
 import numpy as np
 
-# Boxes that are halved: after these the bound holds, and is less close.
+# Maximum number of boxes halved: the bound holds, and is less tight after these.
 MAX_BOXES = 20_000
 
 
 class Walks(NamedTuple):
-    """Closed walks from the base and the visits that they may make."""
+    """Closed walks from the base and their possible visits."""
 
-    # Ranks of the cells one step away, -1 where there is none. Shape (cells, 9).
+    # Ranks of the cells one step away, -1 for none, shape (cells, 9).
     neighbors: Any
-    # How many cells are within so many steps of the base, up to half of them. Shape (max_steps +
-    # 1,).
+    # Number of cells within so many steps of the base, up to half of them, shape (max_steps + 1,).
     within: Any
-    # W, r and r2 of so many visits. Shape (cells, visits + 1, 3).
+    # W, r and r2 of so many visits, shape (cells, visits + 1, 3).
     added: Any
-    # Of the visits to each cell. Shape (cells,).
+    # Maximum visits of each cell, shape (cells,).
     most: Any
 
 
@@ -39,7 +38,7 @@ class Walks(NamedTuple):
 def best_walk(
     walks: Walks, steps: int, multipliers: Any, value: Any, origin: Any, gradient: Any
 ) -> float:
-    """Return the greatest price of a closed walk, and its visits (:eq:`bound-cut`)."""
+    """Return the highest price of a closed walk, and its visits (:eq:`bound-cut`)."""
     before = 1
     value[0, 0] = 0.0
     for t in range(1, steps + 1):
@@ -134,14 +133,14 @@ def minimise(
 
 
 class Region(NamedTuple):
-    """Bounds of the sums of paths of so many steps (:eq:`bound-cut`)."""
+    """Limits on the sums of paths of so many steps (:eq:`bound-cut`)."""
 
     # The highest survival of any of them, q = s0^steps, and the lowest allowed.
     safest: float
     least: float
     # Nats.
     loss_cost: float
-    # D, lambda and mu of equation :eq:`bound-cut`. Shape (cuts, 3).
+    # D, lambda and mu of equation :eq:`bound-cut`, shape (cuts, 3).
     cuts: Any
 
 
@@ -153,7 +152,7 @@ def power(p: float, exponent: float) -> float:
 
 @compiled
 def greatest_sum(region: Region, survival: float, ratio: float) -> float:
-    """Return the most that the cuts leave to the sum of W at a point."""
+    """Return the largest sum of W at a point that the cuts allow."""
     r, least = -log(survival), inf
     for k in range(region.cuts.shape[0]):
         slope = region.cuts[k, 1] + region.cuts[k, 2] * ratio
@@ -190,7 +189,7 @@ def entropy_of(p: float) -> float:
 
 @compiled
 def value_at(region: Region, survival: float, ratio: float) -> float:
-    """Return the right side of equation :eq:`bound-path` for the greatest sum of W at a point."""
+    """Return the right side of equation :eq:`bound-path` for the largest sum of W at a point."""
     square = power(survival, ratio)
     c0, c1, c2 = parabola(region.safest, touching_point(region, survival, square))
     linear = greatest_sum(region, survival, ratio) + c1 + region.loss_cost

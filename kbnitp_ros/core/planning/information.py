@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Information that paths are expected to bring."""
+"""Expected information of paths."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def behavioral_information(
     return added_information(belief, model, path, outcomes, alpha, interest)
 
 
-# Values closer than this many decimals (nats) are ties, so rounding never decides for a path.
+# Values closer than this many decimals (nats) are ties, so rounding never decides.
 DECIMALS = 9
 
 
@@ -205,7 +205,7 @@ class Candidate(NamedTuple):
 
     # The objective value, nats, rounded.
     value: float
-    # The base first and last. Shape (steps + 1,).
+    # The base first and last, shape (steps + 1,).
     path: NDArray[np.intp]
 
     @classmethod
@@ -219,5 +219,5 @@ class Candidate(NamedTuple):
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
 
     def survival(self, objective: Objective) -> float:
-        """Return the chance that the robot returns, by the belief of its objective."""
+        """Return the chance of a return, by the belief of its objective."""
         return float(np.exp(path_log_survival(objective.belief, objective.model, self.path)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loops over the readings of cells, and over the exposures of a path."""
+"""Kernels over the readings of cells and the exposures of a path."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from numpy.typing import NDArray
 
 
 class Readings(NamedTuple):
-    """What a robot may read of a cell, on top of what others have read."""
+    """The possible readings of a cell, in addition to earlier ones."""
 
-    # P(n visits survived | Z = z), indexed [n, z]. Shape (most visits + 1, 2).
+    # P(n visits survived | Z = z), indexed [n, z], shape (most visits + 1, 2).
     survival: NDArray[np.float64]
-    # The state after n more readings by the robot. Shape (earlier states, most visits + 1).
+    # The state after n more readings by the robot, shape (earlier states, most visits + 1).
     after: NDArray[np.intp]
-    # How many each has. Shape (states,).
+    # Number of outcomes of each state, shape (states,).
     outcomes: NDArray[np.intp]
-    # P(outcome | X = x), indexed [state, outcome, x]; 0 beyond the outcomes of a state. Shape
+    # P(outcome | X = x), indexed [state, outcome, x], 0 beyond the outcomes of a state; shape
     # (states, most outcomes, 2).
     likelihood: NDArray[np.float64]
-    # Entropy of the outcome, nats, indexed [state, x]. Shape (states, 2).
+    # Entropy of the outcome, nats, indexed [state, x], shape (states, 2).
     noise: NDArray[np.float64]
 
 
 class Exposures(NamedTuple):
-    """How often a robot may be exposed to hazards on a path."""
+    """The distribution of the number of exposures to hazards on a path."""
 
-    # P(c) of each number of exposures c. Shape (most exposures + 1,).
+    # P(c) of each number of exposures c, shape (most exposures + 1,).
     chance: NDArray[np.float64]
-    # log P(survive | z), which depends on the hazards z through c alone. Shape (most exposures +
+    # log P(survive | z), which depends on the hazards z through c alone, shape (most exposures +
     # 1,).
     log_survival: NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def new_readings(
     beta: float,
     information: NDArray[np.float64],
 ) -> None:
-    """Return new readings (:eq:`reading-information`, :eq:`behavioral-information`)."""
+    """Compute what readings add (:eq:`reading-information`, :eq:`behavioral-information`)."""
     survival = readings.survival
     for cell in range(joint.shape[0]):
         for n in range(1, survival.shape[0]):
@@ -85,7 +85,7 @@ def reading_information(target: float, state: int, readings: Readings) -> float:
 def exposed(
     steps: NDArray[np.intp], hazard: NDArray[np.float64], log_safe: float, log_deadly: float
 ) -> Exposures:
-    """Return the numbers of exposures on a path, and their outcomes (:eq:`exposures`)."""
+    """Return the exposures on a path, with their outcomes (:eq:`exposures`)."""
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
@@ -139,7 +139,7 @@ def coin(p: float, q: float, alpha: float, beta: float) -> float:
 
 @inlined
 def fall(target: float, state: int, readings: Readings, alpha: float, beta: float) -> float:
-    """Return by how much the readings of a state are expected to lower the entropy."""
+    """Return the expected fall of the entropy by the readings of a state."""
     fallen = coin(target, 1.0 - target, alpha, beta)
     for outcome in range(readings.outcomes[state]):
         without = (1.0 - target) * readings.likelihood[state, outcome, 0]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 r"""
-Loops of the label search: the best partial paths to each cell are extended, step by step.
+Kernels of the label search: the best partial paths to each cell are extended, step by step.
 
 Cells go by their rank in the order of their distance from the base, which has rank 0, so those
 that a label may end in after some number of steps are the first so many. A label is a path from
@@ -32,117 +32,113 @@ Places = NDArray[np.intp]
 class Reach(NamedTuple):
     """The cells from which a robot can still return."""
 
-    # By their distance from the base, which comes first, and then ascending; the place of a cell
-    # is its rank. Shape (n,).
+    # By their distance from the base, which comes first, and then ascending; a cell's index is its
+    # rank; shape (n,).
     cells: Places
-    # Ranks of the cells one step away, -1 where there is none. Columns j and 8 - j lead into
-    # opposite directions. Shape (n, 9).
+    # Ranks of the cells one step away, -1 for none; columns j and 8 - j lead into opposite
+    # directions; shape (n, 9).
     neighbors: Places
-    # After so many steps the robot is in one of the first so many cells. Shape (max_steps + 1,).
+    # After so many steps the robot is in one of the first so many cells, shape (max_steps + 1,).
     within: Places
-    # Where the cells of each step begin in what goes by steps and then cells; then its length.
-    # Shape (max_steps + 2,).
+    # Start of each step's cells in arrays by step and cell, and their length, shape (max_steps +
+    # 2,).
     start: Places
-    # Metres of a step by each column of `neighbors`; all 0 where paths may be of any length. Shape
-    # (9,).
+    # Metres of a step by each column of `neighbors`, shape (9,); all 0 without a limit on length.
     length: Floats
-    # Metres of the shortest way home from each cell, or 0 likewise. Shape (n,).
+    # Metres of the shortest way home from each cell, or 0 without a limit, shape (n,).
     home: Floats
-    # Metres that a path may have, or 0 likewise.
+    # Maximum metres of a path, or 0.
     longest: float
 
 
 class Gains(NamedTuple):
-    """Factors and terms of the next visit, by cell and the number of visits before."""
+    """Factors and terms of the next visit, by cell and number of visits before."""
 
-    # The moment E[p^a] after it over that before it for each exponent a; then the same of the
-    # survival in each outcome.
+    # The ratio of each moment E[p^a] to that before; then that of the survival in each outcome.
     factor: Floats
     # The change of E[p ln p] / E[p]; then in each outcome that of the information of readings,
-    # nats, less that of the log of the survival. Shape (cells, max_visits, 1 + outcomes).
+    # less that of the log survival, nats; shape (cells, max_visits, 1 + outcomes).
     term: Floats
 
 
 class LabelProblem(NamedTuple):
-    """The cells, and the value of labels."""
+    """The cells, and the weights that give the value of labels."""
 
     # The cells and their neighbours.
     reach: Reach
-    # What a visit adds to the mark of a label; sums tell apart how often each was visited. Shape
-    # (cells,).
+    # Marks that a visit adds to a label's: their sums identify the visits, shape (cells,).
     marks: NDArray[np.int64]
-    # Of visits to the cells.
+    # Gains of visits.
     gains: Gains
-    # Of each moment. Shape (powers,).
+    # Weight of each moment, shape (powers,).
     weight: Floats
-    # Of each joint outcome of the robots before. Shape (outcomes,).
+    # Probability of each joint outcome of the robots before, shape (outcomes,).
     chance: Floats
     # Nats.
     loss_cost: float
-    # To the nat; values are compared in these, so that rounding never decides for a path.
+    # Units in a nat; values are compared in these, so rounding never decides.
     units: float
-    # Upper bound of the information of readings of the steps left after so many, nats. Shape
-    # (max_steps + 1,).
+    # Upper bound of the information of readings in the remaining steps, nats, shape (max_steps +
+    # 1,).
     unread: Floats
 
 
 class Products(NamedTuple):
     """Factors and terms of labels."""
 
-    # The moments; then the survival in each outcome. Shape (rows, powers + outcomes).
+    # The moments, then the survival in each outcome, shape (rows, powers + outcomes).
     factor: Floats
-    # The sums of `Gains.term`. Shape (rows, 1 + outcomes).
+    # The sums of `Gains.term`, shape (rows, 1 + outcomes).
     term: Floats
 
 
 class Labels(NamedTuple):
-    """The labels of one step; those at a cell have the first `kept` of its `width` rows."""
+    """The labels of one step; those at a cell take the first `kept` of its `width` rows."""
 
     # Of each row.
     products: Products
-    # Equal for equal visits. Shape (rows,).
+    # Equal for equal visits, shape (rows,).
     mark: NDArray[np.int64]
-    # Metres, as of `Reach.length`. Shape (rows,).
+    # Metres, as in `Reach.length`, shape (rows,).
     length: Floats
-    # The visits to the cells around. Shape (rows, 9).
+    # Visits of the cells around, shape (rows, 9).
     seen: NDArray[np.int32]
-    # How many labels each cell has. Shape (cells,).
+    # Number of labels of each cell, shape (cells,).
     kept: NDArray[np.int64]
 
 
 class Ranking(NamedTuple):
     """The best extensions of labels to a cell, the best first."""
 
-    # In units; -inf for none. Shape (places,).
+    # In units, -inf for none, shape (places,).
     score: Floats
-    # Of the label. Shape (places,).
+    # Mark of the label, shape (places,).
     mark: NDArray[np.int64]
-    # Of the label, metres; no places where paths may be of any length. Shape (places,).
+    # Metres of the label, shape (places,); empty without a limit on length.
     length: Floats
-    # 16 * slot + column of `Reach.neighbors`, of the label that is extended. Shape (places,).
+    # 16 * slot + column of `Reach.neighbors` of the extended label, shape (places,).
     origin: NDArray[np.int64]
 
 
 class Completions(NamedTuple):
-    """The best completion of so many steps at most from each cell that it may start in."""
+    """The best completion of at most so many steps from each cell."""
 
-    # By steps and then cells: the moments of each times their weights, E[p], P0, the terms of
-    # both, and its length. Shape (sum of within, powers + 5).
+    # By step and cell: the moments times their weights, E[p], P0, the terms of both, and the
+    # length; shape (sum of within, powers + 5).
     moments: Floats
-    # Of the label that the last completion of each cell was made of. Shape (cells,).
+    # Products of the last label completed from each cell, shape (cells,).
     value: Floats
-    # For one of them, where lengths are limited: that which is short enough for a label. Shape
-    # (powers + 5,).
+    # The completion short enough for a label, where lengths are limited, shape (powers + 5,).
     room: Floats
 
 
 class Trail(NamedTuple):
-    """The label that was followed back last."""
+    """The label that was traced back last."""
 
-    # By steps; a slot of -1 is none. Shape (max_steps + 1,).
+    # By step, shape (max_steps + 1,); a slot of -1 is none.
     slot: NDArray[np.int64]
     cell: NDArray[np.int64]
-    # To each cell. Shape (cells,).
+    # Visits of each cell, shape (cells,).
     visits: NDArray[np.int64]
 
 
@@ -165,7 +161,7 @@ def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: f
 def hoped_value(
     brought: float, lost: float, likeliest: float, loss_cost: float, unread: float
 ) -> float:
-    """Return a bound on the value of each path that a label begins, by equation :eq:`hopeless`."""
+    """Return a bound on the value of each path that starts with a label (:eq:`hopeless`)."""
     if likeliest > 0.5:
         return inf
     return brought + surprisal(lost) - loss_cost * lost + (1.0 - lost) * unread
@@ -203,13 +199,13 @@ def visit(
 
 @compiled
 def new_products(rows: int, gains: Gains) -> Products:
-    """Return room for the factors and the terms of so many labels."""
+    """Return empty arrays for the factors and terms of so many labels."""
     return Products(np.empty((rows, gains.factor.shape[2])), np.empty((rows, gains.term.shape[2])))
 
 
 @compiled
 def new_labels(cells: int, width: int, gains: Gains) -> Labels:
-    """Return room for the labels of one step."""
+    """Return empty arrays for the labels of one step."""
     rows = cells * width
     return Labels(
         new_products(rows, gains),
@@ -222,7 +218,7 @@ def new_labels(cells: int, width: int, gains: Gains) -> Labels:
 
 @compiled
 def new_ranking(places: int, is_limited: bool) -> Ranking:
-    """Return room for so many extensions."""
+    """Return an empty ranking of so many extensions."""
     lengths = np.empty(places if is_limited else 0)
     return Ranking(
         np.empty(places), np.empty(places, np.int64), lengths, np.empty(places, np.int64)
@@ -231,7 +227,7 @@ def new_ranking(places: int, is_limited: bool) -> Ranking:
 
 @inlined
 def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
-    """Put a candidate among the best, the best first, unless one of them has its mark."""
+    """Insert a candidate into a ranking, unless its mark is there."""
     scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
     low, high = 0, scores.size
     while low < high:
@@ -352,7 +348,7 @@ def find_best(
             if not above * units < score[-1] - 1.0:
                 value = averaged_value(brought, lost, lost_square, loss_cost)
                 value = floor((value - left_open) * units + 0.5)
-                # A twin of the last may be shorter.
+                # A duplicate of the last may be shorter.
                 if value > score[-1] or (is_limited and value == score[-1]):
                     insert(value, next_mark, length, 16 * slot + column, by_value)
                     touches = lost
@@ -382,7 +378,7 @@ def merge(
     found: NDArray[np.int64],
     found_mark: NDArray[np.int64],
 ) -> int:
-    """Write the origins and marks of the best, those that are both once; return how many."""
+    """Merge two rankings without duplicates: write origins and marks, return their number."""
     kept = 0
     for slot in range(by_value.score.size):
         if by_value.score[slot] > -inf:
@@ -432,7 +428,7 @@ def write_completions(
     best_value: Floats,
     completions: Completions,
 ) -> None:
-    """Write the best completion of so many steps at most from each cell that it may start in."""
+    """Write the best completion of at most so many steps from each cell."""
     reach, moments, value = problem.reach, completions.moments, completions.value
     start = reach.start[step]
     for rank in range(reach.within[step]):
@@ -453,7 +449,7 @@ def write_completions(
 def follow(
     reach: Reach, trail: Trail, origins: NDArray[np.int32], step: int, rank: int, slot: int
 ) -> None:
-    """Follow a label back to where it left the last one that was followed; count its visits."""
+    """Trace a label back to its branch from the last one traced; count its visits."""
     while step > 0 and (trail.slot[step] != slot or trail.cell[step] != rank):
         if trail.slot[step] >= 0:
             trail.visits[trail.cell[step]] -= 1
@@ -487,7 +483,7 @@ def search(
     completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))
     writes_completions = moments.shape[0] > 0 and by_heuristic_rows == 0
     if writes_completions:
-        # No steps left, and there.
+        # At the base, without steps left.
         moments[0, :powers] = problem.weight
         moments[0, powers:] = 0.0
         moments[0, powers] = moments[0, powers + 1] = 1.0

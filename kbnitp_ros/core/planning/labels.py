@@ -49,7 +49,7 @@ def reach_of(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     start = np.append(0, np.cumsum(within))
     neighbors = rank[grid.neighbor_table[cells]]
     if not max_distance:
-        # Where no length is allowed for, none is counted.
+        # Without a limit, lengths are not counted.
         lengths, home = np.zeros(9), np.zeros(cells.size)
         return Reach(cells, neighbors, within, start, lengths, home, 0.0)
     return Reach(
@@ -86,7 +86,7 @@ def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> 
 
     alive = log_survival[..., 1:] > -np.inf
     with np.errstate(invalid='ignore'):
-        # Once nobody survives nothing more can be lost.
+        # Once nobody survives, nothing more can be lost.
         log_ratio = np.where(alive, np.diff(log_survival), 0.0)
     added = np.diff(read) * objective.interest[cells, None]
     survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
@@ -115,14 +115,13 @@ def _powers(
     return power, times_log(power[..., 0], log_power)
 
 
-# Closed paths that are ranked by their exact value: twice `width`, or these if that is less.
+# Number of closed paths ranked by exact value: twice `width`, or these if that is less.
 MIN_RANKED = 8
 
-# The rounds of the local search: how many of the best paths are improved, and how many cells in a
-# row are replaced.
+# Rounds of the local search: number of paths improved, and number of consecutive cells replaced.
 ROUNDS = ((16, 2), (4, 3))
 
-# Bytes of one search.
+# Maximum bytes of a search.
 MAX_MEMORY = 1 << 30
 
 
@@ -145,7 +144,7 @@ def best_paths(
 
 
 class LabelSearch:
-    """A label search; arguments as of `best_paths`."""
+    """A label search; arguments as in `best_paths`."""
 
     def __init__(
         self, grid: Grid, objective: Objective, options: SearchOptions, width: int
@@ -182,7 +181,7 @@ class LabelSearch:
         paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)
         if self._width == 1:
             return paths, steps
-        # Of behavioral entropies nothing is known of the paths that a label can begin.
+        # For behavioral entropies there is no bound on the continuations of a label.
         least = -inf
         if self._objective.alpha == SHANNON:
             least = self.exact(paths[:1], steps[:1])[0] * problem.units - 1.0
@@ -201,7 +200,7 @@ class LabelSearch:
         return paths, steps
 
     def ranked(self, paths: Places, steps: Places) -> tuple[Floats, Places, Places]:
-        """Return the values of closed paths, and these, the best first, of equal visits one."""
+        """Return the values of closed paths and the paths, best first, no two of equal visits."""
         is_visit = np.arange(paths.shape[1]) <= steps[:, None]
         is_visit[:, 0] = False
         marks = (self.problem.marks[paths] * is_visit).sum(axis=1).tolist()
@@ -212,7 +211,7 @@ class LabelSearch:
         return values[order], paths[order], steps[order]
 
     def exact(self, paths: Places, steps: Places) -> Floats:
-        """Return the values of closed paths, without the error of the moments, rounded."""
+        """Return the exact values of closed paths, rounded."""
         objective, cells = self._objective, self.reach.cells
         if objective.alpha != SHANNON:
             each = (cells[path[: count + 1]] for path, count in zip(paths, steps))
@@ -228,7 +227,7 @@ class LabelSearch:
 
 
 def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
-    """Return a bound on what the steps left can still read, by the steps taken (:eq:`unread`)."""
+    """Return a bound on the information of readings in the remaining steps (:eq:`unread`)."""
     survival = gains.factor[..., powers:]
     with np.errstate(divide='ignore', invalid='ignore'):
         risk = -np.log(survival)
@@ -253,21 +252,22 @@ def check_memory(
     further: int,
     powers: int,
 ) -> None:
-    """Check that a search can have the memory that it takes."""
+    """Check that a search fits in memory."""
     number = 8
     max_steps, max_visits = options.max_steps, options.max_visits
     visits, rows = min(max_visits, max_steps), max(1, width // 4)
     labels, cells = int(reach.start[-1]), reach.cells.size
     factors_and_terms = powers + 1 + 2 * outcomes
     estimate = (
-        # Where each label comes from, and the completions if some are kept for their heuristic.
+        # The origin of each label, and the completions if some labels are kept for their
+        # heuristic.
         labels * (4 * rows + (number * (powers + 5) if rows > 1 else 0))
         # The labels of two steps, with their marks and the visits around.
         + 2 * int(reach.within.max()) * rows * (number * (factors_and_terms + 2) + 4 * 9)
-        # The gains and the chances of readings, while they are made.
+        # The gains and the likelihoods of readings, while they are computed.
         + 3 * number * cells * visits * factors_and_terms
         + 10 * number * further**2
-        # What the robots before bring.
+        # The information of the robots before.
         + 2 * number * outcomes * cells * (earlier + 4)
     )
     if estimate > MAX_MEMORY:
@@ -280,7 +280,7 @@ def check_memory(
 
 @lru_cache(maxsize=8)
 def scattered(cells: int, bits: int) -> NDArray[np.int64]:
-    """Return a mark for each cell whose sums tell apart how often each was visited (splitmix)."""
+    """Return a mark for each cell whose sums identify the visits (splitmix)."""
     x = np.arange(1, cells + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Loops of the local search that improves closed paths, and of their exact values.
+Kernels of the local search that improves closed paths, and of exact values.
 
 All but a gap in the path stays, so the value of a label is that of the whole path with its cells
 in the gap.
@@ -30,15 +30,15 @@ import numpy as np
 
 
 class Gap(NamedTuple):
-    """A place for cells in a closed path."""
+    """A gap in a closed path, to be filled with cells."""
 
-    # How many cells may go there.
+    # Maximum number of cells in the gap.
     most: int
     # The cells before and after it.
     start: int
     end: int
-    # The first and the last cell that were there, which need not be tried in their places since a
-    # shorter gap keeps them; -1 without any.
+    # The first and last cells removed, which need not be tried in their places, since a shorter
+    # gap keeps them; -1 for none.
     old_first: int
     old_last: int
     # Metres of the path without the gap.
@@ -46,22 +46,22 @@ class Gap(NamedTuple):
 
 
 class Room(NamedTuple):
-    """The rest of a path, and room for labels of so many cells in the gap by their rows."""
+    """Work space: the rest of a path, and labels with cells in the gap, by row."""
 
-    # Of the rest. Shape (cells,).
+    # Visits by the rest, shape (cells,).
     visits: Places
-    # Metres of the step from each cell to the end of the gap; inf where there is none. Shape
+    # Metres of the step from each cell to the end of the gap, inf if there is none, shape
     # (cells,).
     closing: Floats
     # Of labels; row 0 is the label of the rest.
     products: Products
-    # Metres of the rest and of each label. Shape (rows,).
+    # Metres of the rest and of each label, shape (rows,).
     length: Floats
-    # The last cell of each label, and where it is extended to next, of `Reach.neighbors`. Shape
+    # Last cell of each label, and the next column of `Reach.neighbors` to extend it to, shape
     # (rows,).
     cell: Places
     column: Places
-    # The best cells. Shape (rows,).
+    # The best cells, shape (rows,).
     best: Places
 
 
@@ -93,7 +93,7 @@ def value_after(
 def visit_all(
     path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products
 ) -> None:
-    """Visit the cells of a path from one place to another: row 0 of `to`, and their counts."""
+    """Visit the cells of a stretch of a path, in row 0 of `to` and in the counts."""
     for step in range(first, last + 1):
         cell = path[step]
         visit(to, 0, gains, cell, visits[cell], to, 0)
@@ -102,7 +102,7 @@ def visit_all(
 
 @compiled
 def take(path: Places, gains: Gains, visits: Places, to: Products) -> None:
-    """Write the label of a closed path, ranks of cells, into row 0, and count its visits."""
+    """Write the label of a closed path of ranks into row 0, and count its visits."""
     visits[:] = 0
     to.factor[0], to.term[0] = 1.0, 0.0
     visit_all(path, 1, path.size - 1, gains, visits, to)
@@ -135,7 +135,7 @@ def exact_values(
 
 @compiled
 def length_to(reach: Reach, cell: int, other: int) -> float:
-    """Return the length of the step from a cell to another, metres; inf if there is none."""
+    """Return the length of the step from one cell to another, metres; inf if there is none."""
     length = inf
     for column in range(9):
         if reach.neighbors[cell, column] == other:
@@ -145,7 +145,7 @@ def length_to(reach: Reach, cell: int, other: int) -> float:
 
 @compiled
 def measure(path: Places, reach: Reach, walked: Floats) -> None:
-    """Write the length of a path up to each place, metres."""
+    """Write the length of a path up to each index, metres."""
     walked[0] = 0.0
     for step in range(1, path.size):
         walked[step] = walked[step - 1] + length_to(reach, path[step - 1], path[step])
@@ -153,7 +153,7 @@ def measure(path: Places, reach: Reach, walked: Floats) -> None:
 
 @inlined
 def fill(problem: LabelProblem, gap: Gap, room: Room, least: float) -> tuple[float, int]:
-    """Find the best cells for a gap, depth first through all."""
+    """Find the best cells for a gap by depth-first search."""
     reach, gains = problem.reach, problem.gains
     visits, closing, products = room.visits, room.closing, room.products
     length, cell, column, best = room.length, room.cell, room.column, room.best
@@ -188,7 +188,7 @@ def fill(problem: LabelProblem, gap: Gap, room: Room, least: float) -> tuple[flo
 
 @compiled
 def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
-    """Replace up to so many cells in a row of a closed path while that makes it better."""
+    """Replace runs of cells of a closed path as long as that improves it."""
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between
     room = Room(
@@ -200,14 +200,14 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
         np.empty(rows, np.int64),
         np.empty(rows, np.int64),
     )
-    # Metres up to each place.
+    # Metres up to each index.
     walked = np.zeros(path.size)
     measure(path[: steps + 1], reach, walked)
     take(path[: steps + 1], gains, room.visits, room.products)
     best_value = label_value(room.products, 0, problem)
     # The label of the first steps, `reached` of them.
     before, visits_before, reached = new_products(1, gains), np.zeros_like(room.visits), path.size
-    # Places since the last replacement, up to all of them.
+    # Number of indices since the last replacement, up to all.
     first, unchanged = 0, 0
     while unchanged < steps:
         if reached > first:
@@ -260,6 +260,6 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
 
 @compiled
 def improve_all(problem: LabelProblem, paths: Places, steps: Places, most_between: int) -> None:
-    """Improve closed paths, row k of `paths` with steps[k] + 1 ranks: both are changed."""
+    """Improve closed paths, row k of `paths` with steps[k] + 1 ranks; both are changed."""
     for row in range(steps.size):
         steps[row] = improve(problem, paths[row], steps[row], most_between)

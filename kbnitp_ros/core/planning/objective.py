@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a path is worth beside robots in flight."""
+"""The objective of a path, given robots in flight."""
 
 from __future__ import annotations
 
@@ -33,40 +33,40 @@ WEIGHTS = np.array(
     ]
 )
 
-# The most that the sum of powers is off, nats.
+# Maximum error of the sum of powers, nats.
 ERROR = 1.95e-5
 
 
-# How many different cameras robots may have that are planned for together, and in how many ways
-# readings may then be shared out among them: where cameras differ, more readings of a cell by one
-# than that allows count as so many, which tells all but nothing less.
+# Maximum number of different cameras planned for together, and of ways in which readings may be
+# shared among them. With different cameras, further readings of a cell by one of them count as the
+# last one that is counted, which loses next to nothing.
 MOST_CAMERAS = 6
 MOST_WAYS = 1024
 
 
 class Camera(NamedTuple):
-    """What of a sensor model readings depend on, as there."""
+    """The numbers of a sensor model that readings depend on, as there."""
 
     true_positive: float
     false_positive: float
 
     @classmethod
     def of(cls, model: SensorModel) -> Camera:
-        """Return the camera of robots with this model."""
+        """Return the camera of a sensor model."""
         return cls(model.true_positive, model.false_positive)
 
 
-# Of each camera the most readings that it brings of a cell.
+# Maximum readings of a cell by each camera.
 Most = tuple[tuple[Camera, int], ...]
 
 
 def most_counted(cameras: int) -> int | None:
-    """Return to how many the readings of a cell by one of so many cameras count; None for all."""
+    """Return how many readings of a cell by each camera are counted; None for all."""
     return None if cameras < 2 else int(MOST_WAYS ** (1.0 / cameras)) - 1
 
 
 def check_cameras(cameras: int) -> None:
-    """Check that it can be planned for robots with so many different cameras."""
+    """Check that so many different cameras can be planned for."""
     if cameras > MOST_CAMERAS:
         raise ValueError(
             f'the robots have {cameras} different cameras: paths can be planned for at most '
@@ -76,7 +76,7 @@ def check_cameras(cameras: int) -> None:
 
 @lru_cache(maxsize=8)
 def readings_of(model: SensorModel, visits: int, earlier: Most) -> Readings:
-    """Return what up to `visits` readings of a robot, and those of others before, may be."""
+    """Return the possible outcomes of up to `visits` readings and those of others before."""
     own = Camera.of(model)
     most = dict(earlier)
     before = tuple(count + 1 for count in most.values())
@@ -88,7 +88,7 @@ def readings_of(model: SensorModel, visits: int, earlier: Most) -> Readings:
     for state, of_cameras in enumerate(counts):
         row = np.ones((1, 2))
         for table, count in zip(tables, of_cameras):
-            # The last camera's count of positives varies fastest.
+            # The count of the last camera varies fastest.
             row = (row[:, None] * table[count, : count + 1]).reshape(-1, 2)
         likelihood[state, : len(row)] = row
     places = np.arange(len(counts)).reshape([count + 1 for count in most.values()])
@@ -111,7 +111,7 @@ def new_information(
     earlier: NDArray[np.float64],
     alpha: float = SHANNON,
 ) -> NDArray[np.float64]:
-    """Return what 1, 2, ... survived visits read on top of earlier readings, (..., visits)."""
+    """Return the information of 1, 2, ... visits given earlier readings, (..., visits)."""
     found = np.empty((*joint.shape[:-2], len(readings.survival) - 1))
     new_readings(
         readings,
@@ -136,40 +136,41 @@ def positives(camera: Camera, most: int) -> NDArray[np.float64]:
     return likelihood * (k <= m)[..., None]
 
 
-# Each robot doubles the joint outcomes; beyond these the least probable are merged.
+# Maximum number of joint outcomes tracked, each robot doubling them; the least probable are
+# merged.
 MOST_OUTCOMES = 16
 
-# A joint outcome less likely than this decides nothing, and its numbers would run out of digits.
+# Minimum probability of a joint outcome: less decides nothing, and runs out of digits.
 NEGLIGIBLE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
 class JointOutcomes:
-    """What may have become of the robots sent before: who of them returned and who was lost."""
+    """The joint outcomes of the robots sent before: each returned or was lost."""
 
-    # Before any of them was sent; it holds on in the cells that none of them visits.
+    # The belief before any of them was sent, which still holds in other cells.
     belief: Belief
-    # Of each outcome. Shape (outcomes,).
+    # Probability of each outcome, shape (outcomes,).
     probability: NDArray[np.float64]
-    # The cells that they visit, ascending. Shape (n,).
+    # The cells that they visit, ascending, shape (n,).
     cells: NDArray[np.intp]
-    # P(Z = z, X = x) of these cells given who returned and who was lost, but not yet what the
-    # returned ones read. Shape (outcomes, n, 2, 2).
+    # P(Z = z, X = x) of these cells given the outcome, but not the readings; shape (outcomes, n,
+    # 2, 2).
     joint: NDArray[np.float64]
-    # P(the returned robots bring so many readings of the cell by each of their cameras), from 0 up
-    # along an axis for each: certain but where several outcomes are merged.
+    # P(number of readings of the cell by each camera), with an axis for each from 0 up: certain
+    # but for merged outcomes.
     readings: NDArray[np.float64]
-    # Those of the robots.
+    # The cameras of the robots.
     cameras: tuple[Camera, ...] = ()
 
     @property
     def most_readings(self) -> Most:
-        """Return the most readings of a cell by each camera."""
+        """Return the maximum readings of a cell by each camera."""
         return tuple(zip(self.cameras, (count - 1 for count in self.readings.shape[2:])))
 
     @property
     def states(self) -> int:
-        """Return how many numbers of readings by each camera there may be."""
+        """Return the number of combinations of readings by all cameras."""
         return prod(self.readings.shape[2:])
 
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -186,25 +187,25 @@ class JointOutcomes:
         return joint, readings
 
     def places_of(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return where in any `cells`, shape (k,), and where in its own the same cells stand."""
+        """Return the positions of common cells, in `cells`, shape (k,), and in its own."""
         there = np.searchsorted(self.cells, cells)
         here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
         return here, there[here]
 
 
-# Certain, and no cells.
+# Certain, and without cells.
 NOBODY = np.ones(1), np.empty(0, dtype=np.intp), np.empty((1, 0, 2, 2)), np.empty((1, 0))
 
 
 def nobody_deployed(belief: Belief) -> JointOutcomes:
-    """Return the only joint outcome of no robots: all is as believed."""
+    """Return the single joint outcome of no robots."""
     return JointOutcomes(belief, *NOBODY)
 
 
 def after_deployment(
     outcomes: JointOutcomes, model: SensorModel, path: ArrayLike
 ) -> JointOutcomes:
-    """Return the joint outcomes once one more robot is sent (:eq:`joint-outcomes`)."""
+    """Return the joint outcomes after one more robot is sent (:eq:`joint-outcomes`)."""
     visits = Visits.of(as_path(path))
     cells = np.union1d(outcomes.cells, visits.cells)
     at = np.searchsorted(cells, visits.cells)
@@ -221,7 +222,7 @@ def after_deployment(
     hazard = joint[:, at, 1].sum(axis=-1).clip(max=1.0)
     log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival).sum(axis=1)
 
-    # Each outcome's loss and then its return, without those that are next to impossible.
+    # The loss and then the return of each outcome, without nearly impossible ones.
     chance = np.stack([-np.expm1(log_survival), np.exp(log_survival)], axis=1)
     probability = (outcomes.probability[:, None] * chance).ravel()
     order = np.argsort(-probability, kind='stable')
@@ -248,7 +249,7 @@ def after_deployment(
 
 
 def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
-    """Return readings by several cameras, of which those beyond `most` by one count no more."""
+    """Return readings by several cameras, where those beyond `most` by one count no more."""
     if most is None:
         return readings
     for axis in range(2, readings.ndim):
@@ -273,8 +274,8 @@ def _merged(outcomes: JointOutcomes) -> JointOutcomes:
     return replace(outcomes, probability=probability, joint=joint, readings=readings)
 
 
-# While labels are compared, the entropy of an outcome is a sum of these powers of a survival. As
-# among those of Shannon's, the first moment is the predicted survival itself.
+# Exponents: while labels are compared, the entropy of an outcome is a sum of these powers of a
+# survival. As among those of Shannon's, the first moment is the predicted survival itself.
 BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 
 
@@ -287,12 +288,12 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
 
 
 def powers_of(alpha: float, outcomes: int) -> int:
-    """Return how many powers the labels of a search carry that may have so many outcomes."""
+    """Return the number of powers in the labels of a search with so many outcomes."""
     return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
 
 
 def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights with which the powers of a label make the entropy left in its outcome."""
+    """Return the weights of a label's powers in the entropy of its outcome."""
     if alpha == SHANNON:
         return WEIGHTS
     entropy, rest = weights_of(alpha)
@@ -302,7 +303,7 @@ def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.floa
 @lru_cache(maxsize=16)
 def weights_of(alpha: float) -> NDArray[np.float64]:
     """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
-    # With the first ones it is h(p); with the others h(p) + (1 - p) ln(1 - p), what a label search
+    # The first exponents sum to h(p), the others to h(p) + (1 - p) ln(1 - p), which a label search
     # does not add by itself.
     ends = np.geomspace(1e-8, 1e-2, 300)
     survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
@@ -317,18 +318,18 @@ def weights_of(alpha: float) -> NDArray[np.float64]:
 class Objective:
     """The expected information of a path, less the cost of expected losses."""
 
-    # Before the round.
+    # The belief before the round.
     belief: Belief
-    # What the robot and its sensors are believed to be like.
+    # The believed sensor model of the robot.
     model: SensorModel
     # The cost of its loss, nats, at least 0.
     loss_cost: float
-    # What counts of the information of readings in each cell, in [0, 1]. Shape (cells,).
+    # Weight of the information of readings in each cell, in [0, 1], shape (cells,).
     interest: NDArray[np.float64]
-    # Of the robots that leave in the same round and whose paths are known.
+    # Of the robots of the same round whose paths are known.
     outcomes: JointOutcomes
-    # Of the Prelec weight of what is likely and unlikely: 1 for Shannon's entropy, otherwise
-    # `behavioral_information` is in the place of the information.
+    # Prelec weight of probabilities: 1 for Shannon's entropy; otherwise `behavioral_information`
+    # replaces the information.
     alpha: float = SHANNON
 
     @classmethod
@@ -342,9 +343,9 @@ class Objective:
         return cls(belief, model, options.loss_cost, interest, nobody, options.alpha)
 
     def after(self, path: NDArray[np.intp]) -> JointOutcomes:
-        """Return what may become of the robots once this one takes `path` as well."""
+        """Return the joint outcomes after this robot takes `path` as well."""
         return after_deployment(self.outcomes, self.model, path)
 
     def given(self, outcomes: JointOutcomes) -> Objective:
-        """Return the objective of the robot if others have left before."""
+        """Return the objective of the robot after others have left."""
         return replace(self, outcomes=outcomes)

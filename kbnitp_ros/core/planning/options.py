@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of a search for paths."""
+"""Options of a search for paths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kbnitp_ros.core.field.check import cost, probability, whole_number
 from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.plugins import Registry, takes
 
-# What is sought.
+# The objectives.
 OBJECTIVES = ('information', 'behavioral', 'information_per_loss')
 
 
@@ -25,7 +25,7 @@ PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     gone={'exact': 'it is gone: use beam, and bound for how much better a path may be'},
 )
 
-# The alpha of Shannon's entropy, and the range of those of behavioral entropies.
+# The alpha of Shannon's entropy, and the range for behavioral entropies.
 SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
 
@@ -38,7 +38,7 @@ def beta_of(alpha: float) -> float:
 @dataclass(frozen=True)
 class SearchOptions:
     """
-    The options of a search for paths.
+    Options of a search for paths.
 
     Parameters
     ----------
@@ -115,6 +115,6 @@ class SearchOptions:
         object.__setattr__(self, 'alpha', float(self.alpha))
 
     def of_type(self, robot_type: RobotType) -> SearchOptions:
-        """Return the options for robots of a type, some of which are its own."""
+        """Return the options of a robot type, with its own values."""
         own = {name: own for name, own in robot_type.own.items() if name in vars(self)}
         return replace(self, **own) if own else self

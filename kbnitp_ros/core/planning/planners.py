@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
-    """Return a closed path through cells visited least, in an order or the nearest first."""
+    """Return a closed path through the least visited cells, in an order or the nearest first."""
     grid, visited = finder.grid, finder.visited
     max_steps, max_visits = finder.options.max_steps, finder.options.max_visits
     wanted: NDArray[np.bool_] = grid.in_reach(max_steps)
@@ -67,14 +67,14 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
 def is_open(
     grid: Grid, entered: NDArray[np.intp], max_visits: int, *, home: bool = False
 ) -> NDArray[np.bool_]:
-    """Return which cells may be entered once more; the base only on the way home."""
+    """Return the cells that may be entered once more; the base only on the way home."""
     result: NDArray[np.bool_] = grid.free & (entered < max_visits)
     result[grid.base] = home
     return result
 
 
 def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
-    """Return a shortest way, without its start, from the steps from there to each cell."""
+    """Return a shortest way, without its start, from the steps from each cell to its end."""
     cells = [target]
     while steps[cells[-1]] > 1:
         around = grid.neighbors(cells[-1])
@@ -82,15 +82,15 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
     return cells[::-1]
 
 
-# How often a walk of so many steps is begun anew when it comes to where it cannot go on.
+# Number of restarts of a walk of so many steps that gets stuck.
 ATTEMPTS = 100
 
-# The most bytes that counting the ways home may take.
+# Maximum bytes for counting the ways home.
 MOST_MEMORY = 1 << 30
 
 
 def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Draw a closed walk of as many steps as there may be."""
+    """Draw a closed walk of the maximum number of steps."""
     ways = ways_home(reach)
     for steps in range(reach.within.size - 1, 1, -1):
         for _ in range(ATTEMPTS):
@@ -101,7 +101,7 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
 
 
 def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
-    """Return the walks home in 0, 1, ... steps, as shares of the most (:eq:`walks`)."""
+    """Return the numbers of walks home in 0, 1, ... steps, over the largest (:eq:`walks`)."""
     ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
     ways[0][0] = 1.0
     for _ in range(reach.within.size - 2):
@@ -116,7 +116,7 @@ def one_walk(
     max_visits: int,
     rng: np.random.Generator,
 ) -> list[int]:
-    """Return a walk as ranks, one step for each of the `ways`; cut off where it cannot go on."""
+    """Return a walk as ranks, one step for each of the `ways`; cut off where it gets stuck."""
     walk, entered = [0], np.zeros(len(neighbors), dtype=np.intp)
     for left in reversed(ways):
         onward = neighbors[walk[-1]]
@@ -131,7 +131,7 @@ def one_walk(
 
 
 def check_walk_memory(reach: Reach) -> None:
-    """Check that the ways home can have the memory that they take."""
+    """Check that the ways home fit in memory."""
     estimate = 8 * reach.within.size * reach.cells.size
     if estimate > MOST_MEMORY:
         raise ValueError(
@@ -140,12 +140,12 @@ def check_walk_memory(reach: Reach) -> None:
         )
 
 
-# What a planner returns.
+# The result of a planner.
 A_LIST = 'a list of Candidate.along(path, objective)'
 
 
 class NoPathError(ValueError):
-    """No path that was found is survived as probably as it must be."""
+    """No path was found with the required survival."""
 
 
 @typed_fields
@@ -199,7 +199,7 @@ class PathFinder(Value):
         object.__setattr__(self, 'visited', given.astype(np.intp))
 
     def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
-        """Return the finder once robots have left on these paths, each of shape (steps + 1,)."""
+        """Return the finder after robots have left on these paths, each of shape (steps + 1,)."""
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
 
     def candidates(self, objective: Objective) -> list[Candidate]:
@@ -220,7 +220,7 @@ class PathFinder(Value):
         return candidates
 
     def check_path(self, path: ArrayLike) -> NDArray[np.intp]:
-        """Return a path as an array of cells, shape (steps + 1,), if it keeps to the limits."""
+        """Return a path as an array of cells, shape (steps + 1,), checked against the limits."""
         options = self.options
         cells = self.grid.check_path(path, options.max_steps, options.max_distance)
         visits = count_visits(self.grid, [cells])
@@ -233,7 +233,7 @@ class PathFinder(Value):
         return cells
 
     def _checked(self, found: object) -> list[Candidate]:
-        """Refuse what another package's planner may not return."""
+        """Check the results of another package's planner."""
         planner = self.options.planner
         if not isinstance(found, list | tuple):
             raise PLANNERS.fault(planner, f'returns {in_short(found)}: it must be {A_LIST}')
@@ -248,14 +248,14 @@ class PathFinder(Value):
             raise PLANNERS.fault(planner, f'returns a path that is none: {error}') from error
 
     def check_memory(self, robots: int, cameras: int = 1) -> None:
-        """Check that paths can be searched for within the memory allowed, before any is."""
+        """Check that a search fits in the allowed memory."""
         check_cameras(cameras)
         options = self.options
         if options.planner == 'random':
             check_walk_memory(reach_of(self.grid, options.max_steps, options.max_distance))
         if width := LABELS.get(options.planner):
             before = robots - 1
-            # As many as there can be, without powers of two that nobody can count.
+            # Limited, to avoid huge powers of two.
             outcomes = 2 ** min(before, MOST_OUTCOMES.bit_length() - 1)
             visits = min(options.max_visits, options.max_steps)
             counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
@@ -277,7 +277,7 @@ def check_distance(grid: Grid, options: SearchOptions) -> None:
     within_steps = grid.in_reach(options.max_steps)
     within_both = grid.in_reach(options.max_steps, options.max_distance)
     if within_steps.sum() > 1 and within_both.sum() == 1:
-        # In millimetres, and not less.
+        # In millimetres, rounded up.
         least = ceil(2e3 * np.sort(grid.distance_to_base[within_steps])[1] - 1e-6) / 1e3
         raise ValueError(
             f'max_distance is {options.max_distance:.6g} m, which allows no step from the base '
@@ -287,7 +287,7 @@ def check_distance(grid: Grid, options: SearchOptions) -> None:
 
 
 def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """Return how often paths, each of shape (steps + 1,), enter each cell, shape (cells,)."""
+    """Return the visits of each cell by paths, each of shape (steps + 1,); shape (cells,)."""
     entered = [path[1:] for path in paths] or [np.empty(0, dtype=np.intp)]
     return np.bincount(np.concatenate(entered), minlength=grid.cells)
 
@@ -303,7 +303,7 @@ def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Draw a closed walk, the same again for the same belief and earlier visits."""
+    """Draw a closed walk, the same for the same belief and earlier visits."""
     reach = reach_of(finder.grid, finder.options.max_steps, finder.options.max_distance)
     check_walk_memory(reach)
     known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
@@ -312,7 +312,7 @@ def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def coverage(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Plough the field, where earlier paths left off."""
+    """Plough the field from where earlier paths left off."""
     grid = finder.grid
     row, col = np.divmod(np.arange(grid.cells), grid.width)
     # Row after row, every second one backwards.
@@ -321,7 +321,7 @@ def coverage(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def shortest_unvisited(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Go to the nearest of the cells that were visited least, and on to the next."""
+    """Go to the nearest of the least visited cells, and on to the next."""
     return [Candidate.along(tour(finder), objective)]
 
 
@@ -335,7 +335,7 @@ PLANNERS.fill(
     }
 )
 
-# Those that seek no information.
+# Planners that seek no information.
 BASELINES = ('random', 'coverage', 'shortest_unvisited')
 
 

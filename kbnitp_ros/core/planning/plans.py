@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plans of a round: a path for each robot of a team, and what is expected of it."""
+"""The plans of a round: a path for each robot of a team, with its expected results."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Value):
     """
-    A path for one robot and what is expected of it.
+    A path for one robot, with its expected results.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Plan(Value):
 
     @classmethod
     def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
-        """Return the plan to take `path`, shape (steps + 1,)."""
+        """Return the plan of `path`, shape (steps + 1,)."""
         nobody = nobody_deployed(belief)
         information, survival = information_and_survival(belief, model, path, nobody)
         return cls(path, information, float(survival[0]))
@@ -138,7 +138,7 @@ def plan(
 
 
 def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
-    """Return the plan of a robot that goes alone, with a bound if that is asked for."""
+    """Return the plan of a robot that goes alone, with a bound if requested."""
     path = finder.candidates(objective)[0].path
     found = Plan.along(path, objective.belief, objective.model)
     if not bound:
@@ -160,7 +160,7 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
 
 @dataclass(frozen=True, eq=False)
 class TeamMember:
-    """A robot that a path is planned for; those of one type are one and the same."""
+    """A robot to plan for; equal types share one."""
 
     # With the limits of its path, from its own base.
     finder: PathFinder
@@ -171,7 +171,7 @@ class TeamMember:
     def of(
         cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
     ) -> TeamMember:
-        """Return a robot of a type that goes alone, from what those like all others have."""
+        """Return a robot of a type that goes alone, given the common model."""
         grid, options = finder.grid.at(robot_type.base), finder.options.of_type(robot_type)
         own = finder
         if grid is not finder.grid or options is not finder.options:
@@ -179,7 +179,7 @@ class TeamMember:
         return cls(own, Objective.alone(grid, belief, robot_type.model(model), options))
 
     def given(self, outcomes: JointOutcomes) -> TeamMember:
-        """Return the robot when others have left before."""
+        """Return the robot after others have left."""
         return replace(self, objective=self.objective.given(outcomes))
 
 
@@ -193,8 +193,8 @@ def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     return [paths[robot] for robot in robots]
 
 
-# The best path may leave too little to the next robot, so several teams grow side by side: as
-# many as make this number of robots, and one at least.
+# The best path may leave too little for the next robot, so several teams grow side by side: as
+# many as make this number of robots, and at least one.
 ROBOTS_SIDE_BY_SIDE = 16
 
 
@@ -202,15 +202,15 @@ ROBOTS_SIDE_BY_SIDE = 16
 class Assigned:
     """The first robots of a team, with their paths."""
 
-    # Of their paths together, nats.
+    # Objective value of their paths together, nats.
     value: float = 0.0
-    # In the order of the robots. Shape (steps + 1,).
+    # In the order of the robots, shape (steps + 1,).
     paths: tuple[NDArray[np.intp], ...] = ()
-    # What the last of them was planned for; None if there is none.
+    # The objective of the last one; None for the first.
     last: Objective | None = None
 
     def grown(self, robot: TeamMember) -> list[Assigned]:
-        """Return the teams with this robot as well, on each of its candidates."""
+        """Return the teams extended by this robot on each of its candidates."""
         objective = robot.objective
         if self.last is not None:
             objective = objective.given(self.last.after(self.paths[-1]))
@@ -220,7 +220,7 @@ class Assigned:
         ]
 
     def visits(self, robots: Sequence[TeamMember]) -> Hashable:
-        """Return which cells robots of each type visit, which determines the value."""
+        """Return the cells that robots of each type visit, which determine the value."""
         return tuple(
             sorted(
                 (robots.index(robot), *sorted(path[1:].tolist()))
@@ -246,12 +246,12 @@ def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     return list(teams[0].paths)
 
 
-# What counts of the readings that a robot brings from the regions of others.
+# Weight of the readings of a robot in the regions of others.
 ELSEWHERE = 0.1
 
 
 def divided(robots: Sequence[TeamMember]) -> Regions:
-    """Return regions of about the same entropy, one a robot."""
+    """Return regions of about equal entropy, one for each robot."""
     belief = robots[0].objective.belief
     in_reach = {
         robot: robot.finder.grid.in_reach(
@@ -266,7 +266,7 @@ def divided(robots: Sequence[TeamMember]) -> Regions:
 
 
 def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return paths that look for information in their own regions."""
+    """Return paths that seek information in their own regions."""
     owner, paths = divided(robots).owner, []
     for number, robot in enumerate(robots):
         interest = np.where(owner == number, 1.0, ELSEWHERE)
@@ -292,7 +292,7 @@ ALLOCATIONS: Registry[Allocation] = Registry(
 def allocated(
     allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
 ) -> list[NDArray[np.intp]]:
-    """Return a path for each robot; refuse what another package's allocation may not return."""
+    """Return a path for each robot, checked against the rules of allocations."""
     with ALLOCATIONS.blamed(allocation):
         paths = ALLOCATIONS.find(allocation)(robots)
         if allocation in ALLOCATIONS.own:
@@ -342,7 +342,7 @@ class Team:
         object.__setattr__(self, 'types', of_each(self.agents, self.types))
 
     def first(self, robots: int) -> Team:
-        """Return the first so many of them, at least 1; all if they are fewer."""
+        """Return the first so many robots, at least 1; all if there are fewer."""
         if robots >= self.agents:
             return self
         types = self.types[:robots]
@@ -440,7 +440,7 @@ def plan_team(
     return most_per_loss(options, find, information)
 
 
-# A search for each, of which three or four change the plans.
+# One search each; three or four change the plans.
 MAX_SEARCHES = 10
 
 
@@ -455,7 +455,7 @@ def most_per_loss(
         lost = sum(1.0 - plan.survival for plan in best)
         if lost <= 0.0:
             break
-        # Dinkelbach: at this cost the plans found are worth nothing, and only better ones more.
+        # Dinkelbach: at this cost the plans found have value 0, and only better ones more.
         cost = information(best) / lost
         plans = find(replace(options, objective='information', loss_cost=cost))
         if information(plans) <= cost * sum(1.0 - plan.survival for plan in plans):
@@ -465,8 +465,8 @@ def most_per_loss(
 
 
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
-    """Check that paths of a team can be searched for within the memory allowed."""
-    # Of those that have no camera of their own the model is all the same.
+    """Check that the search for a team fits in the allowed memory."""
+    # The model does not matter to robots without a camera of their own.
     cameras = {(each.true_positive, each.false_positive) for each in types}
     for base, options in dict.fromkeys(
         (each.base, finder.options.of_type(each)) for each in types
@@ -477,7 +477,7 @@ def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
 
 
 def team_size(grid: Grid, agents: int) -> int:
-    """Return how many robots there are if the grid has a free cell for each."""
+    """Return the number of robots, at most one for each free cell."""
     free = int(grid.free.sum())
     try:
         return whole_number('agents', agents, 1, free)

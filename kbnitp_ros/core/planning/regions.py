@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regions of the field, and the cells that the rest of a team keeps off."""
+"""Regions of the field, and cells that a team keeps off."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
-    """Return the region that a path is sent to, and smaller ones in its place."""
+    """Return the region of a path, and smaller ones in its place."""
     cells = np.unique(np.asarray(path, dtype=np.intp))
     steps = grid.at(int(np.asarray(path)[0])).steps_to_base
     farthest = cells[[np.argmax(steps[cells])]]
@@ -32,7 +32,7 @@ def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
 
 
 def without(grid: Grid, cells: Iterable[int]) -> Grid:
-    """Return the grid on which robots keep off these cells as well."""
+    """Return the grid with these cells blocked."""
     return replace(grid, blocked=tuple({*grid.blocked, *map(int, cells)}))
 
 
@@ -43,10 +43,10 @@ def keepout_cells(
     rounds: Sequence[Sequence[ArrayLike]],
     max_distance: float = 0.0,
 ) -> NDArray[np.intp]:
-    """Return the cells that the next robots keep off after rounds of plans were refused."""
+    """Return the cells to keep off after refused rounds of plans."""
 
     def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return how many cells are left in reach of each base and, last, of any."""
+        """Return the number of cells in reach of each base and, last, of any."""
         open_grid = without(grid, cells)
         in_reach = [
             open_grid.at(base).in_reach(max_steps, max_distance) for base in dict.fromkeys(bases)
@@ -64,7 +64,7 @@ def keepout_cells(
         ]
         for cells in (*(np.union1d(kept, size) for size in sizes), *sizes, kept[:0]):
             *of_each, of_all = left(cells).tolist()
-            # A base is always in reach from itself.
+            # A base is always in reach of itself.
             is_enough = of_all > len(bases) and min(of_each) > 1
             if is_enough and 2 * of_all > in_reach - cells.size:
                 break
@@ -72,21 +72,21 @@ def keepout_cells(
     return kept
 
 
-# More sweeps over the regions change next to nothing.
+# Further sweeps over the regions change next to nothing.
 SWEEPS = 50
 
-# By how much the sites are turned about their base, radians: no border then runs along a row or a
-# diagonal, and cells cross it one by one.
+# Rotation of the sites about their base, radians: no border then runs along a row or a diagonal,
+# and cells cross it one by one.
 TURN = 0.05
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Regions(Value):
-    """A partition of the cells that robots can visit and come back from."""
+    """A partition of the cells in reach."""
 
-    # The region of each of these cells, from 0; -1 elsewhere. Shape (cells,).
+    # The region of each of these cells, from 0, and -1 elsewhere; shape (cells,).
     owner: NDArray[np.intp]
-    # What each region holds of what was shared out, nats. Shape (regions,).
+    # Entropy in each region, nats, shape (regions,).
     entropy: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -95,7 +95,7 @@ class Regions(Value):
 
     @property
     def imbalance(self) -> float:
-        """How far the fullest region is above the mean, as a part of the mean: 0 when even."""
+        """Return the excess of the fullest region over the mean, relative to it; 0 if even."""
         mean = self.entropy.mean()
         return float(self.entropy.max() / mean - 1.0) if mean > 0.0 else 0.0
 
@@ -106,7 +106,7 @@ def divide(
     entropy: NDArray[np.float64],
     reach: NDArray[np.bool_],
 ) -> Regions:
-    """Divide cells into regions of about the same entropy (:eq:`power-diagram`)."""
+    """Divide cells into regions of about equal entropy (:eq:`power-diagram`)."""
     width, parts = grids[0].width, reach.shape[1]
     row, col = np.divmod(cells, width)
     base_row, base_col = np.divmod([grid.base for grid in grids], width)
@@ -153,7 +153,7 @@ def _sector_centres(
 
 
 def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
-    """Return the weight above whose margins lie cells of about `share` in all."""
+    """Return the weight above whose margins about `share` of the cells lie."""
     share -= float(mass[margin == -np.inf].sum())
     is_open = np.isfinite(margin)
     margin, mass = margin[is_open], mass[is_open]
@@ -167,7 +167,7 @@ def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.floa
 
 
 def _regions(power: NDArray[np.float64], mass: NDArray[np.float64]) -> Regions:
-    """Return who owns each place, shape (places, parts), and what each region holds."""
+    """Return the owner of each part of a place, (places, parts), and the sum by region."""
     owner = power.argmin(axis=1)
     held = np.bincount(owner, mass, power.shape[1]).astype(np.float64)
     return Regions(owner, held)
