@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How figures look: the field from above, colours, line styles and markers, sizes, files."""
+"""The style of figures: the field from above, colours, line styles, markers, sizes and files."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ with extra('report'):
     from matplotlib.path import Path as Outline
     from matplotlib.transforms import Affine2D, Transform
 
-# How many markers a line has, which tell it from others without colour.
+# Number of markers on a line, which tell it apart without colour.
 MARKERS = 8
 
 
 @dataclass(frozen=True)
 class Style:
-    """How a line is drawn."""
+    """Style of a line."""
 
     # As '#rrggbb'.
     colour: str
@@ -41,7 +41,7 @@ class Style:
     marker: str
 
     def line(self, points: int) -> dict[str, Any]:
-        """Return what Matplotlib is told to draw a line of so many points, by its keywords."""
+        """Return Matplotlib's keywords for a line of so many points."""
         return {
             'color': self.colour,
             'linestyle': self.dash,
@@ -52,7 +52,7 @@ class Style:
         }
 
 
-# At most as many lines are in a panel.
+# Maximum number of lines in a panel.
 SERIES = (
     Style('#0072b2', '-', 'solid', 'o'),
     Style('#d55e00', (0, (5.0, 1.5)), 'dash', 's'),
@@ -67,22 +67,22 @@ RETURNED, LOST = SERIES[0], SERIES[1]
 
 @dataclass(frozen=True)
 class Scale:
-    """The colours of a probability, which part at what was assumed before the mission."""
+    """The colours of a probability, which diverge at the prior."""
 
-    # At 0, half way to the assumption, at it, half way from it to 1, and at 1, as '#rrggbb'.
+    # At 0, half way to the prior, at it, half way from it to 1, and at 1, as '#rrggbb'.
     colours: tuple[str, str, str, str, str]
 
     def stops(self, prior: float) -> list[tuple[float, str]]:
-        """Return where from 0 to 1 each colour stands, if `prior` was assumed."""
+        """Return the position of each colour from 0 to 1, for a `prior`."""
         middle = min(max(prior, NARROWEST), 1.0 - NARROWEST)
         places = (0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0)
         return list(zip(places, self.colours))
 
 
-# How much room each half of a scale has at least.
+# Minimum width of each half of a scale.
 NARROWEST = 0.1
 
-# Of the maps, on light paper and on a dark screen: what is unknown has the colour of neither.
+# Of the maps, on light paper and on a dark screen: the unknown has neither colour.
 MAPS = {
     'hazard': Scale(('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d')),
     'target': Scale(('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b')),
@@ -94,10 +94,10 @@ DARK_MAPS = {
     'kappa': Scale(('#a8702a', '#6b5230', '#2e3238', '#77609b', '#e3c8ff')),
 }
 
-# How many robots were lost in a cell: from none to the most.
+# Of the number of robots lost in a cell: from none to the most.
 COUNTS = {'light': ('#f7f7f7', '#e69f00', '#7a2e00'), 'dark': ('#2e3238', '#b06f00', '#ffd27a')}
 
-# Of the hatching of cells that nobody visited: what is below, and the lines themselves.
+# Hatching of unvisited cells: the ground, and the lines.
 UNVISITED = ('#ffffff80', '#505050')
 
 
@@ -107,13 +107,13 @@ FORMATS = ('png', 'svg', 'pdf')
 # Letters are embedded as outlines in SVG and as TrueType in PDF, where they stay text.
 EMBEDDED = {'svg.fonttype': 'path', 'svg.hashsalt': 'kbnitp_ros', 'pdf.fonttype': 42}
 
-# In inches: two columns of a journal.
+# Inches: two columns of a journal.
 WIDTH = 7.2
 
-# No layout but that which a figure asks for.
+# Layout is set by each figure alone.
 AS_ASKED = {'figure.autolayout': False, 'figure.constrained_layout.use': False}
 
-# Letters as they are in print at that width.
+# Letters at their size in print.
 LETTERS = {
     'font.size': 8,
     'axes.titlesize': 8,
@@ -128,7 +128,7 @@ LETTERS = {
     'ytick.major.width': 0.6,
 }
 
-# Nothing that differs from one run to the next.
+# Metadata without anything that differs between runs.
 METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
 
 
@@ -138,15 +138,15 @@ def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
     with rc_context({**EMBEDDED, **AS_ASKED}):
         for file, each in zip(files, formats):
             figure.savefig(file, dpi=DPI, metadata=METADATA[each])
-            # It is laid out once, and so the same in each format, and drawn once for each.
+            # Laid out once, so that all formats are alike.
             figure.set_layout_engine(None)
     return files
 
 
-# Cells are told apart by lines where there are at most so many a side.
+# Maximum cells along a side for lines between cells.
 MOST_LINED = 20
 
-# How dark a path is drawn if it is the only one; those of many robots let each other show through.
+# Opacity of a single path; many show through each other.
 DARKEST = 0.9
 
 
@@ -167,7 +167,7 @@ def plot(
         grid.check_any_path(each.path if isinstance(each, Observation) else each) for each in given
     ]
     if axes is None:
-        # Only a figure that pyplot makes is shown by notebooks.
+        # Notebooks show only figures made by pyplot.
         from matplotlib import pyplot
 
         axes = pyplot.subplots(1, 3, figsize=(10.5, 3.2), layout='constrained')[1]
@@ -194,7 +194,7 @@ def draw_map(
     title: str,
     prior: float = 0.5,
 ) -> None:
-    """Draw one probability a cell as the field is seen from above, bases as white squares."""
+    """Draw one probability for each cell, seen from above, bases as white squares."""
     image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
     colours = LinearSegmentedColormap.from_list(title, scale.stops(prior))
     drawn = axes.imshow(
@@ -212,14 +212,14 @@ def draw_map(
 
 
 def extent(grid: Grid) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top of a grid in metres, as if it were not turned."""
+    """Return left, right, bottom and top of a grid in metres, without its turn."""
     left, bottom = grid.origin
     right, top = left + grid.width * grid.resolution, bottom + grid.height * grid.resolution
     return left, right, bottom, top
 
 
 def turned(axes: Axes, grid: Grid) -> Transform:
-    """Return where axes show what is placed as if the grid were not turned."""
+    """Return the axes' transform for a turned grid."""
     return Affine2D().rotate_around(*grid.origin, grid.yaw) + axes.transData
 
 
@@ -247,7 +247,7 @@ def draw_field(axes: Axes, grid: Grid) -> None:
 
 
 def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Outline:
-    """Return the outlines of some cells as one path, which has one hatching."""
+    """Return the outlines of some cells as one path with one hatching."""
     around = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
     row, col = np.divmod(np.flatnonzero(cells), grid.width)
     corners = np.stack([col, row], axis=-1).reshape(-1, 1, 2) + around
@@ -257,7 +257,7 @@ def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Outline:
 
 
 def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
-    """Hatch some cells, with dark lines within light ones, which show on light and dark maps."""
+    """Hatch some cells, with dark lines within light ones, visible on light and dark maps."""
     if cells.any():
         for colour, width in zip(UNVISITED, (1.4, 0.5)):
             axes.add_patch(
@@ -273,7 +273,7 @@ def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
 
 
 def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], style: Style) -> None:
-    """Draw where robots went, or were sent."""
+    """Draw the paths of robots."""
     draw_field(axes, grid)
     axes.add_collection(
         LineCollection(
@@ -289,12 +289,12 @@ def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], styl
         axes.plot(*grid.centers(heard).T, style.marker, color=style.colour, markersize=3)
 
 
-# Between which quantiles bands are drawn, and how much of their colour they keep.
+# Quantiles of the bands, and their opacities.
 BANDS = ((0.05, 0.95, 0.15), (0.25, 0.75, 0.3))
 
 
 def forecast_figure(forecast: Forecast) -> Figure:
-    """Draw the robots lost, what is known, and how many missions reached their goal."""
+    """Draw the robots lost, the entropy, and the share of missions that reached their goal."""
     panels = [
         ('robots lost', forecast.lost),
         ('entropy (nats)', forecast.entropy)
@@ -322,7 +322,7 @@ def forecast_figure(forecast: Forecast) -> Figure:
 
 
 def draw_series(axes: Axes, series: NDArray[np.float64]) -> None:
-    """Draw the median of series, (worlds, robots + 1), and bands of quantiles about it."""
+    """Draw the median of series, (worlds, robots + 1), with bands of quantiles."""
     colour, robots = SERIES[0].colour, range(series.shape[1])
     for low, high, alpha in BANDS:
         axes.fill_between(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serve the page of a mission while it runs: it follows the log as that grows."""
+"""Serve the page of a mission while it runs, following the log as it grows."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ EXAMPLES = (
 
 HOST, PORT = '127.0.0.1', 8080
 
-# Seconds between two looks at the log, and after which a log that does not grow is told of: a
+# Seconds between two looks at the log, and after which a log that does not grow is reported: a
 # recorder writes diagnostics every second.
 LOOK, STILL = 0.5, 5.0
 
-# Seconds after which a browser that waits is sent something, so that it notices a dead server.
+# Seconds after which a waiting browser is sent something, so that it notices a dead server.
 BEAT = 5.0
 
 
@@ -88,7 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def newest_log() -> Path:
-    """Return the log in runs/ that was written to last."""
+    """Return the log in runs/ that was written last."""
     logs = [*Path('runs').glob('*/*.mcap')]
     if not logs:
         raise ValueError('no log is in runs/: name the log, or its folder')
@@ -123,12 +123,12 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
 
 
 class Follower:
-    """The page of a log as it is now, and what is said of the log."""
+    """The current page of a log, and its state in a sentence."""
 
     def __init__(self, log: Path, namespace: str | None = None) -> None:
         self.log = log
         self.page = self._bare = ''
-        # How often the page changed, and the sentence about the log.
+        # Number of changes of the page, and the sentence about the log.
         self.version = 0
         self.sentence = ''
         self.changed = Condition()
@@ -138,7 +138,7 @@ class Follower:
         self._file = 0
         self._grown_at = time.monotonic()
         self._show(self._waiting())
-        # A file that is no log is refused; a log that breaks later is told of.
+        # A file that is no log is refused; a log that breaks later is reported.
         with suppress(FileNotFoundError):
             self._look()
 
@@ -146,7 +146,7 @@ class Follower:
         return rendered('waiting', title=f'Mission {title_of(self.log)}', log=self.log)
 
     def follow(self) -> None:
-        """Look at the log until the server ends."""
+        """Read the log repeatedly until the server ends."""
         while not self.is_over.is_set():
             began = time.monotonic()
             try:
@@ -155,7 +155,7 @@ class Follower:
                 self._tell('Waiting for the recorder to begin the log.')
             except (LogError, ValueError, OSError) as error:
                 self._tell(f'The page is of an earlier moment: {error}')
-            # A large log is read for no more than half of the time.
+            # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)
 
     def _look(self) -> None:
@@ -201,14 +201,14 @@ class Follower:
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers a browser with the page, its parts that change, and word of changes."""
+    """Request handler for the page, its parts that change, and events."""
 
     def __init__(self, follower: Follower, *arguments: object) -> None:
         self._follower = follower
         super().__init__(*arguments)  # type: ignore[arg-type]
 
     def do_GET(self) -> None:
-        """Answer a request; a page of another site may not read this one by a name of its own."""
+        """Answer a request; other sites must not read the page by a host name of theirs."""
         name = self.headers.get('Host', '').rpartition(':')[0]
         is_local = self.client_address[0] == HOST
         if is_local and name not in (HOST, 'localhost'):
@@ -243,7 +243,7 @@ class Handler(BaseHTTPRequestHandler):
                 if known == (follower.version, follower.sentence):
                     follower.changed.wait(BEAT)
                 version, sentence = news = follower.version, follower.sentence
-            # A comment, which a browser passes over.
+            # A comment, which browsers ignore.
             events = ': \n\n'
             if version != known[0]:
                 events += f'event: page\ndata: {version}\n\n'
@@ -253,7 +253,7 @@ class Handler(BaseHTTPRequestHandler):
             self.wfile.write(events.encode())
 
     def handle(self) -> None:
-        """Answer requests until the browser goes."""
+        """Answer requests until the browser disconnects."""
         with suppress(ConnectionError):
             super().handle()
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mission's log comes to, for people and for other programs."""
+"""Reports of a mission's log: pages, figures, tables and maps."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mission answers: which cells are safe, where targets are; and how a page says it."""
+"""Answers of a mission: safe cells, targets, losses and what to do next."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
 
-# Probabilities of a hazard: a cell is free up to the one, and suspected from the other on.
+# Probabilities of a hazard: up to the first a cell is free, from the second on suspected.
 FREE, SUSPECTED = 0.05, 0.5
-# Probabilities of a target: it is found from the one on, and listed from the other on.
+# Probabilities of a target: from the first on it is found, from the second on listed.
 FOUND, LISTED = 0.95, 0.5
 
-# The pace of a mission is that of its last quarter, and of so many robots at least.
+# Minimum number of robots, the last quarter of a mission otherwise, that give its pace.
 LAST, FEWEST = 0.25, 5
 
 
@@ -32,33 +32,33 @@ class Finding:
     # 'target' or 'hazard'.
     kind: str
     cell: int
-    # Its centre in metres.
+    # Centre in metres.
     x: float
     y: float
-    # That there is one, in [0, 1].
+    # Probability, in [0, 1].
     probability: float
-    # How many readings were taken in the cell, and how many of these reported a target.
+    # Number of readings in the cell, and of positive ones.
     looks: int
     seen: int
-    # Where its centre is on the earth, WGS84 in degrees; None without a datum.
+    # Centre on the earth, WGS84 in degrees; None without a datum.
     latitude: float | None
     longitude: float | None
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Which cells are what by the last belief, each of shape (cells,)."""
+    """Classes of cells by the last belief, each of shape (cells,)."""
 
     # A robot was sent there, or came from there.
     entered: NDArray[np.bool_]
-    # Free of a hazard with a probability of 95 % at least.
+    # Free of a hazard with a probability of at least 95 %.
     free: NDArray[np.bool_]
     # Entered, and with a hazard as likely as not.
     suspected: NDArray[np.bool_]
 
 
 def cells_of(mission: Mission) -> Cells:
-    """Return which cells are free, suspected and entered; none of them is blocked."""
+    """Return the free, the suspected and the entered cells, none of them blocked."""
     hazard, inside = mission.moments[-1].belief.hazard, mission.grid.free
     entered = mission.visited() & inside
     return Cells(entered, inside & (hazard <= FREE), entered & (hazard >= SUSPECTED))
@@ -102,7 +102,7 @@ def spot(x: float, y: float) -> str:
     return f'({metres(x)}, {metres(y)})'
 
 
-# How many safe cells a page lists.
+# Maximum number of safe cells listed on a page.
 MAX_SAFE = 1000
 
 
@@ -121,7 +121,7 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
         if mission.datum is not None:
             ((latitude, longitude),) = mission.datum.on_earth(np.array([[x, y]]))
             on_earth = {'latitude': latitude, 'longitude': longitude}
-            # As RFC 7946 has positions.
+            # Positions as in RFC 7946.
             around = mission.datum.on_earth(around)[:, ::-1]
         table.append(
             {
@@ -139,7 +139,7 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
 
 
 def losses_of(mission: Mission) -> NDArray[np.float64]:
-    """Return how many robots are expected to have been lost in each cell, shape (cells,)."""
+    """Return the expected number of robots lost in each cell, shape (cells,)."""
     expected = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
         seen = deployment.outcome
@@ -151,7 +151,7 @@ def losses_of(mission: Mission) -> NDArray[np.float64]:
 def loss_shares(
     mission: Mission, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
-    """Return how probably a robot was lost in each step, by the last belief if hazards stay."""
+    """Return the probability of a loss in each step, by the last belief if hazards stay."""
     stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]
@@ -159,7 +159,7 @@ def loss_shares(
 
 
 def used_up_of(mission: Mission) -> NDArray[np.float64]:
-    """Return how many hazards are believed to have been used up in each cell, shape (cells,)."""
+    """Return the expected number of hazards used up in each cell, shape (cells,)."""
     used_up = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
         if deployment.moment:
@@ -177,7 +177,7 @@ def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
 
 
 def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how probably a robot was lost in each step, given the survival of each."""
+    """Return the probability of a loss in each step, given the survival of each."""
     after_contact = np.arange(seen.steps) >= seen.steps_survived
     fits = after_contact if seen.lost_at is None else seen.lost_at
     reached = np.concatenate([[1.0], np.cumprod(survival[:-1])])
@@ -189,7 +189,7 @@ def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float
 
 
 def advice(mission: Mission) -> tuple[str, str]:
-    """Return what to do next, in a few words, and why."""
+    """Return the next thing to do, in a few words, and the reason."""
     out, decision = mission.in_flight, mission.decision
     if decision is not None and decision.reached:
         return 'Stop', f'The goal {decision.goal} is reached.'
@@ -201,7 +201,7 @@ def advice(mission: Mission) -> tuple[str, str]:
 
 
 def pace(mission: Mission) -> tuple[str, str]:
-    """Return how many robots more the open cells take at the pace of the last ones."""
+    """Return how many more robots the undecided cells take at the present pace."""
     moments = mission.moments
     left = undecided(mission, -1)
     if not left:
@@ -224,27 +224,27 @@ def pace(mission: Mission) -> tuple[str, str]:
 
 
 def undecided(mission: Mission, moment: int) -> int:
-    """Return of how many cells it is not known to 95 % at a moment whether they have a hazard."""
+    """Return the number of cells that are neither free nor hazardous with 95 % at a moment."""
     hazard = mission.moments[moment].belief.hazard[mission.grid.free]
     return int(((hazard > FREE) & (hazard < 1.0 - FREE)).sum())
 
 
-# How many places a tile names.
+# Maximum number of places in a tile.
 NAMED = 4
 
 
 class Tile(NamedTuple):
-    """A question, its answer in a few words, and a sentence on it."""
+    """A question, its answer in a few words, and an explanation."""
 
     question: str
     answer: str
     detail: str
-    # The id of the part of the page that has all of it; empty if there is none.
+    # The id of the part of the page with all details; empty if there is none.
     link: str = ''
 
 
 def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
-    """Yield the questions of who runs a mission, with what its log answers."""
+    """Yield the questions of a field engineer with the answers of a log."""
     cells, inside = cells_of(mission), mission.grid.free
     untouched = int((cells.free & ~cells.entered).sum())
     among = mission.moments[-1].belief.hazard[cells.free].sum()
@@ -304,7 +304,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
 
 
 def lane(mission: Mission) -> Tile:
-    """Return what is said of the lane, or of another goal."""
+    """Return the text on the lane, or on another goal."""
     decision = mission.decision
     if decision is None:
         goals = {str(each.get('goal.kind', 'map')) for each in mission.parameters.values()}
@@ -326,7 +326,7 @@ def lane(mission: Mission) -> Tile:
 
 
 def survived(decision: Decision) -> str:
-    """Return how probably a robot survives the lane; empty if there is none."""
+    """Return the text on a robot's survival of the lane; empty if there is none."""
     if not decision.path.size:
         return ''
     steps = counted(decision.path.size - 1, 'step')
@@ -334,7 +334,7 @@ def survived(decision: Decision) -> str:
 
 
 def risk(mission: Mission) -> str:
-    """Return how lethal a hazard is believed to be."""
+    """Return the text on the lethality of hazards."""
     last = mission.moments[-1]
     if 'lethality' not in last.state.numbers:
         return f'Lethality: {100.0 * last.snapshot.model.lethality:.0f} % (given).'
@@ -343,7 +343,7 @@ def risk(mission: Mission) -> str:
 
 
 def fit(mission: Mission) -> Tile:
-    """Return how right the answers are, by the truth where it is on record and by the model."""
+    """Return the text on how right the answers are, by the truth if recorded and by the model."""
     question, (_, kinds, check) = 'Can I trust it?', mission.moments[-1].state
     right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
@@ -373,7 +373,7 @@ def by_truth(mission: Mission, world: World) -> str:
 
 
 def where_lost(mission: Mission, lost: int) -> Tile:
-    """Return which cells took half of the robots that were lost."""
+    """Return the cells that took half of the lost robots."""
     question = 'Where were robots lost? (x, y in m)'
     if not lost:
         return Tile(question, 'No robot was lost', 'every robot that reported returned')
@@ -394,7 +394,7 @@ def where_lost(mission: Mission, lost: int) -> Tile:
 
 
 def places(findings: list[Finding]) -> str:
-    """Return where findings are, the first of them."""
+    """Return the first places of findings."""
     if not findings:
         return 'none'
     return some((spot(each.x, each.y) for each in findings), NAMED)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two missions in one field, A and B: what differs between them, and their page."""
+"""The page of two missions in one field, A and B, with their differences."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 
 class Pair(NamedTuple):
-    """A mission and how it went."""
+    """A mission with its curves."""
 
     mission: Mission
     curves: Curves
@@ -61,7 +61,7 @@ def check_one_field(first: Mission, second: Mission) -> None:
 
 
 def reservations(first: Mission, second: Mission) -> Iterator[str]:
-    """Yield what makes two missions in one field less alike than they look."""
+    """Yield reasons why two missions in one field are less alike than they look."""
     if first.grid.bases != second.grid.bases:
         yield 'The bases are different cells.'
     blocked = int((first.grid.free != second.grid.free).sum())
@@ -87,7 +87,7 @@ def reservations(first: Mission, second: Mission) -> Iterator[str]:
 
 
 def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
-    """Return in how many cells the true hazards and targets differ; 0 if a truth is unknown."""
+    """Return the number of cells with different true hazards, and targets; 0 without a truth."""
     if not (first.world and second.world):
         return 0, 0
     hazards = first.world.hazard != second.world.hazard
@@ -96,7 +96,7 @@ def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
 
 
 def differences(first: Pair, second: Pair) -> Iterator[str]:
-    """Yield for each tile of two missions how they differ; empty where nothing is to be said."""
+    """Yield the differences for each tile of two missions; empty where there is none."""
     one, other = (cells_of(each.mission) for each in (first, second))
     yield alone(one.free, other.free, 'free')
     yield found_alone(first.mission, second.mission, 'target', FOUND)
@@ -106,12 +106,12 @@ def differences(first: Pair, second: Pair) -> Iterator[str]:
     yield uncertainty(first.curves, second.curves)
     yield cost(first.mission, second.mission)
     yield where(first.mission, second.mission)
-    # What to do next follows from each mission by itself.
+    # The next thing to do follows from each mission alone.
     yield ''
 
 
 def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str:
-    """Return in how many cells something holds in one of two missions alone."""
+    """Return the number of cells in which something holds in one of two missions alone."""
     return (
         f'{counted(int((first & ~second).sum()), "cell")} {what} in A alone, '
         f'{(second & ~first).sum()} in B alone.'
@@ -119,7 +119,7 @@ def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str
 
 
 def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str:
-    """Return what was found with at least a probability in both, and in one alone."""
+    """Return what both missions found with at least a probability, and one alone."""
     one, other = (
         {
             each.cell: each
@@ -135,7 +135,7 @@ def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str
 
 
 def lanes(first: Mission, second: Mission) -> str:
-    """Return how the probabilities of one goal differ; empty if the goals do."""
+    """Return the difference of the probabilities of one goal; empty if the goals differ."""
     one, other = first.decision, second.decision
     if one is None or other is None:
         return '' if one is other else 'Only one of the two had a goal.'
@@ -146,7 +146,7 @@ def lanes(first: Mission, second: Mission) -> str:
 
 
 def uncertainty(first: Curves, second: Curves) -> str:
-    """Return how the entropies differ that are left, and the log losses if both are known."""
+    """Return the differences of remaining entropies, and of log losses where known."""
     entropies = [float(each.entropy[-1]) for each in (first, second)]
     losses = [float(each.log_loss[-1]) for each in (first, second)]
     said = f'{more(entropies[1] - entropies[0], "nats", ".1f")} left in B.'
@@ -156,7 +156,7 @@ def uncertainty(first: Curves, second: Curves) -> str:
 
 
 def cost(first: Mission, second: Mission) -> str:
-    """Return how the numbers of robots differ that were sent and lost."""
+    """Return the differences of the robots sent and lost."""
     sent = [len(each.deployments) for each in (first, second)]
     lost = [sum(not seen.survived for seen in each.ended) for each in (first, second)]
     return f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
@@ -173,7 +173,7 @@ def where(first: Mission, second: Mission) -> str:
 
 
 def more(difference: float, unit: str = '', form: str = 'd') -> str:
-    """Return how much more or fewer there are, in words."""
+    """Return a signed difference in words."""
     if format(abs(difference), form) == format(type(difference)(0), form):
         return f'as many {unit}'.strip()
     word = 'more' if difference > 0 else 'fewer' if unit != 'nats' else 'less'
@@ -183,7 +183,7 @@ def more(difference: float, unit: str = '', form: str = 'd') -> str:
 def given_differently(
     first: Mission, second: Mission
 ) -> Iterator[tuple[str, str, object, object]]:
-    """Yield of versions and parameters what differs: whose, its name, in A and in B."""
+    """Yield the differing versions and parameters: whose, name, in A and in B."""
     tables = [{'versions': each.run, **each.parameters} for each in (first, second)]
     for node in dict.fromkeys([*tables[0], *tables[1]]):
         one, other = (each.get(node, {}) for each in tables)
@@ -243,7 +243,7 @@ def notes_of(first: Mission, second: Mission) -> Iterator[str]:
 
 
 def compared(first: Pair, second: Pair) -> Iterator[tuple[str, list[tuple[str, Tile]], str]]:
-    """Yield each question, the answers of both missions, and how they differ."""
+    """Yield each question, the answers of both missions, and the difference."""
     for a, b, difference in zip(tiles_of(*first), tiles_of(*second), differences(first, second)):
         question = a.question if a.question == b.question else 'Is the goal safe?'
         yield question, list(zip(SIDES, (a, b))), difference
@@ -326,7 +326,7 @@ def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
 
 
 def finding_rows(first: Mission, second: Mission) -> Iterator[dict[str, Any]]:
-    """Yield the rows of what was found in one of two missions, or in both."""
+    """Yield the rows of findings in one of two missions, or in both."""
     beliefs = [each.moments[-1].belief for each in (first, second)]
     found = {
         (each.kind, each.cell): each

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a mission: what it came to believe, and how it got there."""
+"""Figures of a mission: its final belief, and its progress."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ COLUMNS = 2
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """A part of the picture."""
+    """A panel of a figure."""
 
-    # What is drawn, and its unit.
+    # Title, with the unit.
     label: str
-    # By their names, one value a moment.
+    # By name, one value for each moment.
     lines: dict[str, NDArray[np.float64]]
 
 
 def panels_of(curves: Curves) -> list[Panel]:
-    """Return what there is to draw of a mission."""
+    """Return the panels of a mission."""
     panels = [
         Panel(
             'entropy (nats)',
@@ -67,7 +67,7 @@ def panels_of(curves: Curves) -> list[Panel]:
 
 
 def progress_figure(mission: Mission, curves: Curves) -> Figure:
-    """Return the picture of entropy, log loss, information and losses after each deployment."""
+    """Return the figure of entropy, log loss, information and losses after each deployment."""
     panels = panels_of(curves)
     names = list(mission.moments[-1].state.numbers)
     rows = -(-(len(panels) + len(names)) // COLUMNS)
@@ -91,7 +91,7 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
 
 
 def draw_panel(axes: Axes, panel: Panel) -> None:
-    """Draw some lines, each with a colour, a line style and a marker of its own."""
+    """Draw some lines, each with its own colour, line style and marker."""
     for (name, values), style in zip(panel.lines.items(), SERIES):
         axes.plot(values, **style.line(len(values)), label=name)
     axes.set_ylabel(panel.label)
@@ -101,7 +101,7 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
 
 
 def quantiles_of(mission: Mission, name: str) -> NDArray[np.float64]:
-    """Return the quantiles of a number that was learnt, shape (moments, 5); NaN if unknown."""
+    """Return the quantiles of a learnt number, shape (moments, 5); NaN if unknown."""
     return np.array(
         [
             each.state.numbers[name].quantiles if name in each.state.numbers else [np.nan] * 5
@@ -113,7 +113,7 @@ def quantiles_of(mission: Mission, name: str) -> NDArray[np.float64]:
 def draw_number(
     axes: Axes, name: str, quantiles: NDArray[np.float64], truth: float | None
 ) -> None:
-    """Draw what was known of a number at each moment, and what it is, from 0 to 1."""
+    """Draw the posterior of a number at each moment, and its truth, from 0 to 1."""
     low, lower, middle, upper, high = quantiles.T
     moments = np.arange(middle.size)
     axes.fill_between(moments, low, high, color='0.85', linewidth=0, label='90 %')
@@ -122,13 +122,13 @@ def draw_number(
     if truth is not None:
         axes.axhline(truth, color=SERIES[1].colour, linestyle=SERIES[1].dash, label='truth')
     axes.set_ylim(0, 1)
-    # A name out of a log is no formula, whatever stands in it.
+    # A name out of a log must not be parsed as a formula.
     axes.set_ylabel(name.replace('_', ' '), parse_math=False)
     axes.legend(ncols=2, fontsize='small', framealpha=0.8)
 
 
 def maps_figure(mission: Mission, note: str = '') -> Figure:
-    """Return the picture of the last belief."""
+    """Return the figure of the last belief."""
     grid, belief, world = mission.grid, mission.moments[-1].belief, mission.world
     visited = mission.visited()
     rows = ('abcd', 'efgh') if world else ('abc', 'dh.')
@@ -158,7 +158,7 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
 
 
 def caption(mission: Mission) -> str:
-    """Return what the hatching means, if there is any."""
+    """Return the caption of the hatching, if there is any."""
     unvisited = int((~mission.visited() & mission.grid.free).sum())
     cells = counted(unvisited, 'cell')
     return f'hatched: {cells} that no robot was sent into' if unvisited else ''

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All files of a report, or none."""
+"""The files of a report, written together or not at all."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write_report(
     note: str = '',
     done: Callable[[str], object] = lambda name: None,
 ) -> str:
-    """Write a report, all of its files or nothing, and return what the page leaves out."""
+    """Write a report, all of its files or none, and return what the page leaves out."""
     check_is_free(folder)
     with whole_folder(folder) as new:
         page, left_out = page_of(mission, curves)
@@ -56,7 +56,7 @@ def write_comparison(folder: Path, page: str) -> None:
         new.joinpath('comparison.html').write_text(page, encoding='utf-8')
 
 
-# The parts that `write_report` tells of.
+# The parts that `write_report` counts.
 PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'belief.npz')
 
 
@@ -72,14 +72,14 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         new.rename(folder)
     except BaseException as error:
         shutil.rmtree(new, ignore_errors=True)
-        # Nobody knows the temporary folder, whose files it may name.
+        # The temporary folder, whose files the error may name, is unknown to users.
         if isinstance(error, OSError) and str(error.filename or new).startswith(str(new)):
             error.filename = str(folder)
         raise
 
 
 def umask() -> int:
-    """Return the permissions that new files do not have."""
+    """Return the permissions that new files lack."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission as a report tells it: moments, deployments, and where its field lies."""
+"""A mission for its report: moments, deployments, and the place of its field."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
-# How much of a cell a map may end before the field does.
+# Tolerance for a map that ends before the field does, in cells.
 PART = 1e-3
 
 
@@ -56,7 +56,7 @@ def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
     return site, ''
 
 
-# How many of the messages that nobody took are told one by one.
+# Maximum number of refused messages listed.
 REFUSALS = 5
 
 
@@ -65,51 +65,50 @@ class DeploymentSummary:
     """A deployment whose path is on record."""
 
     key: DeploymentKey
-    # Its orders. Shape (steps + 1,).
+    # Its orders, shape (steps + 1,).
     path: NDArray[np.intp]
-    # What came of it in the end; None if the robot was still out.
+    # Its final outcome; None if the robot was still in flight.
     outcome: Observation | None
     # When its path and its first report were received, in nanoseconds; None if unknown.
     sent: int | None
     reported: int | None
-    # The last moment that took in a report of it; None if no belief on record holds it.
+    # The last moment that assimilated a report of it; None if no recorded belief holds it.
     moment: int | None
 
 
 @dataclass(frozen=True, eq=False)
 class Mission:
-    """What a log tells of its mission."""
+    """The mission of a log."""
 
-    # Where it was read.
+    # The log.
     log: Path
     grid: Grid
-    # What the estimator was started with: method, seed, the most steps of a path, whether the
-    # hazards stay.
+    # Rules of the estimator: method, seed, maximum steps of a path, and whether hazards stay.
     rules: dict[str, Any]
     moments: list[Moment]
     deployments: list[DeploymentSummary]
-    # The hidden truth, if it is on record.
+    # The hidden truth, if recorded.
     world: World | None
     # Time and versions of the run.
     run: dict[str, str]
     # Of each node, by its full name.
     parameters: dict[str, dict[str, Any]]
-    # What else is to be known of the log.
+    # Further remarks on the log.
     notes: list[str]
-    # Where its files are corrupt: what comes after is not read.
+    # Corrupt places, after which a file is not read.
     corrupt: list[LogError]
-    # How many robots have left and are not reported.
+    # Number of robots that left without a report.
     in_flight: int
-    # What may be relied on of the goal in the end.
+    # The last decision on the goal.
     decision: Decision | None
-    # Where on the earth the field is, if that is on record.
+    # The geographic datum of the field, if recorded.
     datum: Datum | None
-    # The image of the field's map, if that is at hand.
+    # The image of the field's map, if available.
     site: Site | None
 
     @property
     def assumed(self) -> dict[str, float]:
-        """Mean of each map before the mission, over the cells that robots can enter."""
+        """Return the mean of each map before the mission, over the cells that robots can enter."""
         inside = self.grid.free.copy()
         inside[sorted(self.grid.bases)] = self.grid.cells == len(self.grid.bases)
         return {
@@ -119,11 +118,11 @@ class Mission:
 
     @cached_property
     def numbers(self) -> dict[str, float]:
-        """Return the true values of the numbers that can be learnt, where they are on record."""
+        """Return the true values of the learnable numbers, where recorded."""
         nodes = self.parameters.values()
         agent = next((each for each in nodes if 'world.kappa' in each), None)
         estimator = next((each for each in nodes if 'learn.numbers' in each), None)
-        # A log of others may hold any parameters.
+        # Foreign logs may hold any parameters.
         with suppress(KeyError, TypeError):
             if self.world is not None and agent is not None and estimator is not None:
                 return true_numbers(agent, estimator)
@@ -131,18 +130,18 @@ class Mission:
 
     @property
     def ended(self) -> list[Observation]:
-        """Outcomes of the deployments that ended."""
+        """Return the outcomes of the deployments that ended."""
         return [each.outcome for each in self.deployments if each.outcome is not None]
 
     def loss_cost(self, agent: str) -> float:
-        """Return what a lost robot of an agent is worth, nats, as far as it is on record."""
+        """Return the value of a lost robot of an agent, nats, as far as recorded."""
         for values in self.parameters.values():
             if 'loss_cost' in values:
                 return float(values.get(f'team.{agent}.loss_cost') or values['loss_cost'])
         return 0.0
 
     def visited(self) -> NDArray[np.bool_]:
-        """Return which cells a robot was sent into or came from, shape (cells,)."""
+        """Return the cells that a robot was sent into or came from, shape (cells,)."""
         visited = np.zeros(self.grid.cells, dtype=bool)
         for each in self.deployments:
             visited[each.path if each.outcome is None else each.outcome.path] = True
@@ -154,7 +153,7 @@ def read_mission(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     namespace: str | None = None,
 ) -> Mission:
-    """Return what a log tells of its mission, or of that in a namespace."""
+    """Return the mission of a log, or the one in a namespace."""
     log = MissionLog(path, namespace)
     history = read_history(log, progress)
     evidence = history.evidence
@@ -266,7 +265,7 @@ def deployments_of(
     reported: dict[DeploymentKey, int] = {}
     for (key, _), time in evidence.reported.items():
         reported[key] = min(time, reported.get(key, time))
-    # Of what was reported while no belief is on record, the first one after it tells.
+    # Reports during a gap of recorded beliefs are first assimilated by the belief after it.
     return [
         DeploymentSummary(
             key,
@@ -306,12 +305,12 @@ def notes_of(log: str | Path, history: History, in_flight: int) -> Iterator[str]
 
 
 def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict[str, float]:
-    """Return what the numbers are that can be learnt, as far as these parameters tell."""
+    """Return the true values of the learnable numbers, as far as these parameters have them."""
     numbers = {
         name: agent[f'sensor.{name}']
         for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
     }
-    # A hazard that destroys no robot has failed or was not lethal, which nobody can tell.
+    # A hazard that destroys no robot has failed or was not lethal: indistinguishable.
     working = 1.0 - estimator['sensor.false_negative']
     if working > 0.0:
         numbers['lethality'] *= (1.0 - agent['sensor.false_negative']) / working

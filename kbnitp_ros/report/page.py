@@ -45,12 +45,12 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-# What can still be mailed.
+# Maximum bytes, which can still be mailed.
 MAX_BYTES = 15_000_000
 
 SECOND = 10**9
 
-# Steps that fit what was heard this well, the best one as 1, are shown as where a robot was lost.
+# Minimum likelihood, relative to the best step, of steps shown as where a robot was lost.
 LIKELY = 0.5
 
 TEMPLATES = Environment(
@@ -70,16 +70,16 @@ class Column(NamedTuple):
     # None for metres.
     decimals: int | None = 0
     is_text: bool = False
-    # Whether a phone has no room for it.
+    # Whether it is hidden on a phone.
     is_minor: bool = False
 
     @property
     def kind(self) -> str:
-        """Return its classes for the style sheet."""
+        """Return its classes in the style sheet."""
         return ' '.join(['text'] * self.is_text + ['minor'] * self.is_minor)
 
     def shown(self, value: Any) -> str:
-        """Return a value as a cell shows it."""
+        """Return the text of a value in a cell."""
         if value is None:
             return ''
         if self.is_text:
@@ -119,23 +119,23 @@ SAFE = (
     Column('entered', 'entered', is_text=True),
 )
 
-# Where a lost robot was lost.
+# The column of where a lost robot was lost.
 LOSS = (*PLACE, Column('step', 'step', is_text=True), Column('lost here', 'lost', 3))
 
-# What a map may show in colour: names in the page, and words for them.
+# Colours of a map: names in the page, and words for them.
 COLOURS = {name: f'probability of a {name}' for name in ('hazard', 'target')} | {
     'kappa': 'probability of a target where a hazard is',
     'robots-lost': 'robots lost, expected',
     'used-up': 'hazards used up, expected',
 }
 
-# Of these what the last belief says.
+# Those of the last belief alone.
 ENDS = {'robots-lost': losses_of, 'used-up': used_up_of}
 
-# The last belief is in the page in full where the field has no more cells.
+# Maximum number of cells of a field whose last belief is in the page in full.
 MAX_EXACT = 10_000
 
-# Of fields that are somewhere on the earth; seven decimals are a centimetre.
+# Decimals of positions on the earth; seven are a centimetre.
 ON_EARTH = (
     Column('latitude (°)', 'latitude', 7),
     Column('longitude (°)', 'longitude', 7),
@@ -176,7 +176,7 @@ def filled(
     left_out: str,
     is_live: bool,
 ) -> str:
-    """Return the page with some of the moments; one that is live follows its log."""
+    """Return the page with some of the moments; a live one follows its log."""
     table = rows(mission, curves)
     shown = deployments_shown(mission, kept)
     labels, panels = zip(*curve_plots(mission, curves, kept))
@@ -216,14 +216,14 @@ def filled(
                 allow_nan=False,
             ).encode()
         ),
-        # Differences modulo 256: what is less than nothing goes round, as it does in the page.
+        # Differences modulo 256: negative ones wrap around, as they do in the page.
         frames=packed(np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1])).tobytes()),
         plots=in_json(plots_of(mission, panels)),
     )
 
 
 def rendered(name: str, **values: object) -> str:
-    """Return a page by its template, with the style, Plotly and the scripts."""
+    """Render a page by its template, with the style, Plotly and the scripts."""
     return TEMPLATES.get_template(f'{name}.html').render(
         style=asset('page.css'),
         plotly=library(),
@@ -234,17 +234,17 @@ def rendered(name: str, **values: object) -> str:
 
 @cache
 def library() -> str:
-    """Return Plotly as it stands in pages."""
+    """Return Plotly's script for pages."""
     return str(get_plotlyjs()).replace('</script', '<\\/script')
 
 
 def without_library(page: str) -> str:
-    """Return a page for a browser that has Plotly already."""
+    """Return a page without Plotly, for a browser that has it already."""
     return page.replace(library(), '')
 
 
 def in_json(plots: Mapping[str, str]) -> str:
-    """Return plots, each in JSON, as one JSON object that can stand in a page."""
+    """Return plots, each in JSON, as one JSON object for a page."""
     inside = ','.join(f'{json.dumps(name)}:{plot}' for name, plot in plots.items())
     return f'{{{inside}}}'.replace('<', '\\u003c')
 
@@ -261,7 +261,7 @@ def asset(name: str) -> str:
 
 
 def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
-    """Return the deployments whose rows a page has: all, or those of the moments that it has."""
+    """Return the deployments listed on a page: all, or those of its moments."""
     if kept.size == len(mission.moments):
         return list(range(len(mission.deployments)))
     shown = {mission.moments[place].deployment for place in kept}
@@ -269,7 +269,7 @@ def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
 
 
 def summary(mission: Mission, curves: Curves) -> str:
-    """Return a mission in a few sentences."""
+    """Summarize a mission in a few sentences."""
     ended, entropy = mission.ended, curves.entropy
     lost = sum(not each.survived for each in ended)
     agents = len({each.key.agent for each in mission.deployments})
@@ -348,7 +348,7 @@ def data_of(
         'truth': world
         and {name: values.astype(int).tolist() for name, values in vars(world).items()},
         'exact': exact(mission.moments[-1].belief) if grid.cells <= MAX_EXACT else None,
-        # Longitude and latitude of each cell, as RFC 7946 has positions.
+        # Longitude and latitude of each cell, as in RFC 7946.
         'earth': mission.datum.on_earth(grid.centers(range(grid.cells)))[:, ::-1].tolist()
         if mission.datum and grid.cells <= MAX_EXACT
         else None,
@@ -363,7 +363,7 @@ def data_of(
 
 
 def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, Any]:
-    """Return the path of a deployment, and how probably the robot was lost in each step."""
+    """Return the path of a deployment, and the probability of a loss in each step."""
     seen = deployment.outcome
     is_lost = seen is not None and not seen.survived
     lost = loss_shares(mission, deployment, seen) if seen and is_lost else None
@@ -386,7 +386,7 @@ def field_of(grid: Grid) -> dict[str, Any]:
         'width': grid.width,
         'height': grid.height,
         'resolution': grid.resolution,
-        # Of the corner as it is drawn, and of that and a step along and across in the frame.
+        # The corner as drawn; and the corner and a step along and across, in the frame.
         'x': x,
         'y': y,
         'corner': corner.tolist(),
@@ -400,7 +400,7 @@ def field_of(grid: Grid) -> dict[str, Any]:
 
 
 def first_visits(mission: Mission) -> NDArray[np.intp]:
-    """Return from which moment on each cell is one that a robot was sent into; else past all."""
+    """Return the index of the first moment at which each cell was visited; past all if never."""
     times = [each.time for each in mission.moments]
     first = np.full(mission.grid.cells, len(times), dtype=np.intp)
     for deployment in mission.deployments:
@@ -516,7 +516,7 @@ def columns_of(table: list[dict[str, Any]]) -> list[Column]:
 def row(
     values: Mapping[str, Any], kept: NDArray[np.intp], deployment: DeploymentSummary
 ) -> dict[str, Any]:
-    """Return a row of the table, which names its moment among those that the page has."""
+    """Return a row of the table, with the index of its moment on the page."""
     moment = '' if deployment.moment is None else int(np.searchsorted(kept, deployment.moment))
     duration = None
     if deployment.sent is not None and deployment.reported is not None:
@@ -525,7 +525,7 @@ def row(
 
 
 def value_text(value: Any) -> str:
-    """Return a value of a parameter as text."""
+    """Return the text of a parameter's value."""
     return value if isinstance(value, str) else json.dumps(value)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plots of a page, as Plotly draws them."""
+"""The plots of a page, in Plotly's format."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly import graph_objects
 
-# Where the page puts what changes: the places of these traces in its map.
+# Traces that the page updates, by index in its map.
 TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'heard')
 
-# A trace stands for the path, and a marker for its end, of either outcome; the page takes these.
+# Traces of the path, and of its end for either outcome; the page fills these.
 WALKS = {
     'returned': {'color': RETURNED.colour, 'dash': RETURNED.plotly_dash, 'symbol': 'circle'},
     'lost': {'color': LOST.colour, 'dash': LOST.plotly_dash, 'symbol': 'x'},
 }
 
-# Of cells that no robot can enter: on light paper and on a dark screen.
+# Colours of cells that no robot can enter: on light paper and on a dark screen.
 OBSTACLE = '#808080'
 
-# Of the arrows that tell how a map is turned, in pixels: their length, and the room above the map.
+# Arrows that show how a map is turned, in pixels: length, and room above the map.
 ARROW, ABOVE = 20, 64
 
-# The height of a panel of curves, in pixels.
+# Height of a panel of curves, in pixels.
 PANEL = 280
 
 
@@ -45,7 +45,7 @@ def map_plot(
     lane: NDArray[np.intp] | None = None,
     north: float | None = None,
 ) -> str:
-    """Return a map as Plotly's JSON; the page gives it its colours."""
+    """Return a map in Plotly's JSON; the page sets its colours."""
     directions = directions_of(grid, north)
     place = (
         'along the rows %{x:.4g} m, across %{y:.4g} m'
@@ -139,7 +139,7 @@ def directions_of(grid: Grid, north: float | None) -> dict[str, float]:
 
 
 def arrow(name: str, angle: float) -> dict[str, Any]:
-    """Return an arrow above the left edge of a map, its name at its head."""
+    """Return an arrow above the left edge of a map, with a label at its head."""
     at = {
         'xref': 'paper',
         'yref': 'paper',
@@ -153,11 +153,11 @@ def arrow(name: str, angle: float) -> dict[str, Any]:
 
 
 def heatmap(grid: Grid, image: NDArray[np.float64]) -> graph_objects.Heatmap:
-    """Return cells with a value each, NaN for none, where they are in the field."""
+    """Return a heatmap of values by cell, NaN for none, in the field's place."""
     left, _, bottom, _ = extent(grid)
     half = grid.resolution / 2
     return graph_objects.Heatmap(
-        # As rows, which whoever reads the page back can read as well.
+        # As rows, which readers of the page's data can use as well.
         z=[
             [None if isnan(value) else value for value in row]
             for row in image.reshape(grid.height, grid.width).tolist()
@@ -173,7 +173,7 @@ def heatmap(grid: Grid, image: NDArray[np.float64]) -> graph_objects.Heatmap:
 def curve_plots(
     mission: Mission, curves: Curves, kept: NDArray[np.intp]
 ) -> Iterator[tuple[str, str]]:
-    """Yield what each panel of curves is of, and the panel as Plotly's JSON."""
+    """Yield the title of each panel of curves, and the panel in Plotly's JSON."""
     for panel in panels_of(curves):
         lines = {name: (kept, values[kept]) for name, values in panel.lines.items()}
         yield panel.label, lines_plot(panel.label, lines)
@@ -205,7 +205,7 @@ def lines_plot(
     label: str,
     lines: Mapping[str, tuple[NDArray[np.intp], NDArray[np.float64]]],
 ) -> str:
-    """Return a panel of lines, each of which has moments and values, as Plotly's JSON."""
+    """Return a panel of lines, each with moments and values, in Plotly's JSON."""
     figure = graph_objects.Figure()
     for (name, (moments, values)), style in zip(lines.items(), SERIES):
         figure.add_scatter(
@@ -220,7 +220,7 @@ def lines_plot(
 
 
 def finished(figure: graph_objects.Figure, label: str) -> str:
-    """Return a panel of curves as Plotly's JSON."""
+    """Return a panel of curves in Plotly's JSON."""
     figure.update_xaxes(title_text='reports taken in', automargin=True)
     figure.update_yaxes(title_text=label, automargin=True, title_standoff=6)
     figure.update_layout(
@@ -238,7 +238,7 @@ def finished(figure: graph_objects.Figure, label: str) -> str:
 
 
 def cell_plot() -> str:
-    """Return the plot of how the belief in a cell went, without its values, as Plotly's JSON."""
+    """Return the plot of the belief in a cell over time, without its values, in Plotly's JSON."""
     figure = graph_objects.Figure(
         [
             graph_objects.Scatter(

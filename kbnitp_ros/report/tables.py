@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission as numbers: curves after each moment, tables and arrays."""
+"""A mission in numbers: curves after each moment, tables and arrays."""
 
 from __future__ import annotations
 
@@ -23,30 +23,29 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """One value a moment, each of shape (moments,)."""
+    """One value for each moment, each of shape (moments,)."""
 
-    # H(Z) and H(X) summed over the cells, in nats.
+    # H(Z) and H(X) summed over the cells, nats.
     hazard_entropy: Numbers
     target_entropy: Numbers
-    # H(Z, X) summed over the cells, in nats.
+    # H(Z, X) summed over the cells, nats.
     joint_entropy: Numbers
-    # Log loss of the maps in nats; NaN where the truth is not on record.
+    # Log loss of the maps, nats; NaN without a recorded truth.
     hazard_loss: Numbers
     target_loss: Numbers
-    # What information the deployment that was taken in was expected to bring, given the belief of
-    # the moment before: I(Z, X; Theta, Y) in nats. NaN at first, for a return that replaces a
-    # loss, and where the belief before is missing.
+    # Expected information of the deployment assimilated, given the belief before: I(Z, X; Theta,
+    # Y) in nats. NaN at first, for a return that replaces a loss, and where the belief before is
+    # missing.
     expected: Numbers
-    # By how much it lowered H(Z, X), in nats: on average what was expected, of a single robot more
-    # or less; negative where it rose. NaN at first and where the belief before is missing.
+    # Decrease of H(Z, X), nats: on average the expected information, for a single robot more or
+    # less; negative where it rose. NaN at first and where the belief before is missing.
     gained: Numbers
-    # How much more than the path of that deployment another may have been worth, nats: the upper
-    # bound given the belief before, less what was expected and what a loss costs. NaN where there
-    # was no bound.
+    # Gap between the upper bound given the belief before and the value of the chosen path, nats.
+    # NaN without a bound.
     gap: Numbers
-    # How many robots were known to be lost.
+    # Number of robots known to be lost.
     lost: NDArray[np.intp]
-    # How many had been sent and not reported.
+    # Number of robots in flight.
     out: NDArray[np.intp]
 
     @property
@@ -91,7 +90,7 @@ def curves_of(
 
 
 def expected_at(mission: Mission, place: int) -> float:
-    """Return the information that the deployment of a moment was expected to bring, in nats."""
+    """Return the expected information of a moment's deployment, in nats."""
     moment = mission.moments[place]
     if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
         return nan
@@ -100,7 +99,7 @@ def expected_at(mission: Mission, place: int) -> float:
 
 
 def gap_at(mission: Mission, place: int, expected: float) -> float:
-    """Return how much more another path than that of a moment may have been worth, in nats."""
+    """Return how much more another path than a moment's may have been worth, in nats."""
     moment = mission.moments[place]
     before = mission.moments[place - 1]
     if isnan(expected) or isnan(before.upper_bound) or moment.deployment is None:
@@ -112,7 +111,7 @@ def gap_at(mission: Mission, place: int, expected: float) -> float:
 
 
 def lost_by(mission: Mission) -> NDArray[np.intp]:
-    """Return how many robots were known to be lost at each moment; late returns count no more."""
+    """Return the number of robots known to be lost at each moment; late returns are subtracted."""
     is_lost: dict[int, bool] = {}
     counts = []
     for moment in mission.moments:
@@ -127,7 +126,7 @@ def lost_by(mission: Mission) -> NDArray[np.intp]:
 
 
 def out_at(mission: Mission) -> list[NDArray[np.intp]]:
-    """Return who was out at each moment, by their places among the deployments."""
+    """Return the robots in flight at each moment, by index of their deployments."""
     never = np.iinfo(np.int64).max
     sent = np.array([each.sent or 0 for each in mission.deployments])
     reported = [each.reported for each in mission.deployments]
@@ -135,7 +134,7 @@ def out_at(mission: Mission) -> list[NDArray[np.intp]]:
     return [np.flatnonzero((sent <= each.time) & (home > each.time)) for each in mission.moments]
 
 
-# One row a deployment. Cells and readings are texts of numbers between blanks, so that both files
+# Columns of the table of deployments. Cells and readings are texts of numbers, so that both files
 # hold the same.
 COLUMNS = pyarrow.schema(
     [
@@ -164,7 +163,7 @@ COLUMNS = pyarrow.schema(
 
 
 def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
-    """Return one row a deployment, by the names of `COLUMNS`; None where nothing is known."""
+    """Return one row for each deployment, by the names of `COLUMNS`; None if unknown."""
     entropy = curves.entropy
     loss = curves.log_loss
     first = {each.deployment: place for place, each in reversed([*enumerate(mission.moments)])}
@@ -200,42 +199,42 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
 
 
 def steps_survived(seen: Observation | None) -> int | None:
-    """Return how many steps a robot is known to have survived; None if nothing is known."""
+    """Return the number of steps that a robot is known to have survived; None if unknown."""
     if seen is None:
         return None
     return seen.steps if seen.survived else seen.steps_survived or None
 
 
 def readings(seen: Observation) -> list[int]:
-    """Return what a robot that returned read in each step: 1, 0, or -1 where it did not look."""
+    """Return the readings of a returned robot by step: 1, 0, or -1 where it did not look."""
     assert seen.readings is not None
     return [int(each) for each in seen.readings]
 
 
 def looked(seen: Observation) -> int:
-    """Return in how many steps it looked."""
+    """Return the number of steps with a reading."""
     return sum(each >= 0 for each in readings(seen))
 
 
 def known(values: NDArray[np.float64], place: int | None) -> float | None:
-    """Return a value; None where it is not known."""
+    """Return a value; None if it is NaN."""
     return None if place is None or isnan(values[place]) else float(values[place])
 
 
 def text(numbers: list[int]) -> str:
-    """Return numbers between blanks."""
+    """Return numbers separated by blanks."""
     return ' '.join(map(str, numbers))
 
 
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
-    """Write deployments.parquet and deployments.csv; raises OSError if that is not possible."""
+    """Write deployments.parquet and deployments.csv; raises OSError."""
     table = pyarrow.Table.from_pylist(rows(mission, curves), schema=COLUMNS)
     parquet.write_table(table, folder / 'deployments.parquet')
     csv.write_csv(table, folder / 'deployments.csv')
 
 
 def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:
-    """Write belief.npz and the last belief as maps of map_server; raises OSError if impossible."""
+    """Write belief.npz and the last belief as maps of map_server; raises OSError."""
     moments = mission.moments
     arrays: dict[str, Any] = {
         name: np.stack([getattr(each.belief, name) for each in moments])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Experiments over the core, and the figures of what came out."""
+"""Experiments over the core, with tables and figures."""
 
 from kbnitp_ros.plugins import extra
 

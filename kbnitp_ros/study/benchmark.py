@@ -34,7 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-# Of what is frozen: another one whenever a belief, a world or a number of the missions changes.
+# Version of the frozen data: raised whenever a belief, a world or a number of the missions
+# changes.
 VERSION = 2
 NAME = 'benchmark'
 
@@ -50,23 +51,23 @@ HEADS = (
     'ms an update',
 )
 
-# What every planner is tried with, and every method; with both the two tables meet.
+# The method for all planners, and the planner for all methods; the pair is in both tables.
 PLANNER, METHOD = 'beam', 'kappa_bnitp'
 
 
 class Frozen(NamedTuple):
-    """A belief of a mission, and what the best path is worth there at most."""
+    """A belief of a mission, with a bound on the value of any path."""
 
     # Of the cells of `field`.
     belief: Belief
-    # What robots are believed to be like.
+    # The believed sensor model.
     model: SensorModel
     # Proven, nats.
     bound: float
 
 
 class Entry(NamedTuple):
-    """A row of the table: a planner and a method, and the missions that they made."""
+    """A row of the table: a planner and a method, with their missions."""
 
     planner: str
     method: str
@@ -93,7 +94,7 @@ def frozen() -> list[Frozen]:
 
 
 def entered() -> tuple[list[str], list[str]]:
-    """Return the planners and the methods: some of the package's own, and all of others."""
+    """Return the planners and methods: some of the package's own, all of other packages."""
     planners = ['random', 'coverage', 'shortest_unvisited', PLANNER]
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 
@@ -108,19 +109,19 @@ def worth_of(
         found = plan(field, each.belief, each.model, steps, planner)
         return found.information / each.bound, process_time() - begun
 
-    # The first one compiles kernels.
+    # The first plan compiles kernels.
     planned(beliefs[0])
     return np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T
 
 
 def seconds_of(method: str, scenario: Scenario) -> float:
-    """Return how long a method takes for a deployment, the mean over those of one mission."""
+    """Return the seconds of a method for a deployment, averaged over a mission."""
     field, truth = scenario.field(), scenario.truth(scenario.lethalities[0], 0)
     prior, model = scenario.belief(truth), scenario.model(truth)
     world = World.random(field, 0, **{name: truth[name] for name in vars(scenario.world)})
     options = SearchOptions('coverage', scenario.planning.max_steps)
     mission = run_mission(field, prior, model, world, scenario.robots, 0, options=options)
-    # The first time compiles kernels.
+    # The first run compiles kernels.
     for _ in range(2):
         estimator = Estimator(prior, model, method)
         begun = process_time()

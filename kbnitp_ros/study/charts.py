@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a study, and the panels that they are made of."""
+"""Figures of a study, and their panels."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 import numpy as np
 from numpy.typing import NDArray
 
-# Beside each other at most.
+# Maximum number of panels side by side.
 COLUMNS = 4
 
 Draw = Callable[[Axes, float | None, Contender, Style, str], None]
 
 
 def labels_of(scenario: Scenario) -> dict[Contender, str]:
-    """Return what tells each contender from the others."""
+    """Return labels that tell the contenders apart."""
     teams, are_named = team_labels(scenario), len(scenario.methods) > 1
     return {
         each: ', '.join(filter(None, [each.method if are_named else '', teams[each.team]]))
@@ -50,7 +50,7 @@ def labels_of(scenario: Scenario) -> dict[Contender, str]:
 
 
 def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
-    """Return which contenders share a panel."""
+    """Return the contenders grouped by panel."""
     if len(contenders) <= len(SERIES):
         return [list(contenders)]
     for distinctions in (
@@ -79,7 +79,7 @@ def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
 def panels_figure(
     scenario: Scenario, draw: Draw, across: str, up: str, scale: str = 'linear'
 ) -> Figure:
-    """Return a figure with a panel a lethality, and rows of them for each group of contenders."""
+    """Return a figure with a panel for each lethality, and rows for groups of contenders."""
     labels, groups = labels_of(scenario), groups_of(scenario.contenders)
     lethalities = scenario.lethalities
     columns = columns_for(len(lethalities))
@@ -95,11 +95,11 @@ def panels_figure(
             axes.set_yscale(scale)
         legend_above(part, row[0])
         panels += row
-    # All panels show the same range, also where they share no axis.
+    # All panels show the same range, even without a shared axis.
     left, right = zip(*(axes.get_xlim() for axes in panels))
     low, high = zip(*(axes.get_ylim() for axes in panels))
     bottom, top = min(low), max(high)
-    # Numbers on logarithmic axes are the closer the less they span.
+    # Numbers on logarithmic axes are closer the smaller their span.
     steps = (1, 2, 3, 5, 7) if top < 20.0 * bottom else (1, 2, 5) if top < 1e3 * bottom else (1,)
     for axes in panels:
         axes.set_xlim(min(left), max(right))
@@ -108,7 +108,7 @@ def panels_figure(
             axes.yaxis.set_major_locator(LogLocator(subs=steps))
             axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
             axes.yaxis.set_minor_locator(NullLocator())
-    # Where all have one method no label names it.
+    # A method common to all is not in the labels.
     methods, teams = scenario.methods, scenario.teams
     method = f'{methods[0]}, ' if len(methods) == 1 < len(teams) else ''
     figure.supxlabel(f'{across} ({method}mean of {trials_in(scenario)}, 95 % intervals)')
@@ -117,12 +117,12 @@ def panels_figure(
 
 
 def trials_in(scenario: Scenario) -> str:
-    """Return how many trials a study has, in words."""
+    """Return the number of trials of a study, in words."""
     return '1 trial' if scenario.trials == 1 else f'{scenario.trials} trials'
 
 
 def columns_for(panels: int) -> int:
-    """Return how many panels stand beside each other, so that the rows are full if they can be."""
+    """Return the number of panels side by side that fills the rows best."""
     rows = -(-panels // COLUMNS)
     return -(-panels // rows)
 
@@ -144,9 +144,9 @@ def grid_of(
 
 
 def legend_above(part: FigureBase, axes: Axes) -> None:
-    """Say above the panels what their lines are, in as many columns as there is room for."""
+    """Draw a legend above the panels, in as many columns as fit."""
     handles, labels = axes.get_legend_handles_labels()
-    # In points: the letters of the labels, and their lines.
+    # In points: sizes of the labels' letters and lines.
     room = 72.0 * WIDTH
     widths = [3.9 * len(label) + 30.0 for label in labels]
     columns = len(labels)
@@ -156,13 +156,13 @@ def legend_above(part: FigureBase, axes: Axes) -> None:
     part.legend(handles, labels, loc='outside upper center', ncols=columns, handlelength=3.0)
 
 
-# Predictions are compared with what is there in this many classes of equally many cells.
+# Number of classes, of equal size, in which predictions are compared with the truth.
 CLASSES = 10
 
-# Contenders whose reliability is drawn beside each other, at most.
+# Maximum number of contenders whose reliability is drawn side by side.
 BESIDE = 5
 
-# How much of its colour a band keeps, through which others show.
+# Opacity of a band, through which others show.
 BAND = 0.15
 
 LOG_LOSS_LABEL = 'log loss of hazard and target (nats)'
@@ -196,7 +196,7 @@ def draw_mean(axes: Axes, samples: NDArray[np.float64], style: Style, label: str
 
 
 def reliability_chart(results: Results) -> Figure:
-    """Draw how often a thing is there against how likely it was held, after the last robot."""
+    """Draw the true share against the predicted probability after the last robot."""
     scenario = results.scenario
     contenders, labels = scenario.contenders, labels_of(scenario)
     blocks = -(-len(contenders) // BESIDE)
@@ -206,7 +206,7 @@ def reliability_chart(results: Results) -> Figure:
         figsize=(side * columns, blocks * (1.8 * side + 0.3) + 0.5), layout='constrained'
     )
     grid = figure.subplots(2 * blocks, columns, sharex=True, sharey=True, squeeze=False)
-    # One row a contender, which has a panel a map.
+    # One row for each contender, with a panel for each map.
     panels = grid.reshape(blocks, 2, columns).swapaxes(1, 2).reshape(-1, 2)
     used, unused = np.split(panels, [len(contenders)])
     for axes in unused.flat:
@@ -232,7 +232,7 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
         axes.set_xticks([0.0, 0.5, 1.0])
         axes.set_yticks([0.0, 0.5, 1.0])
         axes.grid(alpha=0.3)
-    # Of many lethalities as many as can be told apart, spread evenly.
+    # Of many lethalities, as many as can be told apart, evenly spread.
     few = np.unique(np.linspace(0, len(lethalities) - 1, len(SERIES)).round().astype(int))
     for lethality, style in zip([lethalities[place] for place in few], SERIES):
         believed, truth = results.final_maps(lethality, *contender)
@@ -245,7 +245,7 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
 def reliability(
     believed: NDArray[np.float64], truth: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how likely things are held to be, and which part of them is there, by classes."""
+    """Return the mean prediction and the true share, by classes."""
     order = np.argsort(believed, axis=None, kind='stable')
     classes = np.array_split(order, min(CLASSES, order.size))
     held = np.array([believed.flat[cells].mean() for cells in classes])
@@ -291,10 +291,10 @@ def loss_cost_chart(results: Results) -> Figure:
 
 
 def numbers_chart(results: Results) -> Figure:
-    """Draw how well each number is known after each deployment, a panel a number and lethality."""
+    """Draw the error of numbers after each deployment, by number and lethality."""
     scenario, names = results.scenario, list(results.scenario.learn.priors)
     shown_in = list(product(names, scenario.lethalities))
-    # A row a number, unless there is but one panel of each.
+    # A row for each number, unless it has only one panel.
     are_rows = len(scenario.lethalities) > 1
     columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
     rows = -(-len(shown_in) // columns)
@@ -314,7 +314,7 @@ def numbers_chart(results: Results) -> Figure:
 
 
 def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
-    """Draw how far a number is from what is believed, and how far it is believed to be."""
+    """Draw the distance of a number from its mean, and its standard deviation."""
     error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
     spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
     lines = {'error of the mean': error, 'standard deviation believed': spread}
@@ -325,7 +325,7 @@ def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64
 
 
 def decision_chart(results: Results) -> Figure:
-    """Draw how often the lane is free, or the part of the area that is declared free."""
+    """Draw the share of free lanes, or the share of the area declared free."""
     measure, up = (
         ('declared', 'part of the area declared free')
         if asks_for(results.scenario, 'area')

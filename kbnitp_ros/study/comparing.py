@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A study from Python: planners and methods against each other, in the same worlds."""
+"""Studies from Python: planners and methods against each other, in the same worlds."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ def run_own(
     scenario: Scenario,
     trial: Trial,
 ) -> MissionResult:
-    """Run a trial with planners and methods that no package has, handed to its process."""
+    """Run a trial with planners and methods passed as objects to its process."""
     with PLANNERS.including(planners), METHODS.including(methods):
         return run_trial(scenario, trial)
 
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
-    """Return what is to be compared, of a kind told in a word, by the names that tables have."""
+    """Return what is to be compared, by the names in tables."""
     if isinstance(given, Mapping):
         return dict(given)
     if isinstance(given, str) or not isinstance(given, Iterable):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of the missions of a study, one row of data each, and the files of a study."""
+"""Comparisons of a study's missions, a row of data for each strategy; and its files."""
 
 from __future__ import annotations
 
@@ -79,24 +79,24 @@ METHOD: dict[str, Column] = {'method': ('method', '`{}`')}
 
 @dataclass(frozen=True)
 class Comparison:
-    """A kind of study with a section of its own in the summary."""
+    """A kind of study with its own section in the summary."""
 
     # Of the section.
     name: str
     # Whether a scenario is of this kind.
     applies: Callable[[Scenario], bool]
-    # Of the table; in braces, here and in the heads, what the section has by these names.
+    # Caption of the table; names in braces, here and in the heads, are filled from the section.
     caption: str
-    # What of a row the table shows beside the lethality; of a list a column for each of the
-    # section's ``robots``.
+    # Columns of the table besides the lethality; a list gives a column for each of the section's
+    # ``robots``.
     columns: Mapping[str, Column]
-    # Yields what is measured.
+    # Yields the rows.
     rows: Callable[[Results], Iterable[Row]]
-    # Returns what the section has besides.
+    # Returns further entries of the section.
     head: Callable[[Scenario], Row]
 
     def summarise(self, results: Results) -> Row:
-        """Return the section, as JSON can hold it, with its ``rows``."""
+        """Return the section with its ``rows``, ready for JSON."""
         return {**self.head(results.scenario), 'rows': [json_row(r) for r in self.rows(results)]}
 
     def table(self, summary: Row) -> Table:
@@ -118,7 +118,7 @@ class Comparison:
 
 
 def cells_of(value: Any, form: str | int) -> list[Cell]:
-    """Return a value of a row in the cells of a table."""
+    """Return the table cells of a value."""
     if isinstance(form, str):
         return [Cell(value, form.format(value))]
     return [
@@ -135,7 +135,7 @@ def with_first(
     order: Callable[[Strategy], Any] | None = None,
     further: Mapping[str, Measured] | None = None,
 ) -> dict[str, Any]:
-    """Return head and rows of a comparison of strategies with a first one, trial by trial."""
+    """Return head and rows of a comparison with a first strategy, trial by trial."""
 
     def in_order(scenario: Scenario) -> list[Strategy]:
         return sorted(scenario.teams, key=order) if order else list(scenario.teams)
@@ -162,13 +162,13 @@ def with_first(
 
 
 def differ_in_objective(scenario: Scenario) -> bool:
-    """Return whether the strategies of a scenario differ in what they seek, and in that alone."""
+    """Return whether the strategies differ in their objectives alone."""
     objectives = {team.objective for team in scenario.teams}
     return len(objectives) > 1 and differ_only_in(scenario, 'objective', 'alpha', 'loss_cost')
 
 
 def differ_in_hazards(scenario: Scenario) -> bool:
-    """Return whether the strategies differ in what is believed of hazards, and in that alone."""
+    """Return whether the strategies differ in the believed hazards alone."""
     return differ_only_in(scenario, 'dynamics', 'clustering', 'paths')
 
 
@@ -188,7 +188,7 @@ def lost_more(series: Series, first: Strategy, team: Strategy) -> Mean:
 
 
 def own(name: str) -> Stated:
-    """Return what reads a field of a strategy."""
+    """Return a function that reads a field of a strategy."""
     return lambda team, _: getattr(team, name)
 
 
@@ -198,17 +198,17 @@ def planner_of(team: Strategy, scenario: Scenario) -> str:
 
 
 def objective_of(team: Strategy, _: Scenario) -> str:
-    """Return what a strategy seeks."""
+    """Return the objective of a strategy."""
     return f'{team.sought}, loss cost {team.loss_cost:.4g}' if team.loss_cost else team.sought
 
 
 def believed_by(team: Strategy, scenario: Scenario) -> str:
-    """Return what a strategy believes of hazards."""
+    """Return the hazards that a strategy believes in."""
     return team_labels(scenario)[team]
 
 
 def hazard_rows(results: Results) -> Iterable[Row]:
-    """Yield how far hazards are from what is believed of them, a row for each contender."""
+    """Yield the hazard log loss, a row for each contender."""
     robots = after_robots((25, 50, 100), results.scenario.robots)
     for row, team, series in results.missions():
         yield row | {
@@ -541,7 +541,7 @@ def figures_of(results: Results) -> dict[str, Figure]:
 
 
 def sections(results: Results) -> Iterator[tuple[str, Row, Table]]:
-    """Yield the name of each section of the summary, what it says and its table."""
+    """Yield the name, the content and the table of each section of the summary."""
     summary = summarise(results)
     yield 'summary', summary, table_of(summary)
     for comparison in COMPARISONS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What studies compare besides beliefs: teams, losses, learning and decisions."""
+"""Comparisons of teams, losses, learning and decisions."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ from numpy.typing import NDArray
 
 
 def differ_in_size(scenario: Scenario) -> bool:
-    """Return whether its teams are of several sizes, and else alike but for their allocations."""
+    """Return whether the teams differ in size, and otherwise only in their allocations."""
     sizes = {team.agents for team in scenario.teams}
     others = {(team.loss_cost, team.last_contact) for team in scenario.teams}
     return len(sizes) > 1 and len(others) == 1
 
 
 def common_rounds(scenario: Scenario) -> int:
-    """Return how many rounds the largest team can do in full."""
+    """Return the number of rounds that the largest team can complete."""
     return scenario.robots // max(team.agents for team in scenario.teams)
 
 
 def team_rows(results: Results) -> Iterator[Row]:
-    """Yield what the teams learn with the same robots and in the same rounds."""
+    """Yield the results of the teams with the same robots and in the same rounds."""
     scenario = results.scenario
     labels, common = team_labels(scenario), common_rounds(scenario)
     smallest = min(scenario.teams, key=lambda team: team.agents)
@@ -70,7 +70,7 @@ def team_rows(results: Results) -> Iterator[Row]:
         yield row | {name: mean_of(values) for name, values in measured.items()}
 
 
-# What is compared where two missions know as much.
+# Fields of a comparison at equal log loss.
 EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'difference', 'fewer')
 
 
@@ -80,7 +80,7 @@ def at_equal_log_loss(
     """Compare two missions at the lowest log loss that both reach."""
     lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
     level = max(log_loss[-1] for log_loss in lowest)
-    # From the last robot back, so that the first of several with the same log loss is taken.
+    # In reverse, so that the first of several robots with the same log loss is taken.
     sent = [np.interp(level, low[::-1], np.arange(low.size)[::-1]) for low in lowest]
     lost = [np.interp(n, np.arange(of.size), of) for n, (of, _) in zip(sent, (least, this))]
     return np.array([level, *sent, *lost, lost[1] - lost[0], sent[0] - sent[1]])
@@ -115,7 +115,7 @@ def log_loss_at_equal_losses(series: Series, first: Strategy, this: Strategy) ->
 
 
 def equal_rows(results: Results) -> Iterator[Row]:
-    """Yield what the least loss cost and each other come to at equal log loss: `EQUAL`."""
+    """Yield the comparison of each loss cost with the smallest at equal log loss: `EQUAL`."""
     least, *others = sorted(results.scenario.teams, key=lambda team: team.loss_cost)
     for row, team, series in results.missions(others):
         measured = compare(trade(series, least), trade(series, team))
@@ -141,12 +141,12 @@ def base_rows(results: Results) -> Iterator[Row]:
         }
 
 
-# After how many robots missions are compared, and after the last one.
+# Numbers of robots at which missions are compared, besides the last.
 ROBOTS = (10, 25, 50, 100, 200)
 
 
 def number_rows(results: Results) -> Iterator[Row]:
-    """Yield how well numbers are known at the end, one row for each lethality and number."""
+    """Yield the final errors of learnt numbers, a row for each lethality and number."""
     for lethality, name in product(results.scenario.lethalities, results.scenario.learn.priors):
         known, truth = of_number(results, lethality, name)
         first, last = known[:, 0], known[:, -1]
@@ -162,7 +162,7 @@ def number_rows(results: Results) -> Iterator[Row]:
 
 
 def cost_of_learning(results: Results) -> Iterator[Row]:
-    """Yield what not being told costs, one row for each lethality and other method."""
+    """Yield the cost of learning, a row for each lethality and other method."""
     scenario = results.scenario
     team, robots = scenario.teams[0], after_robots(ROBOTS, scenario.robots)
     for lethality in scenario.lethalities:
@@ -174,21 +174,21 @@ def cost_of_learning(results: Results) -> Iterator[Row]:
                 yield {'lethality': lethality, 'method': method, 'costs': costs}
 
 
-# After how many robots missions are compared.
+# Numbers of robots at which missions are compared.
 DECIDED_AFTER = (10, 25, 50, 100)
-# The probabilities at which missions may end.
+# Confidences at which missions may end.
 CONFIDENCES = (0.9, 0.95, 0.99)
-# The part of an area that is to be declared free.
+# Share of an area to be declared free.
 MOST_CELLS = 0.8
 
 
 def certifies(scenario: Scenario) -> bool:
-    """Return whether missions end when they are sure enough."""
+    """Return whether missions end at a confidence."""
     return scenario.asked is not None and bool(scenario.asked.confidence)
 
 
 def lane_rows(results: Results) -> Iterator[Row]:
-    """Yield how often the lane is free, as believed and in truth, of each strategy."""
+    """Yield the share of free lanes, as believed and in truth, for each strategy."""
     scenario, labels = results.scenario, team_labels(results.scenario)
     for row, team, series in results.missions():
         free, base = series('free'), series('free', team=scenario.teams[0])
@@ -204,7 +204,7 @@ def lane_rows(results: Results) -> Iterator[Row]:
 
 
 def certificate_rows(results: Results) -> Iterator[Row]:
-    """Yield how often what is asked for is free in missions that stopped, for each confidence."""
+    """Yield the share of free decisions in missions that stopped, for each confidence."""
     asked = results.scenario.asked
     confidences = [each for each in CONFIDENCES if asked is None or each <= asked.confidence]
     for (row, _, series), confidence in product(results.missions(), confidences):
@@ -229,7 +229,7 @@ def certificate_rows(results: Results) -> Iterator[Row]:
 
 
 def area_rows(results: Results) -> Iterator[Row]:
-    """Yield how many robots it takes to declare most cells of the area free."""
+    """Yield the robots needed to declare most of the area free."""
     scenario, labels = results.scenario, team_labels(results.scenario)
     for row, team, series in results.missions():
         declared, right, lost = map(series, ('declared', 'declared_free', 'robots_lost'))
@@ -246,7 +246,7 @@ def area_rows(results: Results) -> Iterator[Row]:
 
 
 def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return after how many robots most cells are declared free, (trials,); all if never."""
+    """Return the number of robots until most cells are declared free, (trials,); all if never."""
     is_most = declared >= MOST_CELLS
     is_most[:, -1] = True
     robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that a study measured, and what it comes to in tables for people."""
+"""The results of a study, and their summary in tables."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-# Sums of measures by their names, shape (trials, robots + 1); `team` is that of the missions.
+# Sums of measures by name, shape (trials, robots + 1); `team` selects the missions.
 Series = Callable[..., NDArray[np.float64]]
 
-# The most bytes that a mission may take, of which each worker has one, and the results of all.
+# Maximum bytes of a mission, held by each worker, and of all results.
 MOST_OF_A_MISSION = 1 << 30
 MOST_OF_ALL = 1 << 32
 
 
 def check_memory(scenario: Scenario) -> None:
-    """Check that a study can have the memory that it takes."""
+    """Check that a study fits in memory."""
     number = 8
     cells, deployments = scenario.field().cells, scenario.robots + 1
     missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials
-    # The beliefs of a mission; of each the last maps, the truth and the measures, in two tables.
+    # The beliefs of a mission; and the last maps, the truth and the measures, in two tables.
     mission = 4 * number * cells * deployments
     outcome = 2 * (number + 1) * cells + len(measures_of(scenario)) * number * deployments
     for what, bytes_taken, most in (
@@ -72,7 +72,7 @@ class Results:
         )
 
     def table(self) -> pa.Table:
-        """Return one row for every deployment of every trial."""
+        """Return one row for each deployment of each trial."""
         trials = trials_of(self.scenario)
         rows = self.scenario.robots + 1
         measures = np.concatenate([self.outcomes[trial].measures for trial in trials])
@@ -106,7 +106,7 @@ class Results:
     def missions(
         self, teams: Sequence[Strategy] | None = None
     ) -> Iterator[tuple[dict[str, Any], Strategy, Series]]:
-        """Yield lethality and method, the team, and the series of missions, in their order."""
+        """Yield lethality and method, the team, and its series, in order."""
         scenario = self.scenario
         for lethality, method, team in product(
             scenario.lethalities, scenario.methods, scenario.teams if teams is None else teams
@@ -125,7 +125,7 @@ class Results:
     def learnt(
         self, lethality: float | None, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return what the method that learns knew of the numbers, and what they are."""
+        """Return the posteriors of a learning method, and the true numbers."""
         outcomes = self._of(lethality, LEARNING, team)
         known = np.stack([outcome.learnt for outcome in outcomes])
         return known, np.stack([outcome.numbers for outcome in outcomes])
@@ -139,7 +139,7 @@ ESCAPED = str.maketrans({each: f'\\{each}' for each in '&%$#_{}'})
 
 
 class Cell(NamedTuple):
-    """A value, of a mean a dict with its interval, and how it is shown in Markdown."""
+    """A value, a mean as a dict with its interval, and its text in Markdown."""
 
     value: Any
     text: str
@@ -154,18 +154,18 @@ class Table:
         self._texts = self._cells.map(attrgetter('text'))
 
     def markdown(self) -> str:
-        """Return it in Markdown."""
+        """Return the table in Markdown."""
         heads = self._texts.columns
         head, *rows = (f'| {" | ".join(row)} |' for row in (heads, *self._texts.to_numpy()))
         return '\n'.join([self.caption, '', head, '|' + '---|' * len(heads), *rows, ''])
 
     def latex(self) -> str:
-        """Return it as a ``table`` of LaTeX, which needs the package booktabs."""
+        """Return the table as a ``table`` of LaTeX, which needs the package booktabs."""
         texts = self._texts.map(in_latex).rename(columns=in_latex)
         return str(texts.to_latex(index=False, caption=in_latex(self.caption)))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return it as a table of pandas; HEAD low and HEAD high are the interval of a mean."""
+        """Return the table for pandas; HEAD low and HEAD high are the interval of a mean."""
         rows = self._cells.map(attrgetter('value')).to_dict('records')
         known = [{head: value for head, value in row.items() if value is not None} for row in rows]
         return pandas.json_normalize(known, sep=' ').rename(
@@ -178,7 +178,7 @@ def in_latex(text: str) -> str:
     return re.sub('`([^`]*)`', r'\\texttt{\1}', text.translate(ESCAPED))
 
 
-# The total log loss: how far the belief is from the truth, both maps together.
+# Total log loss: distance of both maps from the truth.
 LOG_LOSS = ('hazard_log_loss', 'target_log_loss')
 
 SUMMARISED = {
@@ -191,16 +191,16 @@ SUMMARISED = {
 
 RESAMPLES = 2000
 
-# Beyond these a summary would show how sums were rounded.
+# Decimals of a summary; more would show how sums were rounded.
 DECIMALS = 6
 
 
-# Of a table: values, means over trials and lists of them, by name.
+# Row of a table: values, means over trials and lists of them, by name.
 Row = dict[str, Any]
 
 
 class Mean(NamedTuple):
-    """A mean over trials and its 95 % interval; each shape (...)."""
+    """A mean over trials with its 95 % interval; each shape (...)."""
 
     mean: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -213,19 +213,19 @@ def mean_of(samples: NDArray[np.float64]) -> Mean:
 
 
 def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
-    """Return after how many robots missions are compared: these, as far as there are, and all."""
+    """Return the numbers of robots at which missions are compared, with the last."""
     return sorted({*(each for each in robots if each < all_of_them), all_of_them})
 
 
 def means_after(
     series: NDArray[np.float64], robots: Sequence[int]
 ) -> list[dict[str, float | None]]:
-    """Return the means of a series after so many robots, for JSON."""
+    """Return the means of a series after so many robots, ready for JSON."""
     return [as_json(mean_of(series[:, after])) for after in robots]
 
 
 def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the means over trials that are drawn again and again, with replacement."""
+    """Return the means of bootstrap resamples of the trials."""
     trials = len(samples)
     resamples = RESAMPLES if trials > 1 else 0
     drawn = np.random.default_rng(0).multinomial(trials, np.full(trials, 1 / trials), resamples)
@@ -233,7 +233,7 @@ def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
-    """Return a mean of the trials with the 95 % interval of what the resamples give."""
+    """Return a mean with the 95 % interval of its resamples."""
     if not len(resampled):
         return Mean(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
     low, high = np.quantile(resampled, (0.025, 0.975), axis=0)
@@ -241,7 +241,7 @@ def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
 
 
 def summarise(results: Results) -> dict[str, Any]:
-    """Return where every method stands after the last robot, as JSON can hold it."""
+    """Return the results of every method after the last robot, ready for JSON."""
     scenario = results.scenario
     reference = scenario.methods[-1]
     labels = team_labels(scenario)
@@ -267,7 +267,7 @@ def summarise(results: Results) -> dict[str, Any]:
 
 
 def as_json(mean: Mean) -> dict[str, float | None]:
-    """Return the mean of one value and its interval, if it has one, as JSON can hold them."""
+    """Return the mean of one value, with its interval if it has one, ready for JSON."""
     return {
         name: None if np.isnan(value) else round(float(value), DECIMALS)
         for name, value in mean._asdict().items()
@@ -275,14 +275,14 @@ def as_json(mean: Mean) -> dict[str, float | None]:
 
 
 def json_row(row: Row) -> Row:
-    """Return a row as JSON can hold it."""
+    """Return a row ready for JSON."""
     return {
         name: as_json(value) if isinstance(value, Mean) else value for name, value in row.items()
     }
 
 
 def table_of(summary: dict[str, Any]) -> Table:
-    """Return a summary as a table for people."""
+    """Return a summary as a table."""
     columns = [*SUMMARISED, 'false_targets']
     caption = (
         f'After {summary["robots"]} robots: means of {summary["trials"]} trials with 95 % '
@@ -306,12 +306,12 @@ def table_of(summary: dict[str, Any]) -> Table:
 
 
 def lethality_cell(row: Row) -> Cell:
-    """Return the lethality of the worlds of a row."""
+    """Return the text of a row's lethality."""
     return Cell(row['lethality'], in_short(row['lethality']))
 
 
 def shown(entry: dict[str, float | None], decimals: int = 1) -> str:
-    """Return a mean and its interval, if it has one, for people."""
+    """Return the text of a mean, with its interval if it has one."""
     mean, *ends = (f'{value:.{decimals}f}' for value in entry.values() if value is not None)
     return f'{mean} [{", ".join(ends)}]' if ends else mean
 
@@ -333,7 +333,7 @@ MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95)
 def of_number(
     results: Results, lethality: float | None, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return what was known of a number, (trials, robots + 1, learnt), and it, (trials, 1)."""
+    """Return the posterior of a number, (trials, robots + 1, learnt), and its truth."""
     known, truth = results.learnt(lethality, results.scenario.teams[0])
     place = NUMBERS.index(name)
     return known[:, :, place], truth[:, place, None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study varies and what it holds fixed, as a small YAML file says it."""
+"""The scenario of a study: what varies and what is fixed, as in its YAML file."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.plans import check_team, team_size
 import numpy as np
 
-# What robots are sent for, besides `GOALS`, to compare these with.
+# Targets of flights besides `GOALS`, for comparison.
 SAFEST_LANE = 'safest_lane'
 
 
 @dataclass(frozen=True)
 class Asked:
-    """The decision that missions of a study are asked for, whatever their robots are sent for."""
+    """The decision that all missions of a study make."""
 
     # Of `GOALS`, but for 'map'.
     goal: Annotated[str, GOALS]
-    # Those of the goal.
+    # Of the goal.
     cells: tuple[Annotated[int, (0, 999_999)], ...]
-    # The probability at which missions that are sent for the goal end; 0: they do not.
+    # Confidence at which missions for the goal end; 0: they do not.
     confidence: Annotated[float, (0.0, 1.0)] = 0.0
 
     def sought(self) -> Goal:
@@ -61,7 +61,7 @@ class Asked:
         return goal
 
     def goal_of(self, sent_for: str) -> Goal | None:
-        """Return the goal of missions whose robots are sent for something; None for a map."""
+        """Return the goal of missions with some flights; None for a map."""
         if sent_for == 'map':
             return None
         if sent_for == SAFEST_LANE and self.goal == Lane.name:
@@ -71,14 +71,14 @@ class Asked:
         return self.sought()
 
     def check(self, grid: Grid, robots: int, max_steps: int) -> None:
-        """Refuse a goal that is none, or cannot be reached on a field."""
+        """Check that the goal exists and can be reached on a field."""
         goal = self.sought()
         goal.check(grid, max_steps)
         Stop().check(goal, robots)
 
 
 class SafestLane(Lane):
-    """A lane, for which robots fly out and back on the one that is safest by now."""
+    """A lane whose robots fly out and back on the currently safest one."""
 
     def flight(self, situation: Situation) -> Plan | None:
         """Return the safest lane, there and back."""
@@ -88,46 +88,46 @@ class SafestLane(Lane):
         return situation.planned(there_and_back(lane, lane), 0.0)
 
 
-# What is compared: the methods, which are told all numbers, and the sampled one when it learns
-# those of the section learn instead.
+# The methods compared: those that know all numbers, and the sampled one when it learns those of
+# the section learn.
 SAMPLED = 'kappa_bnitp_sampled'
 LEARNING = f'{SAMPLED}_learning'
 
 # The numbers that can be learnt.
 NUMBERS = tuple(field.name for field in fields(Unknowns))
 
-# The options of a search.
+# Options of a search.
 OPTIONS = tuple(field.name for field in fields(SearchOptions))
 
-# How the hazards of worlds lie, as of `laid_out`.
+# Layouts of the hazards of worlds, as of `laid_out`.
 LAYOUTS = ('independent', 'blobs', 'rows')
 
-# On whose belief paths are planned.
+# Beliefs that paths are planned on.
 PATHS = ('own', 'static')
 
-# Keys of the generators of numbers that are drawn, which no world has.
+# Keys of the generators of drawn numbers, which no world has.
 DRAWN = 0x4452574E
 
-# A value's type, and what is allowed: the lowest and the highest number, or names, as of a
-# registry, and further ones.
+# A value's type and limits: the lowest and the highest number, or names, as of a registry, and
+# further ones.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
 
 @dataclass(frozen=True)
 class Extent:
-    """The grid."""
+    """The size of the grid."""
 
     # Cells along x and y, 1 to 1000.
     width: Annotated[int, (1, 1000)]
     height: Annotated[int, (1, 1000)]
-    # The cell (row * width + column, row 0 at the bottom) of every start and return.
+    # The base (row * width + column) of every robot.
     base: Annotated[int, (0, 999_999)]
 
 
 @dataclass(frozen=True)
 class Planning:
-    """How paths are searched for, as of `SearchOptions`."""
+    """Options of the search, as in `SearchOptions`."""
 
     planner: Annotated[str, PLANNERS]
     max_steps: Count
@@ -138,44 +138,41 @@ class Planning:
 
 @dataclass(frozen=True)
 class Strategy:
-    """How robots are deployed: the team, what paths are planned for, what is known before."""
+    """The strategy of a mission: team, objective and prior knowledge."""
 
-    # How many, at least 1.
+    # Number of robots, at least 1.
     agents: Count = 1
     # Of `ALLOCATIONS`.
     allocation: Annotated[str, ALLOCATIONS] = 'greedy'
-    # The cost of a lost robot, nats, 0 to 1000.
+    # Cost of a lost robot, nats, 0 to 1000.
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
-    # The probability that the base hears, after each step, how far a robot is, 0 to 1.
+    # Probability that the base receives a contact after each step, 0 to 1.
     last_contact: Probability = 0.0
     # Of `PLANNERS`; empty for that of the section planning.
     planner: Annotated[str, PLANNERS, ''] = ''
-    # The part of the cells of which a map of hazards, known before the first robot, is right, 0 to
-    # 1; 0 for no map.
+    # Share of cells that a map of hazards known beforehand has right, 0 to 1; 0 for no map.
     survey: Probability = 0.0
-    # The part of which it is believed to be, 0 to 1; 0 for as many as it is.
+    # Share that it is believed to have right, 0 to 1; 0 for the true share.
     trusted: Probability = 0.0
     # Of `OBJECTIVES`.
     objective: Annotated[str, OBJECTIVES] = 'information'
     # Of the objective 'behavioral', 0.2 to 5.
     alpha: Annotated[float, ALPHAS] = 1.0
-    # The kind of hazards that are believed in, of `HAZARDS`; empty for that of the worlds.
+    # Believed kind of hazards, of `HAZARDS`; empty for that of the worlds.
     dynamics: Annotated[str, HAZARDS, ''] = ''
-    # 'learn': hazards are believed to cluster, with a coupling that is learnt; empty: they are
-    # believed to lie independently.
+    # 'learn' for hazards believed to cluster, with a learnt coupling; empty for independent ones.
     clustering: Annotated[str, ('learn',), ''] = ''
-    # 'own': they are planned on what is believed. 'static': on what `kappa_bnitp` believes of
-    # static hazards, so that all who have these paths have the same evidence.
+    # 'own' for paths planned on the own belief, 'static' for those on the belief of `kappa_bnitp`
+    # in static hazards, so that all strategies with these have the same evidence.
     paths: Annotated[str, PATHS] = 'own'
-    # The cell that every second robot of those that leave together starts and ends in; -1: all do
-    # so in the base of the grid.
+    # Base of every second robot of a round; -1: all leave from the base of the grid.
     second_base: Annotated[int, (-1, 999_999)] = -1
-    # What robots are sent for: of `GOALS`, or 'safest_lane'.
+    # Goal of the flights: of `GOALS`, or 'safest_lane'.
     goal: Annotated[str, GOALS, SAFEST_LANE] = 'map'
 
     @property
     def sought(self) -> str:
-        """Return what it seeks in a word: the alpha tells one behavioral objective from others."""
+        """Return the objective in a word; alpha tells behavioral ones apart."""
         return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
 
     def leaving(self) -> Team:
@@ -189,19 +186,19 @@ class Strategy:
         return Team(self.agents, self.allocation, types)
 
 
-# Robots one by one, whatever they cost.
+# Single robots at any loss cost.
 ALONE = Strategy()
 
 
 class Contender(NamedTuple):
-    """A way to do a mission: the method of its estimator and the team it sends."""
+    """A method of estimation and the team that it plans for."""
 
     method: str
     team: Strategy
 
 
 def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
-    """Draw a number: where its uniform quantile lies among the bins of its prior."""
+    """Draw a number: the bin of its prior at a uniform quantile."""
     bins = prior.bins()
     below = np.append(0.0, np.cumsum(np.exp(bins.log_prior)))
     return float(np.interp(rng.random() * below[-1], below, bins.edges))
@@ -209,7 +206,7 @@ def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
 
 @dataclass(frozen=True)
 class Densities:
-    """How worlds are drawn, as for `World.random`; None is drawn anew for each world."""
+    """Densities of the worlds, as for `World.random`; None is drawn anew for each world."""
 
     hazard_density: Probability | None
     kappa: Probability | None
@@ -218,9 +215,9 @@ class Densities:
 
 @dataclass(frozen=True)
 class Hazards:
-    """How the hazards of the worlds lie and change."""
+    """Layout and dynamics of the worlds' hazards."""
 
-    # Their kind, of `HAZARDS`.
+    # Kind, of `HAZARDS`.
     dynamics: Annotated[str, HAZARDS] = 'static'
     # Rates of changing and of moving hazards, in the worlds and as believed.
     appear: Probability = 0.0
@@ -230,7 +227,7 @@ class Hazards:
     layout: Annotated[str, LAYOUTS] = 'independent'
 
     def of_kind(self, kind: str) -> Dynamics:
-        """Return how hazards of a kind change; empty: as they do."""
+        """Return the dynamics of a kind of hazards; empty for that of the worlds."""
         kind = kind or self.dynamics
         return Dynamics(kind, **{name: getattr(self, name) for name in HAZARD_RATES.get(kind, ())})
 
@@ -240,7 +237,7 @@ INDEPENDENT = Hazards()
 
 @dataclass(frozen=True)
 class Sensor:
-    """The robots and their sensors but for the lethality, as for `SensorModel`."""
+    """Sensor model without the lethality, as in `SensorModel`."""
 
     malfunction: Probability | None
     false_negative: Probability
@@ -250,7 +247,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of every cell but the base before the first robot."""
+    """The prior of every cell but the base."""
 
     hazard: Probability
     target: Probability
@@ -264,38 +261,38 @@ class Scenario:
     # At least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, whatever the
     # method, the team and the lethality.
     seed: Annotated[int, (0, 2**63 - 1)]
-    # Worlds, at least 1.
+    # Number of worlds, at least 1.
     trials: Count
-    # Deployments of a mission, at least 1.
+    # Number of deployments of a mission, at least 1.
     robots: Count
     # Of `METHODS`, or `LEARNING`.
     methods: tuple[Annotated[str, METHODS, LEARNING], ...]
     # Of the worlds, in [0, 1]; None is drawn anew for each world.
     lethalities: tuple[Probability | None, ...]
-    # Sections of their own. Without a prior it is that of the world's densities.
+    # Sections. Without a prior it follows from the world's densities.
     grid: Extent
     planning: Planning
     world: Densities
     sensor: Sensor
     prior: Prior | None
-    # What planner and estimator hold for the lethality, in [0, 1]; None for the world's.
+    # Lethality that planner and estimator assume, in [0, 1]; None for the world's.
     believed_lethality: Probability | None = None
-    # Without them robots go one by one.
+    # Without teams robots go one by one.
     teams: tuple[Strategy, ...] = (ALONE,)
-    # What the method that learns is not told, and what numbers that are None are drawn from.
+    # Priors of numbers that the learning method is not told, and of numbers that are None.
     learn: Unknowns = ALL_KNOWN
-    # Without them they are static and lie independently.
+    # Without this section hazards are static and independent.
     hazards: Hazards = INDEPENDENT
-    # The decision that missions are asked for.
+    # The decision that missions make.
     asked: Asked | None = None
 
     @property
     def contenders(self) -> tuple[Contender, ...]:
-        """Every method with every team."""
+        """Return every method with every team."""
         return tuple(Contender(method, team) for method in self.methods for team in self.teams)
 
     def check_teams(self) -> None:
-        """Refuse a team that has more robots than the grid has cells, or a base without robots."""
+        """Check that a team fits the grid, and that each base has a robot."""
         for team in self.teams:
             team_size(self.field(), team.agents)
             if team.second_base >= 0 and team.agents < 2:
@@ -305,26 +302,26 @@ class Scenario:
                 )
 
     def check_search(self) -> None:
-        """Refuse paths that cannot be searched for, or not within the memory allowed."""
+        """Check that paths can be searched for, and within the memory allowed."""
         for strategy in self.teams:
             finder = PathFinder(self.field(), self.options(strategy))
             check_team(finder, strategy.leaving().types)
 
     def check_asked(self) -> None:
-        """Refuse a goal that cannot be reached, and robots that are sent for another one."""
+        """Check that the goal can be reached, and that robots are sent for it."""
         if self.asked is not None:
             self.asked.check(self.field(), self.robots, self.planning.max_steps)
         for team in self.teams:
             self.goal(team)
 
     def goal(self, strategy: Strategy) -> Goal | None:
-        """Return the goal that a strategy sends robots for; None for a map."""
+        """Return the goal of a strategy's flights; None for a map."""
         if self.asked is None and strategy.goal != 'map':
             raise ValueError(f'robots are sent for {strategy.goal}, and nothing is asked for')
         return self.asked.goal_of(strategy.goal) if self.asked is not None else None
 
     def options(self, strategy: Strategy) -> SearchOptions:
-        """Return the options of a strategy's search: its own, or else those of all."""
+        """Return the options of a strategy's search: its own, or the common ones."""
         own = {
             name: value
             for name, value in vars(strategy).items()
@@ -338,7 +335,7 @@ class Scenario:
         return Grid(self.grid.width, self.grid.height, self.grid.base, other_bases=others)
 
     def check_learning(self) -> None:
-        """Refuse numbers to be drawn or learnt that have no prior."""
+        """Check that drawn and learnt numbers have a prior."""
         priors = self.learn.priors
         if LEARNING in self.methods and not priors:
             raise ValueError(f'{LEARNING} has nothing to learn: name numbers with their priors')
@@ -352,11 +349,11 @@ class Scenario:
                 )
 
     def check_belief(self) -> None:
-        """Refuse a prior that is none."""
+        """Check that the prior is valid."""
         self.belief(self.truth(self.lethalities[0], 0))
 
     def check_hazards(self) -> None:
-        """Refuse rates that no hazards have, and methods that do not take those believed in."""
+        """Check the rates of hazards, and that the methods support the believed kind."""
         hazards, truth = self.hazards, self.truth(self.lethalities[0], 0)
         hazards.of_kind('').known_rates()
         kinds = {hazards.dynamics, *(team.dynamics for team in self.teams)}
@@ -374,7 +371,7 @@ class Scenario:
     def estimator(
         self, method: str, team: Strategy, prior: Belief, model: SensorModel, seed: int = 0
     ) -> Estimator:
-        """Return what a contender knows before the first robot."""
+        """Return the estimator of a contender before the first robot."""
         learns = method == LEARNING
         return Estimator(
             prior,
@@ -397,7 +394,7 @@ class Scenario:
         return {name: drawn[name] if value is None else value for name, value in given.items()}
 
     def belief(self, truth: Mapping[str, float]) -> Belief:
-        """Return what is believed before the first robot where these numbers hold."""
+        """Return the prior for these numbers."""
         if self.prior is not None:
             given = self.prior.hazard, self.prior.target, self.prior.kappa
         else:
@@ -413,7 +410,7 @@ class Scenario:
 
 
 def differ_only_in(scenario: Scenario, *names: str) -> bool:
-    """Return whether the teams of a scenario differ, and in these alone."""
+    """Return whether the teams of a scenario differ in these fields alone."""
     others = {
         tuple(value for name, value in vars(team).items() if name not in names)
         for team in scenario.teams
@@ -422,7 +419,7 @@ def differ_only_in(scenario: Scenario, *names: str) -> bool:
 
 
 def team_labels(scenario: Scenario) -> dict[Strategy, str]:
-    """Return what tells each team of a scenario from the others; empty if there are no others."""
+    """Return labels that tell the teams of a scenario apart; empty for a single team."""
     differ = {
         field.name
         for field in fields(Strategy)
@@ -432,7 +429,7 @@ def team_labels(scenario: Scenario) -> dict[Strategy, str]:
 
 
 def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator[str]:
-    """Yield the words for what teams differ in."""
+    """Yield the words for differences of teams."""
     if differ & {'agents', 'allocation'}:
         yield 'one by one' if team.agents == 1 else f'{team.agents} {team.allocation}'
     if 'loss_cost' in differ:
@@ -459,16 +456,16 @@ def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator
 
 
 def in_percent(lethality: float | None) -> str:
-    """Return the lethality of worlds for people."""
+    """Return the text of a lethality, in percent."""
     return 'drawn' if lethality is None else f'{100 * lethality:.4g} %'
 
 
 def in_short(lethality: float | None) -> str:
-    """Return the lethality of worlds for a table."""
+    """Return the text of a lethality in a table."""
     return 'drawn' if lethality is None else f'{lethality:.4g}'
 
 
 def asks_for(scenario: Scenario, goal: str) -> bool:
-    """Return whether missions are asked for such a goal, and go on when it is reached."""
+    """Return whether missions decide on such a goal, and continue when it is reached."""
     asked = scenario.asked
     return asked is not None and asked.goal == goal and not asked.confidence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios in YAML files, and those that come with the package."""
+"""Scenarios in YAML files, and those of the package."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kbnitp_ros.study.scenario import NUMBERS, Probability, Scenario
 KINDS = {int: 'a whole number', float: 'a number'}
 
 
-# What is not told to the method that learns, and the prior of each of these numbers.
+# Priors of the numbers that the learning method is not told.
 PRIORS: dict[type, dict[str, Any]] = {
     Unknowns: dict.fromkeys(NUMBERS, Beta | None),
     Beta: {
@@ -26,7 +26,7 @@ PRIORS: dict[type, dict[str, Any]] = {
 
 
 def read_scenario(path: Path) -> Scenario:
-    """Return the scenario in a file."""
+    """Read a scenario file."""
     try:
         return scenario_of(read_yaml(path))
     except ValueError as error:
@@ -53,7 +53,7 @@ def scenario_of(content: Any) -> Scenario:
 
 
 def _read(annotation: Any, value: Any, key: str) -> Any:
-    """Return what YAML loaded for `key` by its annotation: a section, a list or a value."""
+    """Parse what YAML loaded for `key` by its annotation: a section, a list or a value."""
     if is_dataclass(annotation):
         return _read_section(annotation, value, key)
     if get_origin(annotation) in (Union, UnionType):
@@ -85,7 +85,7 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
 
 
 def _read_section(annotation: Any, content: Any, key: str) -> Any:
-    """Return a section's dataclass; the whole scenario is the section without a key."""
+    """Parse the dataclass of a section; the whole scenario is the section without a key."""
     known = [field.name for field in fields(annotation)]
     name, inside = (key, f'{key}.') if key else ('it', '')
     if not isinstance(content, dict):
@@ -107,12 +107,12 @@ def _read_section(annotation: Any, content: Any, key: str) -> Any:
 
 
 def shipped() -> list[str]:
-    """Return the names of the scenarios that come with the package."""
+    """Return the names of the scenarios of the package."""
     return sorted(path.stem for path in share('scenarios').glob('*.yaml'))
 
 
 def scenario_file(name: str) -> Path:
-    """Return the path of a scenario: a file, or one shipped with the package."""
+    """Return the path of a scenario: a file, or one of the package."""
     if name in shipped():
         return share('scenarios') / f'{name}.yaml'
     if not Path(name).is_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One mission of a study: its world, and what is measured of it."""
+"""One mission of a study: its world, its run and its measures."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ LAID_OUT = 0x4C41594F
 # Key of the generators of maps, which no world and no robot has.
 MAPPED = 0x4D415053
 
-# How far neighbours of a blob reach, in cells: the standard deviation of a Gaussian kernel.
+# Correlation length of blobs, in cells: the standard deviation of a Gaussian kernel.
 REACH = 1.0
-# Hazards of a row, as far as the field has room for them.
+# Maximum number of hazards in a row.
 ROW = 5
 
 
@@ -79,7 +79,7 @@ def rows(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 
 def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int) -> Belief:
-    """Return the prior given the map that a team has of a world."""
+    """Return the prior given a team's map of a world."""
     if not team.survey:
         return prior
     drawn = np.random.default_rng([MAPPED, seed, trial]).random(prior.cells)
@@ -105,13 +105,13 @@ MEASURES = (
     'realised_information',
 )
 
-# What is kept of what is known of a number.
+# Statistics kept of the posterior of a number.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEARNT = ('mean', 'sd', *QUANTILES)
 
 
 class Trial(NamedTuple):
-    """Which mission of a study."""
+    """The key of a mission in a study."""
 
     # Of the world; None if it is drawn.
     lethality: float | None
@@ -119,29 +119,29 @@ class Trial(NamedTuple):
     method: str
     # Of the world, from 0.
     number: int
-    # That leaves together.
+    # Robots that leave together.
     team: Strategy = ALONE
 
 
 class MissionResult(NamedTuple):
-    """What is kept of a mission."""
+    """The saved result of a mission."""
 
     # As `measures_of` says, before the first robot and after each; once a mission is over they
     # stay. The information of the row before the first robot is NaN. Shape (robots + 1, measures).
     measures: NDArray[np.float64]
-    # The hazard and the target map after the last robot. Shape (2, cells).
+    # The hazard and the target map after the last robot, shape (2, cells).
     believed: NDArray[np.float64]
-    # The hazards and the targets after the last robot. Shape (2, cells).
+    # The true hazards and targets after the last robot, shape (2, cells).
     truth: NDArray[np.bool_]
-    # Of each of `NUMBERS` what was known, as `LEARNT` says; NaN if it was told. Shape (robots + 1,
-    # numbers, learnt).
+    # Posterior of each of `NUMBERS` by the statistics `LEARNT`, shape (robots + 1, numbers,
+    # learnt); NaN if it was told.
     learnt: NDArray[np.float64]
-    # The world's `NUMBERS`. Shape (numbers,).
+    # The world's `NUMBERS`, shape (numbers,).
     numbers: NDArray[np.float64]
 
 
 def measures_of(scenario: Scenario) -> tuple[str, ...]:
-    """Return what is measured in a scenario."""
+    """Return the names of a scenario's measures."""
     return MEASURES if scenario.asked is None else MEASURES + OF_GOALS
 
 
@@ -233,7 +233,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
 def knowledge(
     start: Estimator, mission: SimulatedMission, is_own: bool
 ) -> Iterator[tuple[Belief, Mapping[str, Learnt]]]:
-    """Yield what is believed, and known of numbers, before the first robot and after each."""
+    """Yield the belief and the posteriors before the first robot and after each."""
     yield start.belief, start.parameters
     estimator = start.copy()
     for deployment in mission:
@@ -245,26 +245,25 @@ def knowledge(
 
 
 def carried(rows: ArrayLike, robots: int) -> NDArray[np.float64]:
-    """Return rows, one before the first robot and one for each that was sent, one for each."""
+    """Return a row before the first robot and for each, the last one repeated at the end."""
     array = np.array(rows, dtype=np.float64)
     after_the_last = (0, robots + 1 - len(array)), *[(0, 0)] * (array.ndim - 1)
     return np.pad(array, after_the_last, 'edge')
 
 
 def as_learnt(number: Learnt | None) -> tuple[float, ...]:
-    """Return what is known of a number, as `LEARNT` says; NaN if it was told."""
+    """Return the statistics `LEARNT` of a number; NaN if it was told."""
     if number is None:
         return (np.nan,) * len(LEARNT)
     return number.mean, number.sd, *map(number.quantile, QUANTILES)
 
 
-# The probability at which a cell is declared free of hazards.
+# Probability at which a cell is declared free of hazards.
 DECLARED = 0.95
 
 
-# Measured where missions are asked for a decision: the robots sent, that what is asked for is free
-# as believed and in truth, how many independent draws say so, and the parts of the cells asked for
-# that are declared free, and that are so in truth as well.
+# Measures of decisions: robots sent; that the goal is free as believed and in truth; independent
+# draws; shares of the goal's cells declared free, and of those that are truly free as well.
 OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared_free')
 
 
@@ -278,7 +277,7 @@ def measured_for(
     beliefs: Sequence[Belief],
     worlds: Sequence[World],
 ) -> dict[str, Iterable[float]]:
-    """Return `OF_GOALS` before the first robot and after each."""
+    """Return the measures `OF_GOALS` before the first robot and after each."""
     goal = asked.sought()
 
     def decide(deployments: int) -> Decision:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder that a study works in, and the processes that its missions run in."""
+"""The folder of a study, and the processes of its missions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ import yaml
 
 
 class Folder:
-    """The outcomes of one scenario's trials, as far as they are known."""
+    """The saved outcomes of a scenario's trials."""
 
     def __init__(self, path: Path, scenario: Scenario) -> None:
         self._scenario = scenario
@@ -34,7 +34,7 @@ class Folder:
         if kept.exists():
             asked = asdict(scenario)
             for key, value in asdict(read_scenario(kept)).items():
-                # Trials do not depend on how many there are.
+                # Trials do not depend on their number.
                 if key != 'trials' and value != asked[key]:
                     raise ValueError(
                         f'{path} holds results of another scenario, with {key} {value} '
@@ -55,24 +55,24 @@ class Folder:
         self._trials.mkdir(exist_ok=True)
 
     def save(self, trial: Trial, outcome: MissionResult) -> None:
-        """Keep the outcome of a trial; on disk when this returns."""
+        """Save the outcome of a trial; it is on disk when this returns."""
         _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
 
     def outcomes(self) -> dict[Trial, MissionResult]:
-        """Return the outcomes of the trials whose files are there and whole."""
+        """Return the outcomes of all trials with readable files."""
         outcomes = {}
         for trial in trials_of(self._scenario):
             try:
                 file = self._file(trial).open('rb')
             except FileNotFoundError:
                 continue
-            # There is no end to what zipfile and numpy raise when a file is corrupt.
+            # zipfile and numpy raise many types on corrupt files.
             with file, suppress(Exception):
                 outcomes[trial] = self._read(file)
         return outcomes
 
     def _read(self, file: BinaryIO) -> MissionResult:
-        """Return the outcome in a file; fails if it is corrupt or of another scenario."""
+        """Read the outcome in a file; raises if it is corrupt or of another scenario."""
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
         rows, numbers = self._scenario.robots + 1, len(NUMBERS)
@@ -87,7 +87,7 @@ class Folder:
 
     def _file(self, trial: Trial) -> Path:
         strategy = vars(trial.team).items()
-        # Without these the names are those of studies that had none.
+        # Without these, names are as in earlier studies.
         earlier = ('agents', 'allocation', 'loss_cost')
         unnamed = (*earlier, 'last_contact', 'planner')
         team = '-'.join(
@@ -110,10 +110,10 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
 # The engines of joblib that can be used, and the package that each needs.
 BACKENDS = {'loky': 'joblib', 'dask': 'distributed'}
 
-# How long a scheduler, and then its first worker, is waited for, in seconds.
+# Seconds to wait for a scheduler, and then for its first worker.
 PATIENCE = 10
 
-# Processes that can be asked for: few machines have as many cores.
+# Maximum number of processes: few machines have as many cores.
 MOST_WORKERS = 1024
 
 Item = TypeVar('Item')
@@ -121,7 +121,7 @@ Result = TypeVar('Result')
 
 
 class Workers:
-    """Processes that call a function of many items."""
+    """Worker processes that map a function over items."""
 
     def __init__(self, count: int | None = None) -> None:
         self._parallel = Parallel(count, batch_size=1, return_as='generator_unordered')
@@ -129,9 +129,8 @@ class Workers:
     def run(
         self, function: Callable[[Item], Result], items: Sequence[Item]
     ) -> Iterator[tuple[Item, Result]]:
-        """Yield each item with its result once known; a RuntimeError names an item that fails."""
-        # A terminal interrupts all its processes. Those that are started meanwhile ignore it, too,
-        # and leave it to this one to end them.
+        """Yield each item with its result; a RuntimeError names an item that fails."""
+        # A terminal interrupts all its processes. New ones ignore it and are ended by this one.
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             done = self._parallel(delayed(_run)(function, item) for item in items)
@@ -174,7 +173,7 @@ def workers(
 
 @contextmanager
 def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
-    """Yield a client of the scheduler, or of a new one with its workers on this machine."""
+    """Yield a client of the scheduler, or of a new one on this machine."""
     from distributed import Client, LocalCluster
 
     with ExitStack() as stack:
