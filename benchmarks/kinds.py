@@ -48,7 +48,7 @@ def times(method: str) -> dict[str, list[float]]:
     return taken
 
 
-def mean_of(method: str, kind: str) -> Callable[[], float]:
+def update_timer(method: str, kind: str) -> Callable[[], float]:
     """Return what gives the mean of a kind's updates."""
     return lambda: float(np.mean(times(method)[kind]))
 
@@ -59,7 +59,7 @@ BENCHMARKS = tuple(
         f'{MISSIONS} missions of random walks of at most {STEPS} steps on {SIDE}x{SIDE} cells; '
         f'means of processor time over the\n{WINDOW} deployments up to it. All take in the same '
         'deployments in turn.',
-        {kind: mean_of(method, kind) for kind in kinds},
+        {kind: update_timer(method, kind) for kind in kinds},
     )
     for method, kinds in METHODS.items()
 )

@@ -80,7 +80,7 @@ def fold(observations, model=MODEL, **kwargs):
     return estimator
 
 
-def loss_of(estimator, world):
+def hazard_loss(estimator, world):
     return log_loss(estimator.belief.hazard, world.hazard)
 
 
@@ -96,7 +96,7 @@ def numbers(seed: int) -> Iterator[dict]:
                 yield {
                     'case': f'{name} {lethality}',
                     'estimator': method,
-                    'loss': loss_of(estimator, mission[-1].world),
+                    'loss': hazard_loss(estimator, mission[-1].world),
                     'mean': known.mean,
                     'sd': known.sd,
                 }
@@ -159,7 +159,7 @@ def rates(seed: int) -> Iterator[dict]:
             yield {
                 'case': f'used up {lethality}',
                 'estimator': name,
-                'loss': loss_of(estimator, mission[-1].world),
+                'loss': hazard_loss(estimator, mission[-1].world),
             }
     for kind in ('changing', 'moving'):
         for rate in (0.005, 0.02):
@@ -171,7 +171,7 @@ def rates(seed: int) -> Iterator[dict]:
                 yield {
                     'case': f'{kind} {rate}',
                     'estimator': name,
-                    'loss': loss_of(estimator, mission[-1].world),
+                    'loss': hazard_loss(estimator, mission[-1].world),
                 }
 
 
@@ -192,7 +192,7 @@ def kinds(seed: int) -> Iterator[dict]:
             ('static', Dynamics()),
         ):
             estimator = fold(observations, dynamics=dynamics, seed=seed)
-            row = {'case': case, 'estimator': name, 'loss': loss_of(estimator, world)}
+            row = {'case': case, 'estimator': name, 'loss': hazard_loss(estimator, world)}
             if name == 'learnt':
                 family = {'moving': 'changing'}
                 found = dict.fromkeys(('static', 'used_up', 'changing'), 0.0)
@@ -263,7 +263,7 @@ def with_blasts(seed: int) -> list[Observation]:
 STUDIES = {each.__name__: each for each in (numbers, coverage, missions, rates, kinds, check)}
 
 
-def rows_of(study: str, seed: int) -> list[dict]:
+def run_world(study: str, seed: int) -> list[dict]:
     return [{'world': seed, **row} for row in STUDIES[study](seed)]
 
 
@@ -300,7 +300,7 @@ def main() -> int:
     done = set(pd.read_csv(given.out).world) if given.out.exists() else set()
     seeds = [seed for seed in range(given.worlds) if seed not in done]
     with ProcessPoolExecutor(given.workers) as pool:
-        waiting = [pool.submit(partial(rows_of, given.study), seed) for seed in seeds]
+        waiting = [pool.submit(partial(run_world, given.study), seed) for seed in seeds]
         for future in tqdm(as_completed(waiting), total=len(waiting)):
             rows = pd.DataFrame(future.result())
             rows.to_csv(given.out, mode='a', header=not given.out.exists(), index=False)

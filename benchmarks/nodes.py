@@ -74,7 +74,7 @@ def main() -> None:
     samples = run_nodes(deployments)
     bare = run_bare(deployments)
     print(table(samples, deployments))
-    rate = rate_of(samples)
+    rate = deployment_rate(samples)
     print(f'\n{deployments} deployments on 9x9 cells, {rate:.1f} a second; bare rclpy passes the')
     print(f'same messages round {bare:.1f} times a second.')
 
@@ -133,7 +133,7 @@ def run_nodes(deployments: int) -> list[Sample]:
     return samples
 
 
-def rate_of(samples: list[Sample]) -> float:
+def deployment_rate(samples: list[Sample]) -> float:
     """Return how many deployments a second there were."""
     first, last = samples[0], samples[-1]
     return (last.deployments - first.deployments) / (last.time - first.time)
@@ -196,7 +196,7 @@ BENCHMARKS = (
         {
             'bare rclpy': lambda: 1.0 / run_bare(DEPLOYMENTS),
             'planner, agent, estimator and recorder': lambda: (
-                1.0 / rate_of(run_nodes(DEPLOYMENTS))
+                1.0 / deployment_rate(run_nodes(DEPLOYMENTS))
             ),
         },
     ),

@@ -15,7 +15,7 @@ from kbnitp_ros.study.trial import run_trial, Trial
 PAPER = Path(__file__).parents[1] / 'scenarios' / 'paper.yaml'
 
 
-def missions_of(scenario: Scenario, method: str) -> Callable[[], float]:
+def mission_timer(scenario: Scenario, method: str) -> Callable[[], float]:
     """Return what times a method's missions in the first world, the mean of all lethalities."""
 
     def run() -> float:
@@ -33,6 +33,6 @@ BENCHMARKS = (
         'A mission of the study `paper`',
         f'{SCENARIO.robots} robots, one after another; the study has {SCENARIO.trials} at each '
         f'of {len(SCENARIO.lethalities)} lethalities, for each method.',
-        {f'`{method}`': missions_of(SCENARIO, method) for method in SCENARIO.methods},
+        {f'`{method}`': mission_timer(SCENARIO, method) for method in SCENARIO.methods},
     ),
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tests run, which of them may start processes, and how they draw."""
+"""Select tests, mark those that start processes, and fix how hypothesis draws."""
 
 from multiprocessing import forkserver
 import os
@@ -11,25 +11,25 @@ from hypothesis import HealthCheck, settings
 import laws
 import pytest
 
-# Of numpy, which is not imported yet: tests run side by side, and threads would wait in vain.
+# Set before numpy is imported: tests run in parallel, so threads would only wait.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
-# Fixtures that start processes, so that the tests that ask for them are marked `processes`.
+# Fixtures that start processes: tests that use them are marked `processes`.
 STARTERS = {'browser', 'field', 'set_out'}
 
-# What Python's audit hooks call the start of a process.
+# Audit events of Python for the start of a process.
 STARTS = {'os.fork', 'os.forkpty', 'os.posix_spawn', 'os.spawn', 'os.system', 'subprocess.Popen'}
 
-# What pages are shown in.
+# Browser that shows pages.
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
 
-# How long something takes is the machine's affair.
+# How long a test takes depends on the machine.
 settings.register_profile('busy', deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('busy')
 
 
-# The test without the marker `processes` that runs now.
+# The running test, if it lacks the marker `processes`.
 _without_processes = None
 
 
@@ -42,14 +42,14 @@ sys.addaudithook(_refuse_processes)
 
 
 def pytest_addoption(parser):
-    """Let one case of a law run alone."""
+    """Add `--case`, which runs one case of a law."""
     parser.addoption(
         '--case', help='run this case of laws alone, as its failure names it, or those of a value'
     )
 
 
 def pytest_configure(config):
-    """Refuse a misspelt wish for all tests, which would run less than was meant."""
+    """Refuse a misspelt KBNITP_TESTS, which would run fewer tests than meant."""
     if (asked := os.environ.get(extent.VARIABLE, '')) not in ('', 'full'):
         raise pytest.UsageError(f'{extent.VARIABLE} is {asked!r}: it must be full, or not be set')
     laws.alone = config.getoption('--case')
@@ -58,9 +58,9 @@ def pytest_configure(config):
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """
-    Mark the tests that start processes, and skip those marked `full` unless all are asked for.
+    Mark tests that start processes, and skip `full` ones unless requested.
 
-    Tests of processes come first, so that several workers end at about the same time.
+    Tests of processes come first, so that workers end at about the same time.
     """
     for item in items:
         if STARTERS.intersection(item.fixturenames):
@@ -76,7 +76,7 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item):
-    """Have a test fail that starts a process and is not marked so."""
+    """Fail a test that starts a process without the marker `processes`."""
     global _without_processes
     _without_processes = None if item.get_closest_marker('processes') else item.nodeid
     try:
@@ -87,8 +87,8 @@ def pytest_runtest_protocol(item):
 
 @pytest.fixture(scope='session')
 def whole_mission():
-    """Return a mission of 8 robots, made once; not to be changed."""
-    # It needs ROS, which most tests do not import.
+    """Return a mission of 8 robots, made once; do not change it."""
+    # Imports ROS, which most tests do not need.
     from mission_log import mission
 
     return mission()
@@ -96,12 +96,12 @@ def whole_mission():
 
 @pytest.fixture(scope='module')
 def browser():
-    """Return a browser, or skip what needs one where none is installed."""
+    """Return a browser; skip the test if none is installed."""
     if BROWSER is None:
         pytest.skip(f'no browser is installed: apt install {BROWSERS[0]}')
     sync_api = pytest.importorskip('playwright.sync_api')
     with sync_api.sync_playwright() as playwright:
-        # Root has no sandbox, as in most containers.
+        # Chromium has no sandbox for root, as in most containers.
         browser = playwright.chromium.launch(executable_path=BROWSER, args=['--no-sandbox'])
         yield browser
         browser.close()
@@ -109,8 +109,8 @@ def browser():
 
 @pytest.fixture(scope='session')
 def server():
-    """Start the process that nodes are forked from: it has no threads and no ROS context."""
+    """Start the process that nodes are forked from, without threads or a ROS context."""
     with pytest.MonkeyPatch.context() as patch:
-        # It passes over modules that it does not find, and is not given the paths of the tests.
+        # It skips modules that it does not find, and does not get the tests' path.
         patch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
         forkserver.ensure_running()

@@ -52,7 +52,7 @@ def interrupt(mission):
         os.killpg(mission.pid, signal.SIGINT)
 
 
-def nodes_of(mission):
+def node_pids(mission):
     """Return the nodes that launch has started, by namespace and name, as process numbers."""
     children = Path(f'/proc/{mission.pid}/task/{mission.pid}/children').read_text().split()
     found = {}

@@ -15,7 +15,7 @@ VISIONS = ('protanomaly', 'deuteranomaly', 'tritanomaly')
 LEAST = 10.0
 
 # More lines than this in a panel cannot be followed.
-MOST_LINES = 6
+MAX_LINES = 6
 
 # What touches does not overlap: in pixels.
 MARGIN = 1.0
@@ -63,9 +63,9 @@ def check_lines(figure):
         lines = [line for line in axes.lines if len(line.get_xdata()) > 1]
         # What has no label is a mark to compare with, as a diagonal.
         named = [line.get_label() for line in lines if not line.get_label().startswith('_')]
-        assert len(named) <= MOST_LINES, named
+        assert len(named) <= MAX_LINES, named
         for one, other in combinations(lines, 2):
-            if dash_of(one) != dash_of(other):
+            if dash_pattern(one) != dash_pattern(other):
                 continue
             for vision in (None, *VISIONS):
                 seen = [as_seen(to_rgb(line.get_color()), vision) for line in (one, other)]
@@ -74,7 +74,7 @@ def check_lines(figure):
                 )
 
 
-def dash_of(line):
+def dash_pattern(line):
     """Return a line's style: where it is drawn and where not."""
     return line._unscaled_dash_pattern
 

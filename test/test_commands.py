@@ -57,11 +57,11 @@ def test_every_command_tells_its_version_and_how_to_use_it(name):
     assert sentence[0].isupper() or not name
     assert sentence.endswith('.')
     assert 'example' in told
-    options = options_of(told)
+    options = help_options(told)
     assert all('efault' in text or flag in FREE for flag, text in options.items()), options
 
 
-def options_of(told):
+def help_options(told):
     """Return what a help says of each option of its command, by the option."""
     options = re.findall(r'(?m)^  (--[\w-]+) (.*\n(?: {19,}.*\n)*)', told)
     return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
@@ -72,7 +72,7 @@ def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(na
     with pytest.raises(SystemExit):
         commands.main([name, '--help'])
     told, examples = capsys.readouterr().out.split('\nexamples:\n')
-    options = options_of(told)
+    options = help_options(told)
     numbers = {flag: text for flag, text in options.items() if text[:2] in ('N ', 'X ')}
     ranges = re.compile('from .* to |one of |at least ')
     assert all(ranges.search(text) for text in numbers.values()), numbers

@@ -65,7 +65,7 @@ def sources():
     return {path: ast.parse(path.read_text()) for path in PATHS}
 
 
-def layer_of(path):
+def find_layer(path):
     """Return the folder of a module in kbnitp_ros, dotted, or a file that is a layer; or ''."""
     inside = path.relative_to(ROOT / 'kbnitp_ros')
     return '.'.join(inside.parts[:-1]) or (inside.stem if inside.stem in BELOW else '')
@@ -73,11 +73,11 @@ def layer_of(path):
 
 def layer_seen(layer, module):
     """Return the layer of a module as another one sees it: the core has rooms for itself alone."""
-    below = layer_of(MODULES[module])
+    below = find_layer(MODULES[module])
     return below if layer.startswith('core') else re.sub(r'^core\..*', 'core', below)
 
 
-def module_of(name):
+def find_module(name):
     """Return the module of kbnitp_ros that an imported name is, or is in."""
     while name not in MODULES:
         name = name.rpartition('.')[0]
@@ -98,11 +98,11 @@ def imports():
             else:
                 continue
             for name in names:
-                yield str(path.relative_to(ROOT)), layer_of(path), name
+                yield str(path.relative_to(ROOT)), find_layer(path), name
 
 
 def test_every_folder_is_a_layer():
-    assert {layer_of(path) for path in PATHS} - {''} == BELOW.keys()
+    assert {find_layer(path) for path in PATHS} - {''} == BELOW.keys()
 
 
 def test_imports_point_down():
@@ -110,14 +110,14 @@ def test_imports_point_down():
         (path, name)
         for path, layer, name in imports()
         if layer and name.startswith('kbnitp_ros.')
-        if layer_seen(layer, module_of(name)) not in BELOW[layer] | {layer}
+        if layer_seen(layer, find_module(name)) not in BELOW[layer] | {layer}
     ]
     assert not upwards
 
 
 def test_all_that_a_layer_may_stand_on_it_stands_on():
     used = {
-        (layer, layer_seen(layer, module_of(name)))
+        (layer, layer_seen(layer, find_module(name)))
         for _, layer, name in imports()
         if name.startswith('kbnitp_ros.')
     }
@@ -163,8 +163,8 @@ def test_no_private_name_of_an_object_is_reached_from_another_module():
 def test_no_files_import_each_other():
     needs = defaultdict(set)
     for path, _, name in imports():
-        if name.startswith('kbnitp_ros.') and MODULES[module_of(name)] != ROOT / path:
-            needs[path].add(str(MODULES[module_of(name)].relative_to(ROOT)))
+        if name.startswith('kbnitp_ros.') and MODULES[find_module(name)] != ROOT / path:
+            needs[path].add(str(MODULES[find_module(name)].relative_to(ROOT)))
     TopologicalSorter(needs).prepare()
 
 
@@ -186,7 +186,7 @@ def test_logs_are_read_without_ros():
     needed = [
         (str(path.relative_to(ROOT)), name)
         for path, tree in sources().items()
-        if layer_of(path).split('.')[0] in ('messages', 'log', 'report', 'maps', 'figures')
+        if find_layer(path).split('.')[0] in ('messages', 'log', 'report', 'maps', 'figures')
         if str(path.relative_to(ROOT / 'kbnitp_ros')) not in WRITERS
         for node in tree.body
         if isinstance(node, ast.ImportFrom | ast.Import)
@@ -215,7 +215,7 @@ def test_the_core_reads_and_writes_nothing():
         (str(path.relative_to(ROOT)), node.lineno)
         for path, tree in sources().items()
         for node in ast.walk(tree)
-        if layer_of(path).split('.')[0] == 'core' and isinstance(node, ast.Call)
+        if find_layer(path).split('.')[0] == 'core' and isinstance(node, ast.Call)
         if getattr(node.func, 'id', getattr(node.func, 'attr', None)) in CALLS.split()
     ]
     assert not calls

@@ -17,7 +17,7 @@ from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.read import read_log, read_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import REPORT
-from launches import interrupt, launched, nodes_of, reports_in
+from launches import interrupt, launched, node_pids, reports_in
 from laws import for_each
 import pytest
 import yaml
@@ -326,8 +326,8 @@ def test_a_node_of_a_mission_on_record_that_dies_goes_on_with_its_log(tmp_path, 
         mission, log = launched_until(tmp_path, domain, reports_in, *arguments)
         for name in ('estimator', 'scout_2/agent', 'recorder', 'planner'):
             before, deadline = reports_in(log), time.monotonic() + 120
-            os.kill(nodes_of(mission)[f'/north/{name}'], signal.SIGKILL)
-            while reports_in(log) < before + 5 or f'/north/{name}' not in nodes_of(mission):
+            os.kill(node_pids(mission)[f'/north/{name}'], signal.SIGKILL)
+            while reports_in(log) < before + 5 or f'/north/{name}' not in node_pids(mission):
                 assert time.monotonic() < deadline, name
                 assert mission.poll() is None
                 time.sleep(0.2)
@@ -344,14 +344,14 @@ def test_a_node_of_a_mission_that_nobody_records_ends_it_when_it_dies(tmp_path, 
             tmp_path, domain, 'params_file:=short.yaml', 'agents:=2', 'record:=false'
         )
         deadline = time.monotonic() + 120
-        while len(nodes_of(mission)) < 4:
+        while len(node_pids(mission)) < 4:
             assert time.monotonic() < deadline
             time.sleep(0.1)
-        os.kill(nodes_of(mission)['/scout_2/agent'], signal.SIGKILL)
+        os.kill(node_pids(mission)['/scout_2/agent'], signal.SIGKILL)
         time.sleep(2)
         # The others of a team carry on.
         assert mission.poll() is None
-        os.kill(nodes_of(mission)['/estimator'], signal.SIGKILL)
+        os.kill(node_pids(mission)['/estimator'], signal.SIGKILL)
         assert mission.wait(timeout=120) == 1
 
 
@@ -361,7 +361,7 @@ def test_any_number_of_interrupts_ends_a_mission(tmp_path, configured, trial):
     with free_domain() as domain:
         mission = launched(tmp_path, domain)
         deadline = time.monotonic() + 120
-        while len(nodes_of(mission)) < 4:
+        while len(node_pids(mission)) < 4:
             assert time.monotonic() < deadline
         for _ in range(200):
             interrupt(mission)

@@ -152,11 +152,11 @@ def test_files_are_read_as_the_page_shows_them(tmp_path):
     assert world.target.nonzero()[0].tolist() == [1, 4, 10]
     trials = len(trials_of(read_scenario(tmp_path / 'scenario.yaml')))
     assert f'= {trials} missions' in words('docs/files.md')
-    missing = [key for key in keys_of(Scenario) if not re.search(rf'\b{key}:', shown('scenario'))]
+    missing = [key for key in keys_in(Scenario) if not re.search(rf'\b{key}:', shown('scenario'))]
     assert missing == []
 
 
-def keys_of(kind):
+def keys_in(kind):
     """Yield the keys of a section and of those in it."""
     for name, hint in get_type_hints(kind).items():
         yield name
@@ -222,7 +222,7 @@ def test_the_glossary_is_short_and_names_code_that_is_there():
 # Notebooks
 
 
-def outputs_of(path):
+def outputs(path):
     """
     Return the cells of a notebook, and the texts and kinds of pictures that stand below each.
 
@@ -232,11 +232,12 @@ def outputs_of(path):
     for cell in json.loads(path.read_text())['cells']:
         if cell['cell_type'] == 'code':
             streams, kinds = {}, []
-            for each in cell['outputs']:
-                if 'name' in each:
-                    streams[each['name']] = streams.get(each['name'], '') + ''.join(each['text'])
+            for output in cell['outputs']:
+                if 'name' in output:
+                    name, text = output['name'], ''.join(output['text'])
+                    streams[name] = streams.get(name, '') + text
                 else:
-                    kinds.append((each.get('data', {}).get('text/plain'), sorted(each['data'])))
+                    kinds.append((output['data'].get('text/plain'), sorted(output['data'])))
             cells.append((cell['source'], cell.get('execution_count'), streams, kinds))
     return cells
 
@@ -247,8 +248,8 @@ def test_notebooks_show_what_comes_out(tmp_path):
     pytest.importorskip('nbclient', reason='notebooks are executed with the wheels only')
     run([sys.executable, ROOT / 'tools/notebooks.py', tmp_path], ROOT)
     for path in NOTEBOOKS:
-        assert outputs_of(path) == outputs_of(tmp_path / path.name), 'python3 tools/notebooks.py'
-        assert any(streams or kinds for *_, streams, kinds in outputs_of(path))
+        assert outputs(path) == outputs(tmp_path / path.name), 'python3 tools/notebooks.py'
+        assert any(streams or kinds for *_, streams, kinds in outputs(path))
 
 
 # Links, to files and to headings; no network is needed
@@ -260,7 +261,7 @@ PAGES = [
 ]
 
 
-def text_of(path):
+def page_text(path):
     """Return what a page says, without its code."""
     said = path.read_text()
     if path.suffix == '.ipynb':
@@ -281,12 +282,12 @@ def anchors(said):
 
 def dead(path):
     """Yield the links of a page that lead nowhere."""
-    for link in re.findall(r'\]\(<?([^)\s>]+)>?\)', text_of(path)):
+    for link in re.findall(r'\]\(<?([^)\s>]+)>?\)', page_text(path)):
         if re.match(r'\w+:', link):
             continue
         file, _, anchor = link.partition('#')
         target = path.parent / file if file else path
-        if not target.exists() or (anchor and anchor not in anchors(text_of(target))):
+        if not target.exists() or (anchor and anchor not in anchors(page_text(target))):
             yield link
 
 

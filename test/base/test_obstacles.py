@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps robots from leaving, how far they reach, and whose beliefs count."""
+"""Conditions that block the next deployment, the reach of paths, and beliefs that count."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -37,7 +37,7 @@ NAMES = FullNames(lambda name: f'/a/{name}', lambda name: f'/b/{name}')
 
 
 def in_flight(*keys, kept=2):
-    """Return robots that were sent."""
+    """Return the deployments of robots in flight."""
     robots = DeploymentsInFlight(VALUES, kept)
     for content, each in enumerate(keys):
         robots.send(each, HOME, content)
@@ -45,14 +45,14 @@ def in_flight(*keys, kept=2):
 
 
 def operator(*actions):
-    """Return what holds by actions of the operator."""
+    """Return the operator's state after these actions."""
     state = OperatorState()
     for stamp, action in enumerate(actions):
         state.apply(OperatorAction(stamp, action, 0, {}))
     return state
 
 
-# One robot was deployed, two are to be sent, and nothing keeps the next one from leaving.
+# One robot was deployed, two are left, and nothing blocks the next deployment.
 CLEAR = Circumstances(
     values=VALUES,
     agents={'scout_1': HERE},
@@ -70,7 +70,7 @@ CLEAR = Circumstances(
     missing_listeners=lambda: '',
 )
 
-# What makes each obstacle of these, in the order in which they count.
+# Changes that make each obstacle appear, in their order of priority.
 MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
     Obstacle.NO_BELIEF: {'newest': None},
@@ -86,18 +86,18 @@ MADE_BY = {
 }
 
 
-def test_robots_leave_where_nothing_keeps_them():
+def test_robots_leave_where_nothing_blocks_them():
     assert CLEAR.obstacle is None
     assert CLEAR.free_agents == ['scout_1']
 
 
 @for_each('obstacle', list(MADE_BY))
-def test_each_obstacle_alone_keeps_robots_from_leaving(obstacle):
+def test_each_obstacle_alone_blocks_departures(obstacle):
     assert replace(CLEAR, **MADE_BY[obstacle]).obstacle is obstacle
 
 
 @for_each('first, second', list(combinations(MADE_BY, 2)))
-def test_of_two_obstacles_the_first_counts(first, second):
+def test_the_first_of_two_obstacles_is_stated(first, second):
     both = replace(CLEAR, **MADE_BY[second] | MADE_BY[first])
     if (first, second) == (Obstacle.UNREPORTED, Obstacle.NO_FREE_AGENT):
         # Nobody waits for the report of an agent that has left the graph.
@@ -135,18 +135,18 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
     ({'is_present': False}, False),
     ({}, True),
 ])  # fmt: skip
-def test_agents_are_free_that_answer_and_take_orders(change, free):
+def test_agents_that_answer_and_take_orders_are_free(change, free):
     agents = {'scout_1': HERE._replace(**change)}
     assert bool(replace(CLEAR, agents=agents).free_agents) is free
 
 
 @for_each('change', [{'silent_loss': False}, {'presume_departure': True}])
-def test_who_says_nothing_is_sent_where_silence_does_not_count(change):
+def test_silent_agents_are_sent_where_silence_does_not_count(change):
     agents = {'scout_1': HERE._replace(says_status=False)}
     assert replace(CLEAR, agents=agents, values=VALUES | change).free_agents == ['scout_1']
 
 
-def test_a_mission_that_is_ended_waits_for_those_that_have_departed_alone():
+def test_an_ended_mission_waits_for_departed_robots_only():
     ended = replace(
         CLEAR,
         operator=operator(Action.END),
@@ -202,12 +202,12 @@ def test_the_state_of_the_mission(actions, obstacle, state):
         'nobody publishes /a/scout_1/status, so a robot that never left',
     ),
 ])  # fmt: skip
-def test_an_obstacle_is_told_with_what_ends_it(obstacle, change, words):
+def test_an_obstacle_is_stated_with_its_remedy(obstacle, change, words):
     now = replace(CLEAR, **MADE_BY[obstacle] | change)
     assert words in describe_obstacle(now, obstacle, NAMES)
 
 
-def test_proposals_and_searches_are_told_by_their_agents():
+def test_proposals_and_searches_are_stated_with_their_agents():
     now = replace(CLEAR, searched=['scout_1'], why_worthless='too far', proposed=[key(1)])
     told = {
         obstacle: describe_obstacle(now, obstacle, NAMES)
@@ -218,7 +218,7 @@ def test_proposals_and_searches_are_told_by_their_agents():
     assert 'approve of /a/scout_1/proposal by the service /b/approve' in told[Obstacle.UNAPPROVED]
 
 
-# Which parameters of a planner may change in a mission under way.
+# Changes of a planner's parameters while a mission runs.
 
 
 FIELD = Grid(9, 9)
@@ -226,7 +226,7 @@ GIVEN = {name: each.default for name, each in parameters_of('planner').items()}
 
 
 @for_each('changes', [{'robots': 4}, {'robots': 9}, {'beam_width': 8}, {'use_sim_time': 'odd'}])
-def test_what_the_mission_can_have_is_taken(changes):
+def test_allowed_parameter_changes_are_taken(changes):
     check_changes(changes, GIVEN, FIELD, {}, sent=4)
 
 
@@ -236,7 +236,7 @@ def test_what_the_mission_can_have_is_taken(changes):
     ({'beam_width': 10**6}, 'beam_width'),
     ({'planner': 'beem'}, 'beam'),
 ])  # fmt: skip
-def test_what_the_mission_cannot_have_is_refused(changes, why):
+def test_parameter_changes_that_contradict_the_mission_are_refused(changes, why):
     with pytest.raises(ValueError, match=why):
         check_changes(changes, GIVEN, FIELD, {}, sent=4)
 
@@ -247,7 +247,7 @@ def test_a_log_with_more_robots_is_refused():
         check_robots(4, 5)
 
 
-# How much of a field paths reach, in words.
+# How much of a field paths reach, as the console says it.
 
 
 @for_each('grid, max_steps, told', [
@@ -265,25 +265,25 @@ def test_a_log_with_more_robots_is_refused():
     (Grid(9, 9), 16, ''),
     (Grid(3, 1, blocked=(1,)), 4, ''),
 ])  # fmt: skip
-def test_it_is_told_how_much_of_a_field_paths_reach(grid, max_steps, told):
+def test_the_share_of_the_field_in_reach_is_stated(grid, max_steps, told):
     assert reach_note(grid, max_steps) == told
 
 
-def test_it_is_told_how_much_is_within_a_distance():
+def test_the_share_of_the_field_within_a_distance_is_stated():
     grid = Grid(9, 9, resolution=0.5)
     told = '18 steps and 4 m reach 5x5 of 9x9 cells, 17 of 81: max_steps 16 and max_distance 11.4 '
     assert reach_note(grid, 18, max_distance=4.0) == f'{told}reach them all'
     assert reach_note(grid, 18, max_distance=11.4) == ''
 
 
-def test_it_is_told_what_is_cut_off():
+def test_cells_that_are_cut_off_are_stated():
     assert (
         cut_off_note(Grid(3, 2, blocked=(1, 4))) == '2 of 4 free cells are cut off from the base'
     )
     assert cut_off_note(Grid(3, 2, blocked=(1,))) == ''
 
 
-# Which paths of a round are sent by the planner that goes on with a mission.
+# The rest of a round, sent by a planner that resumes a mission.
 
 
 ROUND_GRID = Grid(4, 4)
@@ -301,8 +301,8 @@ def planned_on():
 @for_each('planner', ['coverage', 'relaxed'])
 @for_each('recorded', [0, 1, 2])
 @for_each('is_refused', [False, True])
-def test_what_is_missing_of_a_round_is_what_was_planned(planner, recorded, is_refused):
-    """Whether the robots of the paths on record stay at the base or not."""
+def test_the_rest_of_a_round_is_sent_as_planned(planner, recorded, is_refused):
+    """Also if the recorded robots stay at the base."""
     values = {name: each.default for name, each in parameters_of('planner').items()}
     values |= {'planner': planner, 'max_steps': 6, 'loss_cost': 0.0}
 
@@ -321,14 +321,14 @@ def test_what_is_missing_of_a_round_is_what_was_planned(planner, recorded, is_re
         np.testing.assert_array_equal(plan.path, plans[sent].path)
 
 
-# Which paths and beliefs a node takes to be of its mission and its estimator.
+# Paths and beliefs that a node accepts as its mission's and its estimator's.
 
 
 INTERVAL = (0.1, 1.0)
 
 
 def snapshots(interval=INTERVAL, seed=3, malfunction=0.05, losses=3):
-    """Return the beliefs of an estimator that learns the lethality."""
+    """Return beliefs of an estimator that learns the lethality."""
     model = SensorModel(0.5, malfunction)
     prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
     estimator = Estimator(prior, model, 'kappa_bnitp_sampled', Unknowns(interval), seed)
@@ -341,7 +341,7 @@ def snapshots(interval=INTERVAL, seed=3, malfunction=0.05, losses=3):
     return told
 
 
-def test_what_is_learnt_on_the_way_is_no_other_estimators():
+def test_learnt_numbers_do_not_make_another_estimator():
     tracker = MissionTracker()
     told = snapshots()
     assert len({snapshot.model for snapshot in told}) == len(told)
@@ -355,7 +355,7 @@ def test_what_is_learnt_on_the_way_is_no_other_estimators():
     ({'seed': 4}, "^seed is '4': it was '3' before"),
     ({'malfunction': 0.04}, '^model is .*0.04'),
 ])  # fmt: skip
-def test_another_estimator_is_told_by_what_it_was_started_with(other, told):
+def test_another_estimator_is_recognised_by_its_start(other, told):
     tracker = MissionTracker()
     tracker.accept_belief(snapshots()[2], known=3)
     with pytest.raises(ValueError, match=told):
@@ -363,7 +363,7 @@ def test_another_estimator_is_told_by_what_it_was_started_with(other, told):
 
 
 def test_the_estimator_stays_the_same_when_another_publisher_of_beliefs_leaves():
-    """Of the beliefs that are asked for then, that of a stranger may come first."""
+    """After that, the first belief to arrive may be a stranger's."""
     tracker, told = MissionTracker(), snapshots()
     tracker.accept_belief(told[3], known=3)
     tracker.newest = None
@@ -375,7 +375,7 @@ def test_the_estimator_stays_the_same_when_another_publisher_of_beliefs_leaves()
 
 @for_each('authors', [1, 2])
 def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
-    """Its publisher may not be counted yet when it comes."""
+    """The graph may not list its publisher yet when it arrives."""
     tracker, told = MissionTracker(), snapshots()
     for known, snapshot in enumerate(told):
         tracker.accept_belief(snapshot, known)
@@ -414,6 +414,6 @@ def test_the_mission_of_a_belief_with_deployments_is_that_of_an_earlier_prior():
     foreign = replace(belief, mission=0)
     with pytest.raises(ValueError, match='and not to the mission begun at 0.000000001'):
         tracker.check_belief(foreign, authors=2, known=1)
-    # An estimator that starts anew states a later mission, before it hears the paths.
+    # A restarted estimator states a later mission before it receives the paths.
     tracker.accept_belief(replace(prior, mission=7), known=1)
     tracker.check_belief(belief, authors=2, known=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo: a whole mission in four processes, and what it leaves behind."""
+"""The demo: a whole mission in four processes, and the files it leaves."""
 
 from contextlib import suppress
 import os
@@ -55,7 +55,7 @@ def run_demo(*options):
 
 @pytest.fixture
 def running(tmp_path):
-    """Return a demo that has deployed some robots and has many more to go."""
+    """Return a demo that has deployed some robots and has many left."""
     process = subprocess.Popen(
         [*DEMO, '--robots', '20000', '--size', '4', '--max-steps', '4', '--out', str(tmp_path)],
         stderr=subprocess.PIPE,
@@ -69,7 +69,7 @@ def running(tmp_path):
         assert time.monotonic() < deadline
         time.sleep(0.1)
     yield process, log
-    # The nodes may be left of it.
+    # Its nodes may outlive the demo.
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
@@ -83,7 +83,7 @@ WHOLE = [
 
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
-    """Return the folder of a whole mission, and what the demo printed."""
+    """Return the folder of a finished mission and the output of its demo."""
     out = tmp_path_factory.mktemp('made') / 'by demo'
     done = run_demo(*WHOLE, '--out', out)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -148,7 +148,7 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
 
 
 @pytest.mark.processes
-def test_a_mission_that_lives_is_not_resumed(tmp_path):
+def test_a_running_mission_is_not_resumed(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap'):
         for log in (tmp_path, tmp_path / 'mission.mcap'):
             done = run_demo('--resume', log)
@@ -175,16 +175,16 @@ def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_p
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_a_mission_that_hid_its_truth_is_resumed_and_shows_it(whole, tmp_path):
+def test_a_mission_with_a_hidden_truth_is_resumed_and_shows_it(whole, tmp_path):
     def hidden():
-        for each in read_recorded(whole[0]):
-            if not isinstance(each, RecordedMetadata):
-                if '/truth/' not in each.channel.topic:
-                    yield each
-            elif each.name == 'parameters/agent':
-                yield each._replace(values={**each.values, 'publish_truth': 'false'})
+        for record in read_recorded(whole[0]):
+            if not isinstance(record, RecordedMetadata):
+                if '/truth/' not in record.channel.topic:
+                    yield record
+            elif record.name == 'parameters/agent':
+                yield record._replace(values={**record.values, 'publish_truth': 'false'})
             else:
-                yield each
+                yield record
 
     log = tmp_path / 'mission.mcap'
     copy(hidden(), log, log.name, 'none')
@@ -216,7 +216,7 @@ MINE = """
 HIDDEN = "hazard: ['.x..', '....', '....']\ntarget: ['.x.x', '....', '..x.']\n"
 
 
-def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(tmp_path):
+def test_options_override_the_file_and_the_file_overrides_defaults(tmp_path):
     world_file = tmp_path / 'hidden.yaml'
     world_file.write_text(HIDDEN)
     mine = tmp_path / 'mine.yaml'
@@ -245,7 +245,7 @@ def test_options_count_for_more_than_the_file_and_this_for_more_than_defaults(tm
         assert {name: given[node][name] for name in others} == {
             name: plain[node][name] for name in others
         }
-        # The demo records, whatever the file says.
+        # The demo records even if the file says otherwise.
         assert given[node].get('recorded', True)
 
 
@@ -267,9 +267,7 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     (['--set', 'learn.numbers=[]'], 'kappa_bnitp', ()),
     (['--set', 'learn.numbers=[kappa, malfunction]'], 'kappa_bnitp', ('kappa', 'malfunction')),
 ])  # fmt: skip
-def test_lethality_and_hazard_density_are_learnt_unless_something_else_is_said(
-    options, method, learn
-):
+def test_lethality_and_hazard_density_are_learnt_by_default(options, method, learn):
     estimator = chosen_parameters(parse(options))['estimator']
     assert (estimator['method'], estimator['learn.numbers']) == (method, learn)
 
@@ -288,13 +286,13 @@ def test_a_demo_says_how_far_its_paths_reach_learns_two_numbers_and_shows_them(w
     assert told in printed.splitlines()
     assert re.search(r'^hazard_density learnt: .* it is 0\.15$', printed, re.M)
     assert (out / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
-    # Nobody but the robots was told.
+    # Only the robots knew the truth.
     assert history.learnt[0]['lethality'].mean == pytest.approx(0.5, abs=1e-3)
 
 
 @pytest.mark.slow
 @pytest.mark.full
-def test_what_the_demo_learns_is_true_in_ten_worlds():
+def test_the_demo_learns_the_truth_in_ten_worlds():
     within = {'lethality': 0, 'hazard_density': 0}
     loss = 0.0
     for seed in range(10):
@@ -302,12 +300,12 @@ def test_what_the_demo_learns_is_true_in_ten_worlds():
         loss += log_loss(deployments[-1].belief.hazard, world.hazard) / 10
         for name, known in deployments[-1].parameters.items():
             within[name] += known.quantile(0.05) <= numbers[name] <= known.quantile(0.95)
-    # Under a hazard density that is held at 0.5 the lethality is within in one world, and 29 nats.
+    # With the hazard density fixed at 0.5: one world in the interval, 29 nats.
     assert min(within.values()) >= 8, within
     assert loss < 20.0
 
 
-def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
+def test_the_recorded_truth_is_that_of_the_robots():
     options = ['--set', 'agent:sensor.malfunction=0.01', '--set', 'agent:world.kappa=0.7']
     parameters = chosen_parameters(parse(options))
     numbers = true_numbers(parameters['agent'], parameters['estimator'])
@@ -315,7 +313,7 @@ def test_the_truth_is_that_of_the_robots_as_far_as_it_is_known():
         'lethality': 0.5, 'malfunction': 0.01, 'true_positive': 0.95, 'false_positive': 0.05,
         'hazard_density': 0.15, 'kappa': 0.7, 'target_background': 0.1,
     }  # fmt: skip
-    # A hazard that fails is as good as one that is less lethal.
+    # A malfunctioning hazard is equivalent to a less lethal one.
     parameters['agent']['sensor.false_negative'] = 0.24
     parameters['agent']['world.file'] = 'hidden.yaml'
     known = true_numbers(parameters['agent'], parameters['estimator'])
@@ -343,7 +341,7 @@ def test_a_simulated_clock_is_refused(tmp_path, capsys):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_missions_of_two_kinds_and_of_two_bases_as_the_page_says_it(tmp_path):
+def test_missions_with_two_robot_types_and_two_bases_run_as_documented(tmp_path):
     page = (ROOT / 'docs/maps.md').read_text()
     for option in ('max_steps', 'base'):
         (line,) = re.findall(rf'python3 -m kbnitp_ros demo (.*\.{option}=.*) --out ', page)
@@ -365,7 +363,7 @@ def test_missions_of_two_kinds_and_of_two_bases_as_the_page_says_it(tmp_path):
 
 @pytest.fixture
 def on_a_map(tmp_path):
-    """Return the options of a small mission on a map, without those that say where its base is."""
+    """Return the options of a small mission on a map, without the base."""
     (tmp_path / 'field.pgm').write_text('P2 4 3 255 254 254 254 254 254 0 0 254 254 254 254 254')
     (tmp_path / 'field.yaml').write_text(
         'image: field.pgm\nresolution: 0.2\norigin: [3.0, -1.0, 0.0]\nnegate: 0\n'
@@ -422,9 +420,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--silent-loss', '--set', 'contact_probability=0.3'], 'contact_probability is 0.3, and sil'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
 ])  # fmt: skip
-def test_demo_refuses_what_cannot_be_before_it_starts_anything(
-    tmp_path, capsys, options, complaint
-):
+def test_bad_options_are_refused_before_anything_starts(tmp_path, capsys, options, complaint):
     assert main(['--out', str(tmp_path / 'out'), *options]) == 2
     told = capsys.readouterr().err
     assert re.fullmatch(f'demo: .*{complaint}.*\n', told), told
@@ -436,7 +432,7 @@ RUNNING, PAUSED, DONE, ENDED = (
 )
 
 
-# Seconds between two words of a planner, and of waiting for an operator that end the demo.
+# Seconds between two states of a planner, and of waiting for an operator before the demo ends.
 PERIOD, WAIT = 0.3, 0.7
 
 
@@ -450,16 +446,14 @@ PERIOD, WAIT = 0.3, 0.7
     ([(PAUSED, 'waiting for the operator to end the pause', 0)], WAIT),
     ([(RUNNING, 'waiting for the operator to approve of', 0)], WAIT),
     ([(RUNNING, 'waiting for a belief that holds 2; the estimator says', 1)], WAIT),
-    # The planner finds something to do after all.
+    # The planner does find a path later.
     (
         [(RUNNING, f'waiting for the operator, {n}'[: 99 * (n % 2)], 0) for n in range(6)]
         + [(DONE, 'done: 1 of 1', 0)],
         6 * PERIOD,
     ),
 ])  # fmt: skip
-def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(
-    monkeypatch, sent, until
-):
+def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
     monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
     with free_domain() as domain, observed(domain, ['scout_1']) as observer:
         node = rclpy.create_node('estimator')
@@ -489,7 +483,7 @@ def test_a_demo_goes_on_until_the_mission_is_over_or_waits_for_an_operator(
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_a_demo_that_nobody_attends_ends_with_a_line_and_a_report(tmp_path):
+def test_an_unattended_demo_ends_with_a_line_and_a_report(tmp_path):
     out = tmp_path / 'out'
     done = run_demo('--size', 4, '--set', 'loss_cost=1000', '--out', out)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -525,7 +519,7 @@ def test_demo_fails_when_a_node_dies(running, node):
 
 
 def is_running(pid):
-    """Return whether a process has not ended; one that nobody asked after has no command."""
+    """Return whether a process runs; a zombie has an empty command line."""
     try:
         return Path(f'/proc/{pid}/cmdline').read_text() != ''
     except (FileNotFoundError, ProcessLookupError):

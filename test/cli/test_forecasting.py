@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The forecast command: from a prior, from a log, and what cannot be."""
+"""The forecast command: from a prior, from a log, and bad input."""
 
 import gzip
 from pathlib import Path
@@ -83,7 +83,7 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
     (['--out', '/proc'], '/proc is there already and not empty'),
     (['--workers', '2000'], 'workers is 2000: it must be from 1 to 1024'),
 ])  # fmt: skip
-def test_what_cannot_be_is_refused(capsys, options, complaint):
+def test_bad_input_is_refused(capsys, options, complaint):
     small = [] if options[0] == 'nothere.mcap' else SMALL
     assert main([*small, *options]) == 2
     told = capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands end in a sentence, or in silence, where what they print goes nowhere."""
+"""Commands end with a sentence, or silently, if their output cannot be written."""
 
 import os
 from pathlib import Path
@@ -21,7 +21,7 @@ def log(tmp_path_factory):
 
 @pytest.fixture
 def arguments(log, tmp_path):
-    """Return of each command some that have it print."""
+    """Return arguments that make each command print."""
     helps = {name: [name, '--help'] for name in EXECUTABLES}
     repaired = tmp_path / 'repaired.mcap'
     return {
@@ -35,10 +35,10 @@ def arguments(log, tmp_path):
 KINDS = ['help', 'replayed', 'repaired', *EXECUTABLES]
 
 
-# With LANG=C names of files are printed that are no text.
+# With LANG=C, names of files are printed that cannot be encoded.
 STRICT = {**os.environ, 'PYTHONIOENCODING': 'utf-8:strict'}
 
-# argparse keeps it to itself if it cannot print, which it learns if nothing is buffered.
+# Unbuffered: argparse hides a failed print.
 STRICT.pop('PYTHONUNBUFFERED', None)
 
 
@@ -54,7 +54,7 @@ def run(arguments, **options):
 
 @pytest.mark.processes
 @for_each('kind', KINDS, every=3)
-def test_a_pipe_that_nobody_reads_ends_a_command_in_silence(kind, arguments):
+def test_a_closed_pipe_ends_a_command_silently(kind, arguments):
     read, write = os.pipe()
     os.close(read)
     done = run(arguments[kind], stdout=write)
@@ -64,7 +64,7 @@ def test_a_pipe_that_nobody_reads_ends_a_command_in_silence(kind, arguments):
 
 @pytest.mark.processes
 @for_each('kind', KINDS, every=3)
-def test_a_full_disk_is_told(kind, arguments):
+def test_a_full_disk_is_reported(kind, arguments):
     with Path('/dev/full').open('wb') as full:
         done = run(arguments[kind], stdout=full)
     (told,) = done.stderr.decode().splitlines()
@@ -89,7 +89,7 @@ def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path, unbuffered)
 
 
 @pytest.mark.processes
-def test_a_name_that_is_no_text_is_printed(log, tmp_path):
+def test_a_name_that_cannot_be_encoded_is_printed(log, tmp_path):
     strange = os.fsencode(tmp_path) + b'/\xff.mcap'
     Path(os.fsdecode(strange)).write_bytes(log.read_bytes())
     target = tmp_path / 'repaired.mcap'
@@ -100,8 +100,8 @@ def test_a_name_that_is_no_text_is_printed(log, tmp_path):
 
 @pytest.mark.processes
 @for_each('name', ['replay', 'demo'])
-def test_no_log_is_made_whose_name_is_no_text(name, log, tmp_path):
-    """The metadata.yaml of its folder, and the parameters of a node, are text."""
+def test_no_log_is_made_under_a_name_that_cannot_be_encoded(name, log, tmp_path):
+    """The folder's metadata.yaml and a node's parameters are text."""
     strange = os.fsencode(tmp_path) + b'/\xff.mcap'
     options = {'replay': [log, '--repair', strange], 'demo': ['--out', strange]}
     done = run([name, *options[name]], stdout=subprocess.PIPE)
@@ -111,7 +111,7 @@ def test_no_log_is_made_whose_name_is_no_text(name, log, tmp_path):
     assert done.returncode == 2
 
 
-def test_too_little_memory_is_told(capsys):
+def test_too_little_memory_is_reported(capsys):
     @command('some')
     def main(argv=None):
         raise MemoryError('Unable to allocate 14.6 TiB')
@@ -131,10 +131,10 @@ def test_an_interrupted_command_ends_without_a_traceback():
     assert interrupted() == 130
 
 
-# What the system refuses is said with the file and the reason, without its number.
+# Errors of the system are reported with file and reason, without errno.
 
 
-def see_that_it_is_in_words(code, told, said):
+def check_words(code, told, said):
     assert code == 2
     assert said in told
     assert 'Errno' not in told
@@ -151,9 +151,9 @@ def see_that_it_is_in_words(code, told, said):
     ('study nothere.yaml --out runs', 'study: scenario nothere.yaml is no file'),
     ('study paper --out /proc/here', 'study: /proc/here: No such file or directory'),
 ])  # fmt: skip
-def test_no_command_says_the_number_of_an_error(tmp_path, monkeypatch, capsys, command, said):
+def test_no_command_prints_an_errno(tmp_path, monkeypatch, capsys, command, said):
     monkeypatch.chdir(tmp_path)
-    see_that_it_is_in_words(main(command.split()), capsys.readouterr().err, said)
+    check_words(main(command.split()), capsys.readouterr().err, said)
 
 
 @pytest.mark.processes
@@ -161,7 +161,7 @@ def test_no_command_says_the_number_of_an_error(tmp_path, monkeypatch, capsys, c
     ('recorder --ros-args -p file:=/proc/here/a.mcap', 'recorder: folder /proc/here cannot be'),
     ('agent --ros-args -p world.file:=nothere.yaml', 'agent: nothere.yaml: No such file'),
 ])  # fmt: skip
-def test_no_node_says_the_number_of_an_error(tmp_path, command, said):
+def test_no_node_prints_an_errno(tmp_path, command, said):
     ended = subprocess.run(
         [sys.executable, '-m', 'kbnitp_ros', *command.split()],
         cwd=tmp_path,
@@ -169,4 +169,4 @@ def test_no_node_says_the_number_of_an_error(tmp_path, command, said):
         text=True,
         timeout=120,
     )
-    see_that_it_is_in_words(ended.returncode, ended.stderr, said)
+    check_words(ended.returncode, ended.stderr, said)

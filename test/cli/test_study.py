@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The study command: whole studies, interrupted ones, and those that cannot be."""
+"""The study command: complete, interrupted and refused studies."""
 
 import contextlib
 import fcntl
@@ -63,7 +63,7 @@ def run_study(*arguments):
 
 
 def refusal(capsys, scenario, out, *options):
-    """Return what is said on stderr of a study that cannot be, run in this process."""
+    """Return the refusal of a study on stderr, run in this process."""
     assert study(parse([str(scenario), '--out', str(out), *map(str, options)])) == 2
     return capsys.readouterr().err
 
@@ -90,7 +90,7 @@ def whole(tmp_path_factory, scenario):
 
 @pytest.fixture
 def start():
-    """Return how to start a study, which returns its process once so many trials are done."""
+    """Return a function that starts a study and returns its process after some trials."""
     started = []
 
     def start(scenario, out, enough):
@@ -147,8 +147,8 @@ def test_a_study_leaves_its_table_figures_and_summary(whole):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_path):
-    """At moments that nobody chose."""
+def test_a_killed_study_resumes_to_the_same_table(start, scenario, whole, tmp_path):
+    """Killed at random moments."""
     for _ in range(3 if FULL else 1):
         done_before = len(list(tmp_path.glob('trials/*.npz')))
         process = start(scenario, tmp_path, random.randint(done_before + 1, done_before + 10))
@@ -168,7 +168,7 @@ def test_a_killed_study_goes_on_to_the_same_table(start, scenario, whole, tmp_pa
 
 @pytest.mark.processes
 @pytest.mark.parametrize('number, status', some([(signal.SIGINT, 130), (signal.SIGTERM, 143)], 2))
-def test_an_interrupted_study_ends_at_once_and_keeps_what_is_done(
+def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
     start, scenario, tmp_path, number, status
 ):
     process = start(scenario, tmp_path, 3)
@@ -195,7 +195,7 @@ def test_workers_leave_interrupts_to_the_study(start, tmp_path):
 
 
 @pytest.mark.processes
-def test_a_finished_study_runs_nothing_again(scenario, whole):
+def test_a_finished_study_runs_no_trial_again(scenario, whole):
     written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
     assert len(written) == TRIALS
     assert run_study(scenario, whole).returncode == 0
@@ -204,7 +204,7 @@ def test_a_finished_study_runs_nothing_again(scenario, whole):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, tmp_path):
+def test_the_bar_shows_finished_trials_and_the_time_left(scenario, whole, tmp_path):
     out = tmp_path / 'out'
     shutil.copytree(whole, out)
     for file in sorted(out.glob('trials/*-kappa_bnitp-*')):
@@ -214,7 +214,7 @@ def test_the_bar_counts_what_was_done_and_tells_the_time_left(scenario, whole, t
     with subprocess.Popen(command(scenario, out, '--workers', 1), stderr=screen) as process:
         os.close(screen)
         shown = b''
-        with contextlib.suppress(OSError):  # a terminal's end
+        with contextlib.suppress(OSError):  # Erases to the end of the terminal's line.
             while chunk := os.read(terminal, 4096):
                 shown += chunk
     os.close(terminal)
@@ -247,9 +247,7 @@ def test_shipped_scenarios_are_known_by_name(start, tmp_path):
     ({}, ['--workers', '99999999999'], 'workers is 99999999999.*from 1 to 1024'),
     ({}, ['--scheduler', 'localhost:8786'], 'scheduler is localhost:8786.*dask'),
 ])  # fmt: skip
-def test_what_cannot_be_is_one_error_before_any_work(
-    capsys, tmp_path, changes, options, complaint
-):
+def test_a_bad_study_is_one_error_before_any_work(capsys, tmp_path, changes, options, complaint):
     file = write(tmp_path / 'mine.yaml', **changes)
     said = refusal(capsys, file, tmp_path / 'out', *options)
     assert re.fullmatch(f'study: .*{complaint}.*\n', said), said

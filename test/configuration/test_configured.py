@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Goals, priors and worlds are what parameters and files say, or are refused."""
+"""Goals, priors and worlds follow parameters and files, or are refused."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ SMALL = {
 
 
 def checked(**given):
-    """Return the goal of a planner with these parameters, once it took them."""
+    """Return the goal of a planner with these parameters, after its check."""
     changed = {name.replace('__', '.'): value for name, value in given.items()}
     values = {parameter.name: parameter.default for parameter in TABLE} | SMALL | changed
     grid = grid_of(values)
@@ -29,7 +29,7 @@ def checked(**given):
 
 
 def mask(folder, occupied, resolution=0.5):
-    """Write a map in which these pixels are occupied, the highest row first; return its file."""
+    """Write a map with these pixels occupied, top row first; return its file."""
     pixels = np.where(np.array(occupied, dtype=bool), 0, 254).astype(np.uint8)
     Image.fromarray(pixels).save(folder / 'mask.png')
     file = folder / 'mask.yaml'
@@ -70,7 +70,7 @@ def test_stops_are_those_of_the_parameters():
     ({'goal__kind': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976}, 'takes 2083 ind'),
     ({'stop__losses': 5}, 'stop.losses is 5'),
 ])  # fmt: skip
-def test_what_cannot_be_sought_is_refused(given, complaint):
+def test_a_goal_out_of_reach_is_refused(given, complaint):
     with pytest.raises(ValueError, match=complaint):
         checked(**given)
 
@@ -81,7 +81,7 @@ def test_what_cannot_be_sought_is_refused(given, complaint):
     ([[0, 1, 0], [0, 1, 0]], 0.25, 'pixels of 0.25 m, .* cells of 0.5 m'),
     ([[0, 0, 0], [0, 0, 0]], 0.5, 'without cells'),
 ])  # fmt: skip
-def test_a_mask_that_is_none_of_the_field_is_refused(occupied, resolution, complaint, tmp_path):
+def test_a_mask_of_another_field_is_refused(occupied, resolution, complaint, tmp_path):
     drawn = mask(tmp_path, occupied, resolution)
     with pytest.raises(ValueError, match=complaint):
         checked(goal__kind='area', goal__mask=drawn)
@@ -98,7 +98,7 @@ def test_a_goal_stays_while_a_planner_runs():
     )
 
 
-# What is believed before the first deployment comes from numbers, maps or an earlier mission.
+# The belief before the first deployment: numbers, maps or an earlier mission.
 
 
 VALUES = {parameter.name: parameter.default for parameter in TABLE}
@@ -109,26 +109,26 @@ FIELD = {
 
 
 def write(path, values):
-    """Write probabilities, rows from the bottom, and return the file's name."""
+    """Write probabilities, bottom row first, and return the file's name."""
     np.save(path, np.asarray(values, dtype=float))
     return str(path)
 
 
 @pytest.fixture
 def log(tmp_path):
-    """Return the log of a mission and its last belief, which is not the one recorded last."""
+    """Return a mission's log and its last belief, which is not the last message."""
     whole = mission()
     known = whole.ledger.belief
     whole.start_estimator()
     return str(record(tmp_path / 'mission.mcap', whole.sent)), known
 
 
-def test_numbers_are_the_same_everywhere():
+def test_numbers_hold_for_all_cells():
     prior = prior_of(VALUES, GRID)
     assert prior.joint.tobytes() == Belief.prior(GRID, 0.5, 0.45, 0.8).joint.tobytes()
 
 
-def test_maps_say_it_cell_by_cell_and_numbers_elsewhere(tmp_path):
+def test_maps_hold_cell_by_cell_and_numbers_elsewhere(tmp_path):
     # Seen from above, a map of two by one cells of 0.2 m over the lower left of the grid.
     Image.fromarray(np.array([[255, 51]], dtype=np.uint8)).save(tmp_path / 'hazard.png')
     (tmp_path / 'hazard.yaml').write_text(
@@ -164,7 +164,7 @@ def test_a_map_of_hazards_alone_leaves_kappa_and_the_targets_without_hazards(tmp
     assert background == pytest.approx(0.1)
 
 
-def test_an_array_of_another_shape_is_resampled_where_that_is_asked_for(tmp_path):
+def test_an_array_of_another_shape_is_resampled_on_request(tmp_path):
     given = {
         'prior.kappa_map': write(tmp_path / 'kappa.npy', np.full((8, 10), 0.7)),
         'prior.resample': True,
@@ -180,7 +180,7 @@ def test_an_array_of_another_shape_is_resampled_where_that_is_asked_for(tmp_path
     ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is a base'),
     ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
 ])  # fmt: skip
-def test_what_no_prior_can_be_is_refused(tmp_path, name, values, told):
+def test_a_bad_prior_is_refused(tmp_path, name, values, told):
     given = {f'prior.{name}_map': write(tmp_path / 'prior.npy', values)}
     with pytest.raises(ValueError, match=told):
         prior_of(VALUES | given, GRID)
@@ -200,12 +200,12 @@ def test_an_earlier_mission_is_a_prior(log):
 @pytest.mark.parametrize(
     'change', [{'blocked': (8,)}, {'resolution': 0.2}, {'origin': (0.0, 0.7)}]
 )
-def test_a_mission_in_another_field_is_none(log, change):
+def test_a_mission_in_another_field_is_no_prior(log, change):
     with pytest.raises(ValueError, match=r'is of a mission on Grid\(.*: the parameters say Grid'):
         prior_of(VALUES | {'prior.log': log[0]}, replace(GRID, **change))
 
 
-def test_logs_that_tell_no_belief_are_refused(log, tmp_path):
+def test_logs_without_a_belief_are_refused(log, tmp_path):
     path, _ = log
     bare = Mission()
     bare.sent.clear()
@@ -218,7 +218,7 @@ def test_logs_that_tell_no_belief_are_refused(log, tmp_path):
         prior_of(VALUES | {'prior.log': path, 'prior.kappa_map': 'kappa.npy'}, GRID)
 
 
-# A hidden world drawn as two pictures.
+# A hidden world, drawn as two images.
 
 
 SMALL_GRID = Grid(3, 2, blocked=[5])
@@ -256,7 +256,7 @@ def test_the_first_row_is_the_top_row(write_world):
     ('hazard: ["...", "x.."]\ntarget: ["...", "..."]', 'hazard at the base 0'),
     ('hazard: ["..x", "..."]\ntarget: ["...", "..."]', 'cell 5: that cell is blocked'),
 ])  # fmt: skip
-def test_what_is_no_world_is_refused(write_world, text, told):
+def test_a_bad_world_is_refused(write_world, text, told):
     path = write_world(text)
     with pytest.raises(ValueError) as refusal:
         read_world(path, SMALL_GRID)

@@ -57,7 +57,7 @@ def pairs(grid, states):
 
 
 @cache
-def hazards_of(grid):
+def enumerate_hazards(grid):
     """
     Return all states of the hazards, and which of them are alike in how many hazards and pairs.
 
@@ -74,7 +74,7 @@ def hazards_of(grid):
 
 def clustered_prior(grid, coupling, density):
     """Return all states of the hazards, (states, cells), and their prior probabilities."""
-    states, alike, count, paired, number = hazards_of(grid)
+    states, alike, count, paired, number = enumerate_hazards(grid)
     low, high = -40.0, 40.0
     for _ in range(100):
         field = (low + high) / 2

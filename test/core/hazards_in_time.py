@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 
-def states_of(cells):
+def enumerate_hazards(cells):
     """List all states of so many hazards, (2^cells, cells)."""
     return np.array(list(product((0, 1), repeat=cells)))
 
@@ -65,7 +65,7 @@ def posterior(joint, dynamics, *deployments, possible=None):
     if not weight.any():
         return None
     cells = len(joint)
-    states = states_of(cells)
+    states = enumerate_hazards(cells)
     after = np.empty_like(joint)
     for cell, z in product(range(cells), (0, 1)):
         after[cell, z] = weight[cell][:, states[:, cell] == z].sum(axis=1)
@@ -75,7 +75,7 @@ def posterior(joint, dynamics, *deployments, possible=None):
 def weights(joint, dynamics, deployments, possible=None):
     """Return for each cell and each target in it the weights of all states, (cells, 2, states)."""
     cells = len(joint)
-    states = states_of(cells)
+    states = enumerate_hazards(cells)
     read = np.ones((cells, 2))
     for model, path, readings, _ in deployments:
         for cell, reading in zip(path[1:], [] if readings is None else readings):

@@ -39,8 +39,8 @@ def some(rng, robots, method='kappa_bnitp', **options):
 
 def told(method, mission):
     estimator = Estimator(PRIOR, MODEL, method)
-    for each in mission:
-        estimator.assimilate(each.observation)
+    for deployment in mission:
+        estimator.assimilate(deployment.observation)
     return estimator
 
 
@@ -177,7 +177,7 @@ def test_a_share_has_the_interval_of_wilson():
     ({'goal': Lane(to=15), 'options': SearchOptions(max_steps=2)}, 'at most max_steps = 2'),
     ({'stop': Stop(losses=9)}, 'stop.losses is 9'),
 ])  # fmt: skip
-def test_what_cannot_be_is_refused(changes, complaint):
+def test_bad_input_is_refused(changes, complaint):
     given = {'robots': 4, 'worlds': 2, 'rng': 1, 'options': OPTIONS, **changes}
     with pytest.raises(ValueError, match=complaint):
         forecast(GRID, Estimator(PRIOR, MODEL), **given)

@@ -89,8 +89,8 @@ def test_estimators_are_copied_with_all_they_know():
         estimator.assimilate(lost)
         for copied in (pickle.loads(pickle.dumps(estimator)), deepcopy(estimator)):
             again = estimator.copy()
-            for each in (copied, again):
-                each.assimilate(Observation([0, 1, 0], survived=True, readings=[1, 0]))
+            for copy in (copied, again):
+                copy.assimilate(Observation([0, 1, 0], survived=True, readings=[1, 0]))
             assert copied.belief == again.belief, method
         assert method in repr(estimator)
 

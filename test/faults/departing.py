@@ -22,7 +22,7 @@ SILENT = {
 
 
 # The most agents of a mission.
-MOST_AGENTS = 3
+MAX_AGENTS = 3
 
 # How long robots may take to be heard again, in seconds.
 HEARD_AGAIN = 120.0
@@ -33,9 +33,7 @@ class DepartingMission(Mission):
 
     def __init__(self, domain, folder, seed):
         self._rng = np.random.default_rng(seed)
-        agents = [
-            f'scout_{number + 1}' for number in range(self._rng.integers(1, MOST_AGENTS + 1))
-        ]
+        agents = [f'scout_{number + 1}' for number in range(self._rng.integers(1, MAX_AGENTS + 1))]
         self._own = {**SILENT, 'agents': agents, 'rolling': bool(self._rng.random() < 0.5)}
         awaited = {'estimator': ['planner', 'recorder'], 'planner': ['estimator', 'recorder']}
         super().__init__(domain, folder, self._own, awaited=awaited)

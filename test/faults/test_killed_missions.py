@@ -90,8 +90,8 @@ def moves(deployments):
 def keeps_off_what_is_occupied(deployments, parameters):
     """Say by the pixels that no robot touched what is occupied or unknown."""
     field, grid = read_map(parameters['map']), grid_of(with_defaults(parameters))
-    for each in deployments:
-        for start, end in pairwise(grid.centers(each.observation.path)):
+    for deployment in deployments:
+        for start, end in pairwise(grid.centers(deployment.observation.path)):
             column, row = (
                 np.floor((np.linspace(start, end, 50) - field.origin) / field.resolution)
                 .astype(int)
@@ -204,17 +204,17 @@ def test_missions_in_namespaces_within_each_other_do_not_meet(set_out):
         set_out({**shared, 'seed': seed}, namespace=namespace)
         for seed, namespace in enumerate(('/', '/north', '/north/east/scout_1'))
     ]
-    for each in missions:
-        each.start(*NODES)
-    for each in missions:
-        each.until(lambda m=each: len(m.onlooker.evidence.reports) >= 3, 'reports')
+    for mission in missions:
+        mission.start(*NODES)
+    for mission in missions:
+        mission.until(lambda m=mission: len(m.onlooker.evidence.reports) >= 3, 'reports')
         for node in NODES:
-            each.kill(node)
-    for each in missions:
-        each.start(*NODES)
-    for each in missions:
-        each.until_over()
-    assert [each.findings() for each in missions] == [[], [], []]
+            mission.kill(node)
+    for mission in missions:
+        mission.start(*NODES)
+    for mission in missions:
+        mission.until_over()
+    assert [mission.findings() for mission in missions] == [[], [], []]
 
 
 # All nodes of a mission call these topics so, within and out of their namespace.

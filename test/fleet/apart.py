@@ -193,10 +193,10 @@ class Apart:
 
     def _start_again(self):
         """Start robots again whose computers have new links, as launch does."""
-        for each in self._robots.copy():
-            process, *robot = each
+        for started in self._robots.copy():
+            process, *robot = started
             if process.poll() == NEW_LINKS:
-                self._robots.remove(each)
+                self._robots.remove(started)
                 self._start_robot(*robot)
 
     def switch(self, state):

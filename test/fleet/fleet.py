@@ -210,7 +210,7 @@ class Fleet:
     def reports(self, name='scout_1'):
         return self.field.listen(DeploymentReport, f'{self._mission}/{name}/report')
 
-    def report_of(self, reports, key, patience=60.0):
+    def wait_for_report(self, reports, key, patience=60.0):
         """Wait for the report of a deployment, and return what it says; all there are agree."""
 
         def found():

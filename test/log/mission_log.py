@@ -208,11 +208,11 @@ def record(path, sent, qos=QOS):
 def record_to(log, sent, qos=QOS, synced=False):
     """Write messages to a log, adding topics as they appear."""
     known = set()
-    for each in sent:
-        if each.topic not in known:
-            known.add(each.topic)
-            log.add_topic(each.topic, each.type_name, qos_profiles_yaml([qos]))
-        log.write(each.topic, each.data, each.time + 500, each.time)
+    for message in sent:
+        if message.topic not in known:
+            known.add(message.topic)
+            log.add_topic(message.topic, message.type_name, qos_profiles_yaml([qos]))
+        log.write(message.topic, message.data, message.time + 500, message.time)
         if synced:
             log.sync()
 

@@ -63,17 +63,17 @@ def with_mcap(path):
     """Yield the messages of a finished file as mcap and mcap-ros2-support read them."""
     with path.open('rb') as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        for each in reader.iter_decoded_messages():
+        for decoded in reader.iter_decoded_messages():
             yield Read(
-                each.channel.topic,
-                each.schema.name,
-                each.message.log_time,
-                each.message.data,
-                each.decoded_message,
-                yaml.safe_load(each.channel.metadata['offered_qos_profiles']),
-                each.channel.metadata['topic_type_hash'],
-                each.message.publish_time,
-                each.message.sequence,
+                decoded.channel.topic,
+                decoded.schema.name,
+                decoded.message.log_time,
+                decoded.message.data,
+                decoded.decoded_message,
+                yaml.safe_load(decoded.channel.metadata['offered_qos_profiles']),
+                decoded.channel.metadata['topic_type_hash'],
+                decoded.message.publish_time,
+                decoded.message.sequence,
             )
 
 
@@ -178,15 +178,15 @@ def write_bag(folder, sent, storage='mcap', version=9, compression=None):
         writer.set_compression(*compression)
     with writer as bag:
         connections = {}
-        for each in sent:
-            if each.topic not in connections:
-                description = describe(each.type_name)
-                connections[each.topic] = bag.add_connection(
-                    each.topic,
-                    each.type_name,
+        for message in sent:
+            if message.topic not in connections:
+                description = describe(message.type_name)
+                connections[message.topic] = bag.add_connection(
+                    message.topic,
+                    message.type_name,
                     msgdef=description.definition,
                     rihs01=description.type_hash,
                     offered_qos_profiles=[QOS],
                 )
-            bag.write(connections[each.topic], each.time + 500, each.data)
+            bag.write(connections[message.topic], message.time + 500, message.data)
     return folder

@@ -192,7 +192,7 @@ NARROW = Grid(3, 1)
 OWN, FOREIGN, LATER = 5 * 10**9, 10**9, 9 * 10**9
 
 
-def prior_of(mission):
+def belief_entry(mission):
     """Return the first belief that an estimator publishes."""
     estimator = Estimator(Belief.prior(NARROW, 0.5, 0.45, 0.8), SensorModel(0.5))
     return (
@@ -202,7 +202,7 @@ def prior_of(mission):
     )
 
 
-def path_of(mission, stamp=1):
+def path_entry(mission, stamp=1):
     """Return a path of a mission."""
     message = path_message(NARROW, [0, 1, 0], mission + stamp, mission)
     return '/scout/path', 'nav_msgs/msg/Path', message
@@ -210,16 +210,16 @@ def path_of(mission, stamp=1):
 
 @for_each('messages, mission, paths', [
     ([], None, []),
-    ([prior_of(OWN)], OWN, []),
-    ([path_of(FOREIGN), prior_of(OWN)], OWN, []),
-    ([path_of(FOREIGN), prior_of(OWN), path_of(OWN)], OWN, [OWN + 1]),
-    ([prior_of(OWN), path_of(FOREIGN), path_of(OWN)], OWN, [OWN + 1]),
+    ([belief_entry(OWN)], OWN, []),
+    ([path_entry(FOREIGN), belief_entry(OWN)], OWN, []),
+    ([path_entry(FOREIGN), belief_entry(OWN), path_entry(OWN)], OWN, [OWN + 1]),
+    ([belief_entry(OWN), path_entry(FOREIGN), path_entry(OWN)], OWN, [OWN + 1]),
     # A path may come before its belief.
-    ([path_of(FOREIGN), path_of(OWN), prior_of(OWN)], OWN, [OWN + 1]),
+    ([path_entry(FOREIGN), path_entry(OWN), belief_entry(OWN)], OWN, [OWN + 1]),
     # An estimator starts anew before the first robot leaves, and after it.
-    ([prior_of(OWN), prior_of(LATER), path_of(LATER)], LATER, [LATER + 1]),
-    ([prior_of(OWN), path_of(OWN), prior_of(LATER)], OWN, [OWN + 1]),
-    ([*(path_of(each * 10**12) for each in range(1, 101)), prior_of(OWN), path_of(OWN)],
+    ([belief_entry(OWN), belief_entry(LATER), path_entry(LATER)], LATER, [LATER + 1]),
+    ([belief_entry(OWN), path_entry(OWN), belief_entry(LATER)], OWN, [OWN + 1]),
+    ([*(path_entry(each * 10**12) for each in range(1, 101)), belief_entry(OWN), path_entry(OWN)],
      OWN, [OWN + 1]),
 ])  # fmt: skip
 def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths):
@@ -286,11 +286,11 @@ def test_departures_and_reports_mean_the_same_in_any_order(seed):
             continue
         departures = Departures()
         # What is heard twice says nothing new.
-        for each in (*order, *order):
-            if each == 'report':
+        for event in (*order, *order):
+            if event == 'report':
                 departures.end(KEY, HOME)
             else:
-                departures.take(KEY, each)
+                departures.take(KEY, event)
         ends.append((departures.out, departures.is_at_base(KEY)))
     out = {KEY} if DEPARTED in statuses and not has_report else set()
     is_at_base = statuses == [ACCEPTED]
@@ -310,11 +310,11 @@ def test_what_contradicts_is_refused_and_changes_nothing():
         (['report'], late, 'DEPARTED after it was reported'),
     ):
         departures = Departures()
-        for each in before:
-            if each == 'report':
+        for event in before:
+            if event == 'report':
                 departures.end(KEY, HOME)
             else:
-                departures.take(KEY, each)
+                departures.take(KEY, event)
         known = departures.status(KEY), set(departures.out)
         with pytest.raises(ValueError, match=told):
             departures.take(KEY, status)

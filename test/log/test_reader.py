@@ -46,7 +46,7 @@ def messages(path):
     return read, None
 
 
-def is_start_of(read, sent):
+def is_prefix(read, sent):
     """Return whether these are the first messages that were sent."""
     return len(read) <= len(sent) and all(
         (one.topic, one.type_name, one.publish_time, one.log_time)
@@ -61,14 +61,14 @@ def test_everything_is_read_in_order(files, whole_mission, name):
     read, error = messages(files / name)
     assert error is None
     assert len(read) == len(whole_mission.sent)
-    assert is_start_of(read, whole_mission.sent)
+    assert is_prefix(read, whole_mission.sent)
     assert is_finished(files / name) == (name != 'unfinished.mcap')
 
 
 def test_types_can_be_chosen(files, whole_mission):
     wanted = 'kbnitp_msgs/msg/DeploymentReport'
     read = list(read_log(files / 'finished.mcap', [wanted]))
-    assert is_start_of(read, on(whole_mission.sent, '/scout_1/report'))
+    assert is_prefix(read, on(whole_mission.sent, '/scout_1/report'))
     assert len(read) == 8
 
 
@@ -138,21 +138,21 @@ def test_of_changed_bytes_what_was_written_is_read_or_an_error_told(
         assert error is None
         assert not is_finished(path)
         assert len(read) == before
-        assert is_start_of(read, whole_mission.sent)
+        assert is_prefix(read, whole_mission.sent)
         with LogWriter(path, resume=True) as log:
             record_to(log, whole_mission.sent[:2])
         after = [each.data for each in read_log(path)]
         assert after == [each.data for each in [*read, *whole_mission.sent[:2]]]
         return
     if error is None:
-        assert is_start_of(read, whole_mission.sent)
+        assert is_prefix(read, whole_mission.sent)
         assert len(read) == len(whole_mission.sent) or name == 'unfinished.mcap'
     in_chunk = any(start + CHUNK_START <= place < end for start, end in whole)
     if what == 'flip' and (in_chunk or (name != 'unfinished.mcap' and place < whole[-1][1])):
         assert f'{path} is corrupt after byte ' in str(error)
         if in_chunk:
             assert len(read) == before
-            assert is_start_of(read, whole_mission.sent)
+            assert is_prefix(read, whole_mission.sent)
         with pytest.raises(LogError, match='is corrupt after byte'):
             LogWriter(path, resume=True)
         assert [*path.parent.iterdir()] == [path]
@@ -264,7 +264,7 @@ def test_a_log_that_grows_meanwhile_is_read_as_it_was(files, whole_mission, tmp_
     with path.open('ab') as file:
         file.write(content[end:])
     both = [first, *read]
-    assert is_start_of(both, whole_mission.sent)
+    assert is_prefix(both, whole_mission.sent)
     assert 1 < len(both) < len(whole_mission.sent)
 
 

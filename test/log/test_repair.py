@@ -181,7 +181,7 @@ def elsewhere():
         process.communicate()
 
 
-def files_of(folder):
+def file_contents(folder):
     """Return what is in the files of a folder."""
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
@@ -197,11 +197,11 @@ def test_a_log_that_is_being_written_is_not_gone_on_with(
         if not was_finished:
             path.write_bytes(path.read_bytes()[:-1])
     writer = elsewhere(path, *['resume'] * resumed)
-    before = files_of(tmp_path)
+    before = file_contents(tmp_path)
     for name in (path, tmp_path):
         with pytest.raises(LogError, match=HELD):
             LogWriter(name, resume=True)
-    assert files_of(tmp_path) == before
+    assert file_contents(tmp_path) == before
     messages = [each.data for each in read_log(path)]
     writer.kill()
     writer.wait()
@@ -262,8 +262,8 @@ def test_nothing_is_repaired_into_a_log_that_is_being_written(tmp_path, whole_mi
     source = record(tmp_path / 'old.mcap', whole_mission.sent)
     with LogWriter(tmp_path / 'log' / 'mission.mcap', max_file_size=1) as log:
         record_to(log, whole_mission.sent[:3], synced=True)
-        before = files_of(tmp_path / 'log')
+        before = file_contents(tmp_path / 'log')
         for part in (*parts_of(log.path), log.path.with_name('mission_7.mcap')):
             assert main([str(source), '--repair', str(part)]) == 2
             assert part.name in capsys.readouterr().err
-        assert files_of(tmp_path / 'log') == before
+        assert file_contents(tmp_path / 'log') == before

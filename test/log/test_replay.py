@@ -159,9 +159,9 @@ def test_a_report_that_changes_with_another_s_first_is_assimilated(replayed):
     second = whole.send_out(other, 'scout_2')
     whole.hear_path(second, other)
     back = Observation(tour, True, [True, False] * 2)
-    for each in (whole.come_back(key, back), whole.come_back(second, Observation(other, False))):
-        assert whole.ledger.record_report(*each)
-        whole.new.add(each[0])
+    for sent in (whole.come_back(key, back), whole.come_back(second, Observation(other, False))):
+        assert whole.ledger.record_report(*sent)
+        whole.new.add(sent[0])
     whole.publish_belief()
     assert replayed(whole.sent).reproduced
     (last,) = beliefs(whole.sent)[2:]
@@ -186,8 +186,8 @@ def test_the_order_of_assimilation_is_that_of_the_deployments(replayed, method):
         whole.assimilate(*told[index])
     joint = whole.ledger.belief.joint.tobytes()
     whole.start_estimator()
-    for each in told:
-        whole.assimilate(*each)
+    for evidence in told:
+        whole.assimilate(*evidence)
     assert whole.ledger.belief.joint.tobytes() == joint
     report = replayed(whole.sent)
     assert report.reproduced
@@ -293,10 +293,10 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
         says_more = observation.survived or observation.steps_survived
         is_late = silent and says_more and data.draw(st.booleans())
         lost = [Observation(orders, False)] if is_late else []
-        for each in (*lost, observation):
-            said = orders, *whole.come_back(key, each)
+        for outcome in (*lost, observation):
+            said = orders, *whole.come_back(key, outcome)
             whole.assimilate(*said)
-            told.setdefault((agent, silent and each.survived), []).append(said)
+            told.setdefault((agent, silent and outcome.survived), []).append(said)
     first_run = len(whole.sent)
     whole.start_estimator()
     while publishers := [publisher for publisher in told if told[publisher]]:
@@ -591,8 +591,8 @@ def test_what_is_changed_in_a_log_is_said(whole_mission, tmp_path, capsys, chang
     assert main([str(path)]) == code
     printed, complaint = capsys.readouterr()
     assert complaint == ''
-    for each in told:
-        assert each.format(*keys(whole.sent)) in printed
+    for sentence in told:
+        assert sentence.format(*keys(whole.sent)) in printed
 
 
 def test_a_model_of_another_namespace_is_none_of_the_mission(learnt_mission, replayed):
@@ -805,9 +805,9 @@ def rewritten(path, sent, edit):
             schemas[name] = log.register_msgdef(
                 name, edit(definition) if name == BELIEF else definition
             )
-        for each in sent:
-            schema = schemas[BELIEF if each.topic == '/belief' else each.type_name]
-            log.write_message(each.topic, schema, each.message, each.time, each.time)
+        for message in sent:
+            schema = schemas[BELIEF if message.topic == '/belief' else message.type_name]
+            log.write_message(message.topic, schema, message.message, message.time, message.time)
         log.finish()
     return path
 

@@ -40,8 +40,8 @@ def sent():
 
 def decided(goal, method='kappa_bnitp'):
     mission = Deciding(goal, method=method)
-    for each in observations(ROBOTS, method=method):
-        mission.deploy(each.observation, orders=each.plan.path)
+    for deployment in observations(ROBOTS, method=method):
+        mission.deploy(deployment.observation, orders=deployment.plan.path)
     return mission.sent
 
 

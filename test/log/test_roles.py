@@ -151,11 +151,11 @@ def test_what_has_no_role_changes_nothing_wherever_it_stands(whole, tmp_path):
         log = tmp_path / f'{number}.mcap'
         with LogWriter(log) as writer:
             writer.add_metadata(RECORD, ROLES.record)
-            for each in mixed:
+            for entry in mixed:
                 try:
-                    record_to(writer, [each])
+                    record_to(writer, [entry])
                 except ValueError:
-                    assert type(each.message) is String
+                    assert type(entry.message) is String
         found, refused = read(log)
         assert found == expected
         assert refused == []

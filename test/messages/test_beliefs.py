@@ -34,7 +34,7 @@ MODEL = SensorModel(0.3, 0.02, 0.07, 0.9, 0.04)
 KEY = DeploymentKey('scout_3', 5_000_000_007)
 
 
-def ledger_of(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KNOWN):
+def new_ledger(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KNOWN):
     """Return a ledger with a random prior."""
     grid = grid or Grid(4, 3, base=1, resolution=0.1, origin=(-3.3, 0.7), blocked=(10, 5))
     joint = np.random.default_rng(seed).dirichlet(np.ones(4), grid.cells)
@@ -43,7 +43,7 @@ def ledger_of(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KNO
 
 
 def test_a_prior_says_how_the_mission_starts():
-    ledger = ledger_of()
+    ledger = new_ledger()
     message = belief_maps(ledger, started=3_000_000_001)
     assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
     assert (message.info.width, message.info.height, message.base) == (4, 3, 1)
@@ -68,7 +68,7 @@ def test_the_joint_is_laid_out_cell_by_cell():
 
 
 def test_the_newest_deployment_is_named():
-    ledger = ledger_of()
+    ledger = new_ledger()
     ledger.record_path(KEY, [1, 2, 1])
     ledger.record_report(KEY, Report(False, stamp=9_000_000_001))
     message = over_the_wire(belief_maps(ledger, started=3_000_000_001))
@@ -82,7 +82,7 @@ def test_the_newest_deployment_is_named():
 def test_the_same_evidence_gives_the_same_message():
     """Even if it comes late, and when the estimator was started again."""
     first, second = DeploymentKey('scout_1', 1), DeploymentKey('scout_2', 1)
-    ledgers = ledger_of(), ledger_of()
+    ledgers = new_ledger(), new_ledger()
     for ledger, keys in zip(ledgers, ((first, second), (second, first, second))):
         for key in keys:
             ledger.record_path(key, [1, 2, 1])
@@ -103,7 +103,7 @@ def test_the_same_evidence_gives_the_same_message():
 def test_a_belief_comes_back_bit_for_bit(method, seed, numbers, connectivity, through_corners):
     model = SensorModel(*numbers)
     grid = Grid(4, 3, blocked=(5,), connectivity=connectivity, through_corners=through_corners)
-    ledger = ledger_of(seed, grid, method, model)
+    ledger = new_ledger(seed, grid, method, model)
     snapshot = read_belief_maps(over_the_wire(belief_maps(ledger, started=9)))
     assert snapshot.belief.joint.tobytes() == ledger.belief.joint.tobytes()
     assert snapshot.grid == ledger.grid
@@ -116,7 +116,7 @@ def test_beliefs_tell_by_default_what_they_meant_before_they_told_it():
 
 
 def test_what_is_learnt_comes_back_bit_for_bit():
-    ledger = ledger_of(seed=4, method='kappa_bnitp_sampled', unknowns=LEARNT)
+    ledger = new_ledger(seed=4, method='kappa_bnitp_sampled', unknowns=LEARNT)
     first = read_belief_maps(over_the_wire(belief_maps(ledger, started=9)))
     assert first.unknowns == LEARNT
     assert first.seed == 4
@@ -140,7 +140,7 @@ def test_what_is_learnt_comes_back_bit_for_bit():
 def test_rules_are_those_an_estimator_is_started_with():
     def rules(**options):
         options = {'method': 'kappa_bnitp_sampled', 'unknowns': LEARNT, **options}
-        return read_belief_maps(belief_maps(ledger_of(**options), started=0)).rules()
+        return read_belief_maps(belief_maps(new_ledger(**options), started=0)).rules()
 
     assert rules(model=SensorModel(0.8, 0.02, 0.07, 0.6, 0.04)) == rules()
     for other in (
@@ -155,7 +155,7 @@ def test_rules_are_those_an_estimator_is_started_with():
 
 def test_without_unknowns_a_prior_stands_once():
     for method in METHODS:
-        assert not belief_maps(ledger_of(method=method), started=0).prior
+        assert not belief_maps(new_ledger(method=method), started=0).prior
 
 
 def unknown(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0):
@@ -173,7 +173,7 @@ def test_what_agents_have_of_their_own_is_told():
         'b': RobotType(lethality=0.1, max_steps=4),
         'a': RobotType(true_positive=0.75, loss_cost=2.0),
     }
-    plain = ledger_of()
+    plain = new_ledger()
     ledger = Ledger(plain.grid, plain.max_steps, plain.estimator, robot_types)
     message = over_the_wire(belief_maps(ledger, started=0))
     assert [(own.agent, own.name) for own in message.own] == [
@@ -187,7 +187,7 @@ def test_what_agents_have_of_their_own_is_told():
 
 
 def test_the_views_on_the_wire_are_those_of_the_joint():
-    ledger = ledger_of()
+    ledger = new_ledger()
     message = over_the_wire(belief_maps(ledger, started=0))
     for name in ('hazard', 'target', 'kappa'):
         sent = np.asarray(getattr(message, name))
@@ -195,7 +195,7 @@ def test_the_views_on_the_wire_are_those_of_the_joint():
 
 
 def test_only_the_joint_counts():
-    message = belief_maps(ledger_of(), started=0)
+    message = belief_maps(new_ledger(), started=0)
     joint = read_belief_maps(message).belief.joint
     message.hazard = array('d', [1.0] * 12)
     assert (read_belief_maps(message).belief.joint == joint).all()
@@ -233,7 +233,7 @@ def test_only_the_joint_counts():
     ('deployments', 3, "agent is '' with 3 deployments"),
 ])  # fmt: skip
 def test_a_bad_belief_is_refused(field, value, error):
-    message = belief_maps(ledger_of(), started=0)
+    message = belief_maps(new_ledger(), started=0)
     setattr(message, field, value)
     with pytest.raises(ValueError, match=error):
         read_belief_maps(over_the_wire(message))

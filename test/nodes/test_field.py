@@ -136,12 +136,12 @@ def test_a_mission_waits_for_a_map_that_can_be_and_may_be_turned(field, file):
         snapshot = read_belief_maps(belief)
         assert snapshot.grid == replace(GRID, yaw=turn)
         assert snapshot.belief.joint.tobytes() == deployment.belief.joint.tobytes()
-    for each in (
+    for rotation in (
         shown[-1].info.origin.orientation,
         poses[-1].transforms[0].transform.rotation,
         paths[-1].poses[0].pose.orientation,
     ):
-        assert complex(each.w, each.z) ** 2 == pytest.approx(exp(1j * turn))
+        assert complex(rotation.w, rotation.z) ** 2 == pytest.approx(exp(1j * turn))
     x, y = (getattr(paths[0].poses[0].pose.position, axis) for axis in 'xy')
     assert complex(x, y) == pytest.approx(base)
     assert set(field.processes.stop().values()) == {0}

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 import yaml
 
 
-def progress_of(field):
+def progress_waiter(field):
     """Return what waits until `progress` has a state, and a reason for it."""
     heard = field.listen(Progress, '/progress')
 
@@ -36,7 +36,7 @@ def progress_of(field):
 
 def test_a_paused_mission_sends_nobody(field):
     base = Base(field)
-    until_progress = progress_of(field)
+    until_progress = progress_waiter(field)
     base.until_sent(1)
     until_progress(Progress.RUNNING, '')
     assert base.do('pause', data=True) == 'the operator paused the mission'
@@ -132,7 +132,7 @@ def test_an_ended_mission_is_over_when_its_robots_are_home(field):
     assert 'waiting for' in field.state('/planner')
     base.come_back()
     reason = 'done: 1 of 4 robots deployed, ended by the operator'
-    until_progress = progress_of(field)
+    until_progress = progress_waiter(field)
     base.until_state(reason)
     until_progress(Progress.ENDED, reason)
     assert len(base.sent()) == 1

@@ -236,7 +236,7 @@ def test_sros2_signs_permissions_that_are_those_of_the_policies(tmp_path):
             each
             for verb, names in allowed.items()
             for name in names
-            for each in topics_of(verb, name)
+            for each in middleware_topics(verb, name)
         }
         # By this topic nodes tell each other what they publish and listen to.
         graph = {(verb, 'ros_discovery_info') for verb in ('publish', 'subscribe')}
@@ -254,7 +254,7 @@ def signed_grant(keystore, enclave):
     return grant
 
 
-def topics_of(verb, name):
+def middleware_topics(verb, name):
     """Yield what of the middleware's topics a node publishes and subscribes to, by a rule."""
     ends = {'request': ('publish', 'subscribe'), 'reply': ('subscribe', 'publish')}
     if verb in ends:
@@ -263,7 +263,7 @@ def topics_of(verb, name):
         yield takes, f'rr{name}Reply'
     elif verb == 'call':
         for service in ('cancel_goal', 'get_result', 'send_goal'):
-            yield from topics_of('request', f'{name}/_action/{service}')
+            yield from middleware_topics('request', f'{name}/_action/{service}')
         for topic in ('feedback', 'status'):
             yield 'subscribe', f'rt{name}/_action/{topic}'
     else:

@@ -83,7 +83,7 @@ def values(log, topic):
     return [message.data for message in recorded(log)[topic]]
 
 
-def stamps_of(messages):
+def deployment_stamps(messages):
     """Return which deployments these paths or reports are about."""
     return [
         read_report(message)[0].stamp
@@ -183,7 +183,7 @@ def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
                 lambda a=agent, s=stamp: s in [each.stamp for each in told[a]],
                 f'word of path {number}',
             )
-            assert key(number).stamp in stamps_of(recorded(log)[f'/m/{agent}/path'])
+            assert key(number).stamp in deployment_stamps(recorded(log)[f'/m/{agent}/path'])
     assert [from_stamp(each.stamp) for each in told['one']] == [key(n).stamp for n in (3, 1, 4)]
     assert [from_stamp(each.stamp) for each in told['two']] == [key(2).stamp]
 
@@ -199,7 +199,7 @@ def test_evidence_that_no_other_node_hears_is_refused_and_its_node_named(field, 
     reports.publish(lost(1))
     field.talk(DeploymentReport, '/m/scout_1/report').publish(lost(2))
     field.until(lambda: recorded(log)['/m/scout_1/report'], 'report')
-    assert stamps_of(recorded(log)['/m/scout_1/report']) == [key(2).stamp]
+    assert deployment_stamps(recorded(log)['/m/scout_1/report']) == [key(2).stamp]
     assert reports.get_subscription_count() == 0
 
 
@@ -216,7 +216,7 @@ def test_a_resumed_log_holds_everything(field):
     assert is_finished(log)
     part = log.with_name('mission_1.mcap')
     assert is_finished(part)
-    assert stamps_of(recorded(part)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
+    assert deployment_stamps(recorded(part)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
     assert len(recorded(log)['/m/scout_1/path']) == 3
 
 
@@ -232,7 +232,7 @@ def test_a_log_has_one_recorder_at_a_time(field):
     field.until(lambda: from_stamp(told[-1].stamp) == key(2).stamp, 'word of path 2')
     field.processes.stop()
     assert is_finished(log)
-    assert stamps_of(recorded(log)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
+    assert deployment_stamps(recorded(log)['/m/scout_1/path']) == [key(1).stamp, key(2).stamp]
     assert list(log.parent.glob('*.mcap')) == [log]
 
 
@@ -343,7 +343,7 @@ def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
     assert is_finished(log)
     messages = recorded(log)
     assert [message.data for message in messages['/m/chatter']] == list(range(2000))
-    assert stamps_of(messages['/m/scout_1/report']) == [key(n).stamp for n in range(2000)]
+    assert deployment_stamps(messages['/m/scout_1/report']) == [key(n).stamp for n in range(2000)]
 
 
 def complaints(field, name):
@@ -410,7 +410,7 @@ def report_until_it_fails(field, log):
         if number < 20:
             readable = len(recorded(log)['/m/scout_1/report'])
     told = until_failed(field, '/m/recorder', 1)
-    stamps = stamps_of(recorded(log)['/m/scout_1/report'])
+    stamps = deployment_stamps(recorded(log)['/m/scout_1/report'])
     assert len(stamps) >= readable > 0
     assert stamps == [key(number).stamp for number in range(len(stamps))]
     return told

@@ -18,7 +18,7 @@ from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.deployments import read_report
-from launches import interrupt, launched, nodes_of
+from launches import interrupt, launched, node_pids
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_robot_reports_the_walk_that_it_was_driven(field, kind):
     simulated, told = WALKS[kind]
     fleet, reports = Fleet.simulated(field, **simulated)
     fleet.start(**told)
-    report = fleet.report_of(reports, fleet.send(1, ROUND))
+    report = fleet.wait_for_report(reports, fleet.send(1, ROUND))
     fleet.see_that_it_is_true(report)
     # A detector of pictures tells no more than each moment where it was.
     if kind != 'pictures':
@@ -105,7 +105,7 @@ def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
     # What it waits for may be told in the meantime.
     assert 'path must start at the base 143, not at cell 0' in field.said('/scout_1/robot')
     orders = [143, 142, 130, 131, 143]
-    report = fleet.report_of(reports, fleet.send(2, orders))
+    report = fleet.wait_for_report(reports, fleet.send(2, orders))
     assert [cell for cell, _ in report.readings] == orders[1:]
     assert fleet.walked() == orders
 
@@ -153,7 +153,7 @@ def test_a_failure_is_tried_again_and_the_walk_is_reported_as_it_was(field, driv
             else:
                 key = fleet.send(next(numbers), orders)
                 fail(fleet, how, rng.uniform(0, 0.3))
-            report = fleet.report_of(reports, key)
+            report = fleet.wait_for_report(reports, key)
             fleet.see_that_it_is_true(report, since)
             assert moves([0, *(cell for cell, _ in report.readings)]) == orders, how
 
@@ -179,7 +179,7 @@ def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
     fleet.inject('reject!')
     field.until(lambda: 'going home' in field.said('/scout_1/robot'), 'end of its orders')
     fleet.inject('live')
-    report = fleet.report_of(reports, key)
+    report = fleet.wait_for_report(reports, key)
     fleet.see_that_it_is_true(report)
     assert is_out_and_back(report)
     assert 'rejected the goal; going home' in field.said('/scout_1/robot')
@@ -191,7 +191,7 @@ def test_a_robot_whose_goal_is_cancelled_goes_home(field):
     key = fleet.send(1, WAY_ROUND)
     field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
     fleet.cancel_all('follow_waypoints')
-    report = fleet.report_of(reports, key)
+    report = fleet.wait_for_report(reports, key)
     fleet.see_that_it_is_true(report)
     assert is_out_and_back(report)
     said = field.said('/scout_1/robot')
@@ -201,7 +201,7 @@ def test_a_robot_whose_goal_is_cancelled_goes_home(field):
 def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     fleet, reports = Fleet.simulated(field, speed=1.0)
     fleet.start(time_budget=5.0)
-    report = fleet.report_of(reports, fleet.send(1, WAY_ROUND))
+    report = fleet.wait_for_report(reports, fleet.send(1, WAY_ROUND))
     fleet.see_that_it_is_true(report)
     assert is_out_and_back(report)
     assert '(parameter time_budget) what the way back takes is left' in field.said(
@@ -217,7 +217,7 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
     fleet.inject('jump')
     field.until(lambda: 'its place is uncertain' in field.said('/scout_1/robot'), 'doubt')
     fleet.inject('live')
-    report = fleet.report_of(reports, key)
+    report = fleet.wait_for_report(reports, key)
     first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)
     before, after = report.readings[:first], report.readings[first:]
     assert all(reading == -1 for _, reading in after)
@@ -244,7 +244,7 @@ def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told)
     said = [status.state for status in fleet.statuses['scout_1']]
     assert said == [AgentStatus.ACCEPTED]
     fleet.hold(False)
-    report = fleet.report_of(reports, key)
+    report = fleet.wait_for_report(reports, key)
     assert moves([0, *(cell for cell, _ in report.readings)]) == [0, 1, 0]
 
 
@@ -259,7 +259,7 @@ def test_a_robot_waits_for_what_drives_it_and_says_so(field):
     field.until(lambda: 'to be at its base, cell 0: it is 7.1 m' in fleet.state(), 'wait for it')
     fleet.end_simulator()
     fleet.simulate(scout_1=(0.5, 0.5))
-    fleet.report_of(reports, key)
+    fleet.wait_for_report(reports, key)
 
 
 # Missions of robots that Nav2's actions drive, in a simulator that is not ours
@@ -392,12 +392,12 @@ def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
         is_home = any(each.deployment.sec == number for each in reports)
         cut_power(fleet, rng)
         fleet.start()
-        report = fleet.report_of(reports, key)
+        report = fleet.wait_for_report(reports, key)
         fleet.see_that_it_is_true(report, since)
         where['at home' if is_home else 'in the field'] += 1
         field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
     print(where)
-    # Each start says again what all before it said, in the same words: `report_of` sees to that.
+    # Each start says again what all before it said, in the same words: see `wait_for_report`.
     for number in range(1, len(CUTS) + 1):
         told = {str(each.readings) for each in reports if each.deployment.sec == number}
         assert len(told) == 1
@@ -428,10 +428,10 @@ def test_a_launched_robot_that_is_killed_in_the_field_comes_home(field):
     try:
         key = fleet.send(1, ORDERS)
         field.until(lambda: {2, 3} & set(fleet.walked()), 'robot under way')
-        os.kill(nodes_of(robot)['/scout_1/robot'], signal.SIGKILL)
+        os.kill(node_pids(robot)['/scout_1/robot'], signal.SIGKILL)
         fleet.inject('die')
         fleet.inject('live')
-        report = fleet.report_of(reports, key)
+        report = fleet.wait_for_report(reports, key)
     finally:
         interrupt(robot)
     assert robot.wait(60) == 0

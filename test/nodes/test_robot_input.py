@@ -86,7 +86,7 @@ def test_positions_that_none_can_be_make_no_step(field):
     assert not reports
     # Far away for as long as tf_timeout it has been there, by some way.
     stand(0.5, 0.5, lambda: reports, 'report')
-    report = fleet.report_of(reports, fleet.key(1))
+    report = fleet.wait_for_report(reports, fleet.key(1))
     assert report.readings == ((1, -1), (2, -1), (1, -1), (0, -1))
 
 
@@ -120,7 +120,7 @@ def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
         field.kill('/scout_1/robot')
     field.until(lambda: '1 duplicate message' in field.state('/estimator'), 'repetition')
     assert field.count('/estimator', 'refused') == 0
-    report = fleet.report_of(reports, fleet.key(1))
+    report = fleet.wait_for_report(reports, fleet.key(1))
     assert report.readings == (*[(1, 1), (2, 1)] * 99, (1, 1), (0, -1))
     kept = Journal(journal.path, 'scout_1', GRID)
     kept.close()
@@ -191,7 +191,9 @@ def test_what_is_seen_counts_where_the_robot_was_whatever_comes_first(
 
     field.until(goes_home, 'report')
     robot.send_signal(signal.SIGCONT)
-    readings = [each for each in fleet.report_of(reports, fleet.key(1)).readings if each[1] >= 0]
+    readings = [
+        each for each in fleet.wait_for_report(reports, fleet.key(1)).readings if each[1] >= 0
+    ]
     assert readings
     assert set(readings) <= {(5, False), (4, False), (3, False), (2, True), (1, False), (0, False)}
     if not is_busy:
@@ -204,7 +206,7 @@ def test_detections_at_1_khz_and_none_at_all(field):
     detections = field.node.create_publisher(Bool, '/detections', 10)
     fleet.simulate()
     fleet.start(remapped={'detections': '/detections'})
-    report = fleet.report_of(reports, fleet.send(1, [0, 1, 0]))
+    report = fleet.wait_for_report(reports, fleet.send(1, [0, 1, 0]))
     assert report.readings == ((1, -1), (0, -1))
     key = fleet.send(2, [0, 1, 2, 1, 0])
     sent = 0
@@ -215,7 +217,7 @@ def test_detections_at_1_khz_and_none_at_all(field):
             detections.publish(Bool(data=True))
             sent += 1
         field.executor.spin_once(timeout_sec=0.001)
-    report = fleet.report_of(reports, key)
+    report = fleet.wait_for_report(reports, key)
     fleet_walk = [cell for cell, _ in report.readings]
     assert fleet_walk == [1, 2, 1, 0]
     assert {reading for _, reading in report.readings[:-1]} == {1}
@@ -232,7 +234,7 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     assert 'is outside the grid of 12 x 12' in field.until_refused('/scout_1/robot', 1)
     paths.publish(path_message(GRID, [0, 13, 26, 13, 0], 10**9, 5))
     assert 'enters a blocked cell' in field.until_refused('/scout_1/robot', 2)
-    fleet.report_of(reports, fleet.send(1, [0, 1, 0]))
+    fleet.wait_for_report(reports, fleet.send(1, [0, 1, 0]))
     # The clock of its base was set back. The robot says so there, for good.
     key = fleet.send(2, [0, 1, 0], mission=4)
     journal = fleet.journal('scout_1')
@@ -251,14 +253,14 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     field.until(lambda: len(refusals()) == 2, 'the refusal again')
     assert {from_stamp(each.deployment) for each in refusals()} == {key.stamp}
     assert all(why in each.reason for each in refusals())
-    fleet.report_of(reports, fleet.send(3, [0, 1, 0]))
+    fleet.wait_for_report(reports, fleet.send(3, [0, 1, 0]))
 
 
 def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field):
     fleet, reports = Fleet.simulated(field)
     for number, mission in ((1, 5), (2, 7), (3, 9)):
         fleet.start()
-        fleet.report_of(reports, fleet.send(number, [0, 1, 0], mission=mission))
+        fleet.wait_for_report(reports, fleet.send(number, [0, 1, 0], mission=mission))
         journal = fleet.journal('scout_1')
         field.kill('/scout_1/robot')
         kept = {int(each.parent.name): each for each in journal.parent.glob(f'*/{journal.name}')}
@@ -277,7 +279,7 @@ def test_a_disk_that_is_full_costs_no_step(field):
     # The orders have room and two or three steps; then there is no more.
     size = journal.stat().st_size + 250
     resource.prlimit(robot.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
-    report = fleet.report_of(reports, fleet.send(1, [0, 1, 2, 14, 13, 0]))
+    report = fleet.wait_for_report(reports, fleet.send(1, [0, 1, 2, 14, 13, 0]))
     fleet.see_that_it_is_true(report)
     assert [cell for cell, _ in report.readings] == [1, 2, 14, 13, 0]
     field.until(lambda: 'journal' in field.diagnosed('/scout_1/robot').message, 'word of the disk')
@@ -290,7 +292,7 @@ def test_a_disk_that_is_full_costs_no_step(field):
     resource.prlimit(
         robot.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
     )
-    fleet.report_of(reports, key)
+    fleet.wait_for_report(reports, key)
     field.kill('/scout_1/robot')
     kept = Journal(journal, 'scout_1', GRID)
     kept.close()

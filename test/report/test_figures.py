@@ -172,9 +172,9 @@ def test_a_learnt_number_of_any_name_is_drawn(tmp_path):
     names = ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', '']
     unknowns = Unknowns(**dict.fromkeys(NUMBERS, (0.05, 0.95)))
     whole = mission_log.mission(1, method='kappa_bnitp_sampled', unknowns=unknowns)
-    for each in whole.sent:
-        if each.topic == '/model':
-            each.message.name = names
+    for message in whole.sent:
+        if message.topic == '/model':
+            message.message.name = names
     shown = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
     assert list(shown.moments[-1].state.numbers) == names
     figure = progress_figure(shown, curves_of(shown))

@@ -674,10 +674,10 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
         for each in features
     }
     assert len(told) == len(findings)
-    for each in findings:
-        values = told[each.kind, each.x, each.y]
-        assert values['probability'] == each.probability
-        assert values['looks'] == each.looks
+    for finding in findings:
+        values = told[finding.kind, finding.x, finding.y]
+        assert values['probability'] == finding.probability
+        assert values['looks'] == finding.looks
     assert len(rows(downloaded(page, 'CSV', nth=-1))) == len(mission.deployments)
     assert Image.open(downloaded(page, 'Save the map')).format == 'PNG'
 
@@ -798,9 +798,9 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
 def test_everybody_can_use_the_pages(opened, shown, two, scheme, width):
     mission, file = shown
     lost = next(each for each in mission.deployments if not each.outcome.survived)
-    for each in (file, two[1]):
-        page = opened(width, scheme=scheme, file=each)
-        if each == file:
+    for report in (file, two[1]):
+        page = opened(width, scheme=scheme, file=report)
+        if report == file:
             move(page, lost.moment)
             page.click('#way-to')
         page.add_script_tag(content=AXE.read_text())

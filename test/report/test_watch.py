@@ -102,13 +102,13 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
 def test_a_log_that_is_replaced_is_shown_anew_and_two_may_look(browser, tmp_path):
     path = record(tmp_path / 'mission.mcap', SENT)
     with opened(browser, path) as page, opened(browser, path) as other:
-        for each in (page, other):
-            each.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
+        for watching in (page, other):
+            watching.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
         (tmp_path / 'other').mkdir()
         shorter = record(tmp_path / 'other' / 'mission.mcap', sent_by_single(3).sent)
         shutil.move(shorter, path)
-        for each in (page, other):
-            until(each, 'document.getElementById("moment")?.max === "3"')
+        for watching in (page, other):
+            until(watching, 'document.getElementById("moment")?.max === "3"')
 
 
 @pytest.mark.full

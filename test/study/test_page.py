@@ -23,21 +23,21 @@ LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
 FEW = ('25', '50', '100')
 
 
-def cells_of(line):
+def split_row(line):
     return [cell.strip() for cell in line.strip('|\n ').split('|')]
 
 
-def text_of(scenario):
+def table_text(scenario):
     """Return what stands between the marks of a scenario's page of tables."""
     text = (DOCS / f'tables/{scenario}.md').read_text()
     (block,) = re.findall('<!-- table -->\n(.*?)<!-- end -->', text, re.DOTALL)
     return block
 
 
-def rows_of(scenario, place=0):
+def table_rows(scenario, place=0):
     """Return the rows of a scenario's first or second table, [{column: text}]."""
-    tables = re.findall(r'(?:^\|.*\n)+', text_of(scenario), re.MULTILINE)
-    header, _, *lines = map(cells_of, tables[place].splitlines())
+    tables = re.findall(r'(?:^\|.*\n)+', table_text(scenario), re.MULTILINE)
+    header, _, *lines = map(split_row, tables[place].splitlines())
     return [dict(zip(header, line)) for line in lines]
 
 
@@ -52,7 +52,7 @@ def table(scenario):
         (float(row['lethality']), row['method'].strip('`')): {
             column: numbers(cell) for column, cell in row.items()
         }
-        for row in rows_of(scenario)
+        for row in table_rows(scenario)
     }
 
 
@@ -60,13 +60,13 @@ def table(scenario):
 def test_tables_are_of_whole_studies_and_call_rows_as_a_study_does(path):
     scenario = read_scenario(SCENARIOS / path.name.replace('.md', '.yaml'))
     labels = team_labels(scenario)
-    told = [(row['lethality'], row['method'].partition(', ')[2]) for row in rows_of(path.stem)]
+    told = [(row['lethality'], row['method'].partition(', ')[2]) for row in table_rows(path.stem)]
     assert told == [
         (in_short(lethality), labels[team])
         for lethality in scenario.lethalities
         for _, team in scenario.contenders
     ]
-    (said,) = re.findall(r'^After (\d+) robots: means of (\d+) trials', text_of(path.stem))
+    (said,) = re.findall(r'^After (\d+) robots: means of (\d+) trials', table_text(path.stem))
     assert said == (str(scenario.robots), str(scenario.trials))
 
 
@@ -146,7 +146,7 @@ def test_the_example_is_right():
     _, w = printed_loss([0.5] * 3)
     assert 'w = {:.4f}, {:.4f}, {:.4f} and {:.4f}'.format(*w) in text
     assert f'= {survival()[1]:.5f}' in text
-    lines = [cells_of(line) for line in text.splitlines() if re.match(r'\| \d \|', line)]
+    lines = [split_row(line) for line in text.splitlines() if re.match(r'\| \d \|', line)]
     hazards = [0.5] * 3
     for losses, line in enumerate(lines):
         assert line == [f'{losses}', *(f'{p:.4f}' for p in (*hazards, exact_hazard(losses)))]
@@ -193,7 +193,7 @@ def test_numbers_of_the_page_stand_in_the_tables_of_their_studies():
     checked = []
     for section in re.split('^(?=#)', results(), flags=re.MULTILINE):
         scenarios = re.findall(r'\]\((?:\.\./)?tables/(\w+)\.md\)', section)
-        told = {n for scenario in scenarios for n in number.findall(text_of(scenario))}
+        told = {n for scenario in scenarios for n in number.findall(table_text(scenario))}
         told |= {f'{float(n):.0f}' for n in told}
         for row in re.findall(r'^\| (?!lethality|study|---).*', section, re.MULTILINE):
             if scenarios:
@@ -204,7 +204,7 @@ def test_numbers_of_the_page_stand_in_the_tables_of_their_studies():
 
 def test_lanes_that_are_certified_are_free_as_often_as_stated():
     for name, place in (('', 1), ('_learning', 3), ('_clustered', 1)):
-        for row in rows_of(f'certificates{name}', place):
+        for row in table_rows(f'certificates{name}', place):
             free, (difference, low, high) = numbers(row['free']), numbers(row['difference'])
             assert difference >= -0.01
             assert low <= 0 <= high

@@ -352,8 +352,8 @@ def test_missions_stop_by_themselves():
     assert not lost[-1].observation.survived
     assert not mission(stop=Stop(gain=1e6))
     assert not mission(Lane(24), minimum_survival=0.999)
-    for each in mission(minimum_survival=0.6, stop=Stop(losses=1)):
-        assert each.plan.survival >= 0.6
+    for deployment in mission(minimum_survival=0.6, stop=Stop(losses=1)):
+        assert deployment.plan.survival >= 0.6
     with pytest.raises(NoPathError, match='minimum_survival'):
         plan(GRID, PRIOR, certain, 12, minimum_survival=1.0)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 
-def maps_of(joint):
+def marginals(joint):
     hazard = joint[:, 1].sum(axis=1)
     return hazard, joint[:, :, 1].sum(axis=1), joint[:, 1, 1] / hazard
 
@@ -23,7 +23,7 @@ def naive_entropy(probabilities):
 @for_each('seed', range(20))
 def test_maps_and_joint_are_views_of_each_other(seed):
     joint = np.random.default_rng(seed).dirichlet(np.full(4, 0.7), 30).reshape(-1, 2, 2)
-    hazard, target, kappa = maps_of(joint)
+    hazard, target, kappa = marginals(joint)
     belief = Belief.from_maps(hazard, target, kappa)
     np.testing.assert_allclose(belief.joint, joint, atol=1e-14)
     np.testing.assert_allclose(belief.hazard, hazard, atol=1e-14)

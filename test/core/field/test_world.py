@@ -289,13 +289,13 @@ def test_who_obeys_fares_as_by_the_world_alone():
 )
 def test_every_walk_is_one(execution):
     made = runs(execution)
-    for each in made:
-        walk = GRID.check_path(each.walk)
-        if each.observation.survived:
-            assert each.observation.path.tolist() == walk.tolist()
+    for run in made:
+        walk = GRID.check_path(run.walk)
+        if run.observation.survived:
+            assert run.observation.path.tolist() == walk.tolist()
         else:
-            assert each.observation.path.tolist() == PATH
-            assert each.steps_made < len(walk) - 1
+            assert run.observation.path.tolist() == PATH
+            assert run.steps_made < len(walk) - 1
     assert {each.observation.survived for each in made} == {True, False}
     assert len({tuple(each.walk) for each in made}) > 5
 

@@ -41,7 +41,7 @@ SEVEN = Unknowns(
 )
 
 
-def dynamics_of(kind):
+def new_dynamics(kind):
     return Dynamics(kind, 0.02, 0.1) if kind == 'changing' else Dynamics(kind)
 
 
@@ -65,7 +65,7 @@ def drawn(seed, deployments=4):
     return Belief(joint), model, outcomes
 
 
-def sensors_of(numbers):
+def particle_sensors(numbers):
     """Return the sensor model of a particle of `TWO`."""
     return SensorModel(*numbers, 0.1, 0.9, 0.1)
 
@@ -76,12 +76,12 @@ def sensors_of(numbers):
 def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
     belief, model, outcomes = drawn(seed)
     prior = belief if method == 'kappa_bnitp' else belief.independent()
-    bank = Bank(prior, model, TWO, 0, dynamics_of(kind), method == 'kappa_bnitp')
+    bank = Bank(prior, model, TWO, 0, new_dynamics(kind), method == 'kappa_bnitp')
     numbers = bank._numbers[:3]
     evidence = [Evidence.of(*each) for each in outcomes]
     joints, _ = bank._fold(bank._first_joints(numbers), numbers, evidence)
     for place, own in enumerate(numbers):
-        estimator = Estimator(belief, sensors_of(own), method, dynamics=dynamics_of(kind))
+        estimator = Estimator(belief, particle_sensors(own), method, dynamics=new_dynamics(kind))
         for observation, robot_type in outcomes:
             estimator.assimilate(observation, robot_type)
         np.testing.assert_allclose(joints[..., place], estimator.belief.joint, rtol=0, atol=1e-12)
@@ -90,7 +90,7 @@ def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
 @for_each('seed, kind', [(seed, kind) for seed in range(300) for kind in KINDS], every=10)
 def test_an_outcome_has_the_probability_of_all_states(seed, kind):
     belief, model, outcomes = drawn(seed, 1)
-    bank = Bank(belief, model, TWO, 0, dynamics_of(kind))
+    bank = Bank(belief, model, TWO, 0, new_dynamics(kind))
     (observation, robot_type), numbers = outcomes[0], bank._numbers[:3]
     evidence = [Evidence.of(observation, robot_type)]
     _, (log_chance, *_) = bank._fold(bank._first_joints(numbers), numbers, evidence)
@@ -100,8 +100,8 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
     for place, own in enumerate(numbers):
         expected = hazards_in_time.chance(
             belief.joint,
-            dynamics_of(kind),
-            robot_type.model(sensors_of(own)),
+            new_dynamics(kind),
+            robot_type.model(particle_sensors(own)),
             observation.path.tolist(),
             observation.readings,
             lost_at,
@@ -114,11 +114,11 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
 def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
     """Weighed by the product of what each filter gave each outcome beforehand."""
     belief, model, outcomes = drawn(seed, 3)
-    bank = Bank(belief, model, TWO, 0, dynamics_of(kind))
+    bank = Bank(belief, model, TWO, 0, new_dynamics(kind))
     monkeypatch.setattr(Bank, '_resample', lambda *_: None)
     weights, joints = [], []
     for own in bank._numbers:
-        estimator = Estimator(belief, sensors_of(own), dynamics=dynamics_of(kind))
+        estimator = Estimator(belief, particle_sensors(own), dynamics=new_dynamics(kind))
         weight = 1.0
         for number, (observation, robot_type) in enumerate(outcomes):
             before = estimator.belief.joint
@@ -129,8 +129,8 @@ def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
                 lost_at = np.arange(observation.steps) >= observation.steps_survived
             weight *= hazards_in_time.chance(
                 before,
-                dynamics_of(kind),
-                robot_type.model(sensors_of(own)),
+                new_dynamics(kind),
+                robot_type.model(particle_sensors(own)),
                 observation.path.tolist(),
                 observation.readings,
                 lost_at,
@@ -145,7 +145,7 @@ def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
     np.testing.assert_allclose(bank.belief.joint, expected, rtol=0, atol=1e-9)
 
 
-def mission_of(lethality, seed, robots=40, kind='static'):
+def fly_mission(lethality, seed, robots=40, kind='static'):
     """Return the outcomes of a mission with a right prior, and its last field."""
     grid, rng = Grid(6, 6), np.random.default_rng(seed)
     prior = Belief.prior(grid, 0.15, 0.205, 0.8)
@@ -173,7 +173,7 @@ def learnt(prior, observations, unknowns, method='kappa_bnitp', kind='static', s
 @pytest.mark.slow
 @for_each('lethality', [0.1, 0.5, 0.9])
 def test_numbers_are_learnt_as_by_sampling(lethality):
-    prior, observations, _ = mission_of(lethality, 1)
+    prior, observations, _ = fly_mission(lethality, 1)
     bank = learnt(prior, observations, TWO).parameters
     sampled = learnt(prior, observations, TWO, 'kappa_bnitp_sampled').parameters
     for name in ('lethality', 'malfunction'):
@@ -186,7 +186,7 @@ def test_intervals_cover_numbers_drawn_from_the_prior():
     inside, missions = 0, 30
     for seed in range(missions):
         lethality = (seed + 0.5) / missions
-        prior, observations, _ = mission_of(lethality, seed)
+        prior, observations, _ = fly_mission(lethality, seed)
         known = learnt(prior, observations, TWO, seed=seed).parameters['lethality']
         inside += known.quantile(0.05) <= lethality <= known.quantile(0.95)
     assert inside >= 22
@@ -196,7 +196,7 @@ def test_intervals_cover_numbers_drawn_from_the_prior():
 def test_a_lethality_that_nobody_knows_costs_little_where_hazards_are_used_up():
     lost = []
     for seed in range(6):
-        prior, observations, world = mission_of(0.5, seed, kind='used_up')
+        prior, observations, world = fly_mission(0.5, seed, kind='used_up')
         told = Estimator(prior, SensorModel(0.5), dynamics=Dynamics('used_up'))
         for observation in observations:
             told.assimilate(observation)
@@ -208,7 +208,7 @@ def test_a_lethality_that_nobody_knows_costs_little_where_hazards_are_used_up():
 
 
 def test_the_seed_and_the_evidence_make_the_belief():
-    prior, observations, _ = mission_of(0.5, 3, 20)
+    prior, observations, _ = fly_mission(0.5, 3, 20)
     beliefs = [
         learnt(prior, observations, SEVEN, seed=seed).belief.joint.tobytes() for seed in (1, 1, 2)
     ]
@@ -216,7 +216,7 @@ def test_the_seed_and_the_evidence_make_the_belief():
 
 
 def test_draws_are_of_particles():
-    prior, observations, _ = mission_of(0.5, 3, 20)
+    prior, observations, _ = fly_mission(0.5, 3, 20)
     estimator = learnt(prior, observations, TWO)
     assert not estimator.draws_are_exact
     hazardous, independent = estimator.draws(4000, np.random.default_rng(0))

@@ -64,10 +64,10 @@ def ranks(number):
     for _ in range(ROBOTS):
         path = brute_force.random_path(rng, 3, 3, 0, int(rng.integers(2, 8)))
         estimator.assimilate(world.traverse(path, truth, rng))
-    return ranks_of(estimator, drawn, world, rng)
+    return truth_ranks(estimator, drawn, world, rng)
 
 
-def ranks_of(estimator, places, world, rng):
+def truth_ranks(estimator, places, world, rng):
     """Return the ranks of the numbers, by their places among the values, and of the hazards."""
     found = {}
     for name, place in places.items():
@@ -222,7 +222,7 @@ def ranks_of_kind(number, kind, believed, as_told):
         world = made.world
         estimator.assimilate(as_told(made.observation))
     coupling = places.pop('coupling', None)
-    found = ranks_of(estimator, places, world, rng)
+    found = truth_ranks(estimator, places, world, rng)
     if coupling is not None:
         drawn, _ = estimator.draws(DRAWS, rng)
         true, of_draws = (brute_force.pairs(FIELD, each) for each in (world.hazard, drawn))

@@ -81,12 +81,12 @@ def test_kinds_are_weighed_by_the_probability_of_all_evidence(seed):
     dynamics = Dynamics('learn', 0.01, 0.1, 0.05)
     observations = list(outcomes(seed, 3))
     evidence, joints = {}, {}
-    for each in dynamics.kinds:
-        bank = Bank(PRIOR, MODEL, Unknowns(), 0, each)
+    for hypothesis in dynamics.kinds:
+        bank = Bank(PRIOR, MODEL, Unknowns(), 0, hypothesis)
         for observation in observations:
             bank.assimilate(observation, ORDINARY)
-        evidence[each.kind] = PRIORS[each.kind] * np.exp(bank.log_evidence)
-        joints[each.kind] = bank.belief.joint
+        evidence[hypothesis.kind] = PRIORS[hypothesis.kind] * np.exp(bank.log_evidence)
+        joints[hypothesis.kind] = bank.belief.joint
     total = sum(evidence.values())
     estimator = after(observations, dynamics=dynamics)
     for kind, probability in estimator.kinds.items():

@@ -27,7 +27,7 @@ import pytest
 
 # Paths over fields of 2x3 to 4x3 cells, of which brute force holds all states of those visited.
 SIZES = [(2, 3), (3, 2), (3, 3), (4, 3)]
-MOST_CELLS = 6
+MAX_CELLS = 6
 
 
 def draw_lost_at(rng, steps):
@@ -51,7 +51,7 @@ def draw_path(rng, width, height, base):
     while True:
         steps = int(rng.integers(1, 10))
         path = brute_force.random_path(rng, width, height, base, steps)
-        if len(set(path)) <= MOST_CELLS:
+        if len(set(path)) <= MAX_CELLS:
             return path
 
 
@@ -121,7 +121,7 @@ def mission(seed):
                 deployments.append((path, None, 0, draw_lost_at(rng, len(path) - 1)))
             else:
                 deployments.append((path, rng.choice([-1, 0, 1], len(path) - 1)))
-        if len({cell for path, *_ in deployments for cell in path}) > MOST_CELLS:
+        if len({cell for path, *_ in deployments for cell in path}) > MAX_CELLS:
             continue
         chance = 1.0
         for number in range(3):
@@ -254,9 +254,9 @@ def test_the_report_that_tells_most_of_where_counts():
         ledger = Ledger(grid, 4, Estimator(prior, SensorModel(0.5)))
         ledger.record_path(key, path)
         best = -1
-        for each in order:
-            assert ledger.record_report(key, reports[each]) == (each > best)
-            best = max(best, each)
+        for number in order:
+            assert ledger.record_report(key, reports[number]) == (number > best)
+            best = max(best, number)
         assert ledger.outcomes[key].lost_at.tolist() == [0.0, 1 / 9, 1.0, 1 / 9]
     assert ledger.record_report(key, Report(True, ((1, 0), (2, 0), (3, 1), (0, 0))))
     expected = update(prior, SensorModel(0.5), Observation(path, True, [0, 0, 1, 0]))

@@ -212,13 +212,13 @@ def test_a_removed_method_is_refused_with_the_one_to_use():
 
 
 NETWORKS = 50
-MOST_CELLS = 12
+MAX_CELLS = 12
 
 
 def draw(seed, losses):
     """Draw a belief of at most 12 cells and the base, a sensor model, and lost paths."""
     rng = np.random.default_rng(seed)
-    cells = int(rng.integers(2, MOST_CELLS + 1))
+    cells = int(rng.integers(2, MAX_CELLS + 1))
     hazard = np.append(0.0, rng.uniform(0.02, 0.8, cells))
     target = rng.uniform(0.1, 0.9, cells + 1)
     model = SensorModel(rng.uniform(0.05, 1.0), rng.choice([0.0, 0.05, 0.3]))

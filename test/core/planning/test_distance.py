@@ -102,7 +102,7 @@ def problem(seed):
     return grid, belief, model, options, best
 
 
-def length_of(grid, path):
+def path_length(grid, path):
     return sum(step_length(grid, int(a), int(b)) for a, b in pairwise(path))
 
 
@@ -110,7 +110,7 @@ def found_by(grid, belief, model, options, **more):
     """Return the plan, and its value, of a path that keeps to the limits."""
     given = {name: value for name, value in vars(options).items() if name != 'max_steps'}
     found = plan(grid, belief, model, options.max_steps, **given, **more)
-    assert length_of(grid, grid.check_path(found.path, options.max_steps)) <= (
+    assert path_length(grid, grid.check_path(found.path, options.max_steps)) <= (
         options.max_distance * (1.0 + 1e-8)
     )
     return found, found.information - options.loss_cost * (1.0 - found.survival)
@@ -125,9 +125,9 @@ def test_paths_and_bounds_keep_to_the_length(seed):
         own = replace(options, width=width, planner=planner)
         candidates = PathFinder(grid, own).candidates(Objective.alone(grid, belief, model, own))
         assert candidates
-        for each in candidates:
-            assert length_of(grid, each.path) <= options.max_distance * (1.0 + 1e-8)
-            assert each.value <= best + 1e-8
+        for candidate in candidates:
+            assert path_length(grid, candidate.path) <= options.max_distance * (1.0 + 1e-8)
+            assert candidate.value <= best + 1e-8
     found, _ = found_by(grid, belief, model, replace(options, width=4), bound=True)
     assert found.upper_bound >= best - 1e-9
 
@@ -144,7 +144,7 @@ def test_the_limits_of_these_problems_matter():
             max_visits=options.max_visits,
             loss_cost=options.loss_cost,
         )
-        bound_by += length_of(grid, found.path) > options.max_distance * (1.0 + 1e-8)
+        bound_by += path_length(grid, found.path) > options.max_distance * (1.0 + 1e-8)
     assert bound_by > 15
 
 
@@ -158,12 +158,12 @@ def test_robots_of_a_team_keep_their_own_lengths(seed):
     options = SearchOptions(max_steps=12, width=4, max_distance=5.0)
     for allocation in ('greedy', 'voronoi', 'independent'):
         team = plan_team(grid, belief, SensorModel(0.3), Team(3, allocation, types), options)
-        short, free, common = (length_of(grid, each.path) for each in team)
+        short, free, common = (path_length(grid, each.path) for each in team)
         assert 0.0 < short <= 2.5 + 1e-8
         assert 0.0 < common <= 5.0 + 1e-8
         if allocation == 'independent':
             alone = plan(grid, belief, SensorModel(0.3), 12, width=4)
-            assert free == length_of(grid, alone.path)
+            assert free == path_length(grid, alone.path)
 
 
 def distances(grid):

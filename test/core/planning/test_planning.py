@@ -140,8 +140,8 @@ def test_information_per_loss_of_a_team_is_that_of_all_its_robots():
     ratios = []
     for options in (SearchOptions(max_steps=7), SearchOptions(max_steps=7, loss_cost=0.5)):
         per_loss = replace(options, objective='information_per_loss', loss_cost=0.0)
-        for each in (options, per_loss):
-            plans = plan_team(grid, belief, model, Team(3), each)
+        for given in (options, per_loss):
+            plans = plan_team(grid, belief, model, Team(3), given)
             information = team_information(belief, model, [robot.path for robot in plans])
             ratios.append(information / sum(1 - robot.survival for robot in plans))
     assert ratios[1] == ratios[3] >= max(ratios)

@@ -37,7 +37,7 @@ PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MODEL = SensorModel(0.5)
 
 
-def visits_of(path, cells):
+def count_visits(path, cells):
     return np.bincount(path[1:], minlength=cells)
 
 
@@ -74,7 +74,7 @@ def random_belief(seed, grid=GRID):
 @for_each('seed', range(60))
 def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
     joint, model, (one, other, *_) = few_paths(seed)
-    visits = np.array([visits_of(path, 4) for path in (one, other)])
+    visits = np.array([count_visits(path, 4) for path in (one, other)])
     pairs = brute_force.information_of_pairs(joint, model, visits)
     for i, j in ((0, 1), (1, 0), (0, 0)):
         paths = [(one, other)[i], (one, other)[j]]
@@ -140,7 +140,7 @@ def shares_of_the_best(grid, belief, model, steps):
     found = {}
     for allocation in ALLOCATIONS:
         plans = plan_round(grid, belief, model, steps, 2, allocation)
-        found[allocation] = of_pairs(np.array([visits_of(p.path, 16) for p in plans]))[0, 1]
+        found[allocation] = of_pairs(np.array([count_visits(p.path, 16) for p in plans]))[0, 1]
     visits = every_path(grid.base, steps)
     alone = brute_force.information_of_visits(belief.joint, model, visits)
     # Two paths are never worth more together than one by one, so a poor one is in no best pair.
@@ -198,7 +198,7 @@ def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, 
         assert path[0] == path[-1] == 8
         assert 2 <= len(path) <= 8
         assert all(after in around[before] for before, after in pairwise(path))
-        assert visits_of(path, 30).max() <= 2
+        assert count_visits(path, 30).max() <= 2
         assert planned.information == path_information(belief, MODEL, path)
     together = team_information(belief, MODEL, [planned.path for planned in team])
     assert together <= sum(planned.information for planned in team) + 1e-9
@@ -313,7 +313,7 @@ def few_robots(seed):
     return joint, SensorModel(**model), kinds, paths
 
 
-def models_of(kinds, model):
+def sensor_models(kinds, model):
     return [kind.model(model) for kind in kinds]
 
 
@@ -328,7 +328,7 @@ def test_team_information_is_exact_where_hazards_are_known(seed):
     known = joint.argmax(axis=1, keepdims=True)[:, :, :1] == np.arange(2)[:, None]
     joint = joint * known
     joint /= joint.sum(axis=(1, 2), keepdims=True)
-    exact = brute_force.joint_information(joint, models_of(kinds, model), paths)
+    exact = brute_force.joint_information(joint, sensor_models(kinds, model), paths)
     found = team_information(Belief(joint), model, paths, robot_types=kinds)
     assert found == pytest.approx(exact, abs=1e-9)
 
@@ -338,7 +338,7 @@ def test_information_of_teams_of_types_is_the_joint_information_but_for_a_little
     above = np.zeros(300)
     for seed in range(above.size):
         joint, model, kinds, paths = few_robots(seed)
-        exact = brute_force.joint_information(joint, models_of(kinds, model), paths)
+        exact = brute_force.joint_information(joint, sensor_models(kinds, model), paths)
         above[seed] = team_information(Belief(joint), model, paths, robot_types=kinds) / exact - 1
     print(f'{above.mean():.2%} above on average, at most {above.max():.0%}')
     assert above.min() > -1e-9

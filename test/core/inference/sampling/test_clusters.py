@@ -24,7 +24,7 @@ KAPPA, BACKGROUND = 0.8, 0.1
 GRIDS = [(2, 3), (3, 3), (4, 3)]
 
 
-def prior_of(grid, density):
+def uniform_prior(grid, density):
     """Return a prior of one density, free at the base."""
     return Belief.prior(grid, density, density * KAPPA + (1 - density) * BACKGROUND, KAPPA)
 
@@ -35,11 +35,11 @@ def likelihood(states, model, observations):
     positive = np.array(brute_force.detection(model))
     looks = np.ones((2, states.shape[1]))
     product_of = np.ones(len(states))
-    for each in observations:
-        survived = np.prod(survival[states[:, each.path[1:]]], axis=1)
-        product_of *= survived if each.survived else 1.0 - survived
-        if each.survived:
-            for cell, reading in zip(each.path[1:], each.readings):
+    for observation in observations:
+        survived = np.prod(survival[states[:, observation.path[1:]]], axis=1)
+        product_of *= survived if observation.survived else 1.0 - survived
+        if observation.survived:
+            for cell, reading in zip(observation.path[1:], observation.readings):
                 looks[:, cell] *= positive if reading else 1.0 - positive
     by_hazard = np.array([BACKGROUND, KAPPA])
     read = by_hazard[:, None] * looks[1] + (1.0 - by_hazard[:, None]) * looks[0]
@@ -80,9 +80,9 @@ def random_mission(seed, malfunction=0.05):
     return grid, clustering, density, model, observations
 
 
-def estimator_of(grid, clustering, density, model, seed=0):
+def new_estimator(grid, clustering, density, model, seed=0):
     """Return what samples."""
-    return Estimator(prior_of(grid, density), model, METHOD, seed=seed, clustering=clustering)
+    return Estimator(uniform_prior(grid, density), model, METHOD, seed=seed, clustering=clustering)
 
 
 def divergence(exact, hazard):
@@ -97,9 +97,9 @@ def divergences(seeds):
     of_beliefs, of_couplings = [], []
     for seed in seeds:
         grid, clustering, density, model, observations = random_mission(seed)
-        estimator = estimator_of(grid, clustering, density, model, seed)
-        for each in observations:
-            estimator.assimilate(each)
+        estimator = new_estimator(grid, clustering, density, model, seed)
+        for observation in observations:
+            estimator.assimilate(observation)
         couplings = clustering.bins.values
         exact, weights = posterior(grid, couplings, density, model, observations)
         of_beliefs.append(divergence(exact, estimator.belief.hazard))
@@ -141,7 +141,7 @@ def test_more_sweeps_come_closer(monkeypatch):
 def test_as_many_sweeps_are_made_as_are_asked_for(monkeypatch, seed, error, most, made):
     """In rounds of four: all of them, or one round where the belief is as close as it is to be."""
     grid, clustering, density, model, observations = random_mission(seed)
-    estimator = estimator_of(grid, clustering, density, model)
+    estimator = new_estimator(grid, clustering, density, model)
     converge_at(monkeypatch, error, most)
     sweeps, sweep = [], Chains.sweep
 
@@ -159,10 +159,10 @@ def test_as_many_sweeps_are_made_as_are_asked_for(monkeypatch, seed, error, most
 def test_the_belief_before_any_robot_is_the_prior(seed):
     grid, clustering, density, model, _ = random_mission(seed)
     exact, _ = posterior(grid, clustering.bins.values, density, model, [])
-    estimator = estimator_of(grid, clustering, density, model)
+    estimator = new_estimator(grid, clustering, density, model)
     assert estimator.belief.hazard == pytest.approx(exact, abs=0.01)
     # Targets follow hazards as in the prior.
-    belief, prior = estimator.belief, prior_of(grid, density)
+    belief, prior = estimator.belief, uniform_prior(grid, density)
     assert belief.kappa[belief.hazard > 0] == pytest.approx(prior.kappa[belief.hazard > 0])
 
 
@@ -170,7 +170,7 @@ def test_draws_are_clustered():
     grid = Grid(6, 6)
     shared = []
     for coupling in (0.0, 1.2):
-        estimator = estimator_of(grid, Clustering(grid, coupling), 0.2, SensorModel(0.5))
+        estimator = new_estimator(grid, Clustering(grid, coupling), 0.2, SensorModel(0.5))
         maps = estimator.draws(2000, np.random.default_rng(0))[0].reshape(-1, 6, 6)
         shared.append((maps[:, 1:] & maps[:, :-1]).mean())
         assert maps.mean() * 36 / 35 == pytest.approx(0.2, abs=0.01)
@@ -209,9 +209,9 @@ def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
     grid, _, density, model, observations = random_mission(1)
     beliefs = []
     for clustering in (None, Clustering(grid, 0.0)):
-        estimator = estimator_of(grid, clustering, density, model)
-        for each in observations:
-            estimator.assimilate(each)
+        estimator = new_estimator(grid, clustering, density, model)
+        for observation in observations:
+            estimator.assimilate(observation)
         beliefs.append(estimator.belief.joint.tobytes())
     assert beliefs[0] == beliefs[1]
 
@@ -228,7 +228,7 @@ def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
 def test_what_does_not_go_with_clusters_is_refused(changed, message):
     grid = Grid(4, 3)
     given = {
-        'belief': prior_of(grid, 0.2),
+        'belief': uniform_prior(grid, 0.2),
         'model': SensorModel(0.5),
         'method': METHOD,
         'clustering': Clustering(grid, 0.5),
