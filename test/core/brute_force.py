@@ -38,7 +38,7 @@ def random_joint(rng, cells, base):
 
 
 def random_sensors(rng):
-    """Draw a sensor model's arguments: lethality 0.01 to 1, perfect parts now and then."""
+    """Draw a sensor model's arguments: lethality 0.01 to 1, some parts perfect."""
     low, high = 10 ** rng.uniform(-2, 0), rng.uniform(0.01, 1)
     return {
         'lethality': float(rng.choice([0.01, 1.0, low, high])),
@@ -50,7 +50,7 @@ def random_sensors(rng):
 
 
 def pairs(grid, states):
-    """Count the pairs of hazards that share a side in each of the states, (states, cells)."""
+    """Count the pairs of adjacent hazards (sharing a side) in each state, (states, cells)."""
     maps = states.reshape(-1, grid.height, grid.width)
     down = (maps[:, 1:] * maps[:, :-1]).sum(axis=(1, 2))
     return down + (maps[..., 1:] * maps[..., :-1]).sum(axis=(1, 2))
@@ -59,9 +59,9 @@ def pairs(grid, states):
 @cache
 def enumerate_hazards(grid):
     """
-    Return all states of the hazards, and which of them are alike in how many hazards and pairs.
+    Return all states of the hazards, grouped by their numbers of hazards and of pairs.
 
-    Of each kind follow how many hazards and pairs it has, and how many states are of it.
+    Returns the states, the group of each state, and of each group its hazards, pairs and size.
     """
     states = np.array(list(product((0, 1), repeat=grid.cells)))
     states = states[(states[:, [grid.base, *grid.blocked]] == 0).all(axis=1)]
@@ -109,7 +109,7 @@ def random_path(rng, width, height, base, steps):
 
 
 def random_case(rng, most_cells, most_steps):
-    """Draw a small belief, sensors and a path over at most so many different cells."""
+    """Draw a small belief, sensors and a path over at most `cells` different cells."""
     width, height = rng.integers(1, 4, 2)
     base = int(rng.integers(width * height))
     while True:
@@ -135,10 +135,10 @@ def enumerate_states(joint, cells):
 
 def fates(model, cells, states, path, steps_survived=0, lost_at=None):
     """
-    Probability in each state to be lost after so many steps, and to return.
+    Return the probability to be lost after each number of steps, and to return, in each state.
 
-    With `lost_at` each step in which it may be lost weighs by how well it fits.
-    A robot is lost on exactly one of its steps, so no small number is ever subtracted from one.
+    `lost_at` weighs the steps. A robot is lost on exactly one step, so no small number is
+    subtracted from 1.
     """
     s0, s1 = step_survival(model)
     steps = [cells.index(cell) for cell in path[1:]]
@@ -151,7 +151,7 @@ def fates(model, cells, states, path, steps_survived=0, lost_at=None):
 
 
 def readings_likelihood(model, cells, states, path, readings):
-    """Probability of the readings, one a step, -1 where not looked, in each state."""
+    """Return the probability of the readings in each state, one a step, -1 without a look."""
     off, on = detection(model)
     steps = [cells.index(cell) for cell in path[1:]]
     positive = np.where(states[:, steps, 1], on, off)
@@ -160,7 +160,7 @@ def readings_likelihood(model, cells, states, path, readings):
 
 
 def evidence_likelihood(model, cells, states, path, readings, steps_survived=0, lost_at=None):
-    """Probability in each state to return with these readings; readings None: to be lost."""
+    """Return the probability in each state to return with these readings; None: to be lost."""
     lost, returned = fates(model, cells, states, path, steps_survived, lost_at)
     if readings is None:
         return lost
@@ -168,13 +168,13 @@ def evidence_likelihood(model, cells, states, path, readings, steps_survived=0, 
 
 
 def evidence_probability(joint, model, path, *outcome):
-    """Predicted probability of one outcome: readings, if known steps survived, and `lost_at`."""
+    """Return the predicted probability of an outcome: readings, steps survived, `lost_at`."""
     cells, states, prior = enumerate_states(joint, path[1:])
     return (prior * evidence_likelihood(model, cells, states, path, *outcome)).sum()
 
 
 def weighed(joint, seen):
-    """Return how probable deployments, each after its model, are, and the cells' joints then."""
+    """Return the probability of deployments with their models, and the posterior joints."""
     visited = {cell for _, path, *_ in seen for cell in path[1:]}
     cells, states, weight = enumerate_states(joint, visited)
     for model, *deployment in seen:
@@ -187,12 +187,12 @@ def weighed(joint, seen):
 
 
 def posterior(joint, model, *deployments):
-    """Take in deployments: each a path, its readings, and perhaps steps survived and `lost_at`."""
+    """Return the posterior joints after deployments: path, readings, steps survived, `lost_at`."""
     return weighed(joint, [(model, *each) for each in deployments])[1]
 
 
 def behavioral_entropy(chance, alpha):
-    """Behavioral entropy of a coin: that of Shannon, of the Prelec weights of both sides."""
+    """Behavioral entropy of a coin: Shannon's, of the Prelec weights of both sides."""
     beta = log(2) ** (1 - alpha)
     weights = [np.exp(-beta * (-log(p)) ** alpha) for p in (chance, 1 - chance) if p > 0]
     return -sum(w * log(w) for w in weights if w > 0)
@@ -200,10 +200,10 @@ def behavioral_entropy(chance, alpha):
 
 def behavioral_information(joint, model, path, alpha):
     """
-    Sum by how much two entropies fall, nats, over all states and all outcomes.
+    Sum the expected fall of two entropies, nats, over all states and outcomes.
 
-    That of the robot's fate once the hazards are known, and if it returns those of all targets
-    once all readings are.
+    One is of the robot's fate given the hazards; the other, for a return, of all targets given the
+    readings.
     """
     cells, states, prior = enumerate_states(joint, path[1:])
     _, returned = fates(model, cells, states, path)
@@ -249,8 +249,8 @@ def published_loss(joint, model, path, lost_at=None):
     """
     Hazard, target and kappa of each cell of the path after a loss, eq. 10, 11 and 12.
 
-    Sums over every delta in {0, 1}^steps. A repeated cell is summed over each of its instances.
-    The weight of a loss in a step is multiplied by `lost_at` of it, if given.
+    Sums over every delta in {0, 1}^steps; a repeated cell over each of its instances. `lost_at`,
+    if given, multiplies the weight of a loss in a step.
     """
     fit = [1.0] * (len(path) - 1) if lost_at is None else lost_at
     p_delta = destruction(model)
@@ -320,9 +320,9 @@ def published_return(joint, model, path, readings):
 
 def all_visit_counts(width, height, base, most_steps, blocked=()):
     """
-    Count the visits per cell of every closed path of 1 to most_steps steps, each result once.
+    Count visits per cell of all closed paths of 1 to most_steps steps, without duplicates.
 
-    What a path tells depends only on how often it enters each cell.
+    The information of a path depends only on its visits per cell.
     """
     around = adjacent(width, height, blocked)
     ends = {(base, (0,) * (width * height))}
@@ -374,7 +374,7 @@ def survival_of_visits(joint, model, visits):
 
 
 def left_open_of_visits(joint, model, visits):
-    """Return E_z[h(P(survive | z))], what hazards leave open of a fate, for each row of visits."""
+    """Return E_z[h(P(survive | z))], the fate's entropy given hazards, for each row of visits."""
     s0, s1 = step_survival(model)
     hazard = joint[:, 1].sum(axis=1)
     steps = visits.sum(axis=1)
@@ -392,9 +392,9 @@ def left_open_of_visits(joint, model, visits):
 
 def information_of_visits(joint, model, visits):
     """
-    Return the expected information of many paths, (paths,) nats, given their visits per cell.
+    Return the expected information of many paths, (paths,) nats, from their visits per cell.
 
-    Fast enough to search all paths; itself tested against `information`.
+    Fast enough for all paths; itself tested against `information`.
     """
     returns = survival_of_visits(joint, model, visits)
     fate = binary_entropy(returns) - left_open_of_visits(joint, model, visits)
@@ -411,7 +411,7 @@ def information_of_visits(joint, model, visits):
 
 
 def joint_information(joint, models, paths):
-    """Sum I(Z, X; all outcomes), nats, over all states and outcomes; each robot has its model."""
+    """Sum I(Z, X; all outcomes), nats, over all states and outcomes, each robot with its model."""
     cells, states, prior = enumerate_states(joint, [c for path in paths for c in path[1:]])
     likelihood = np.ones((len(states), 1))
     for model, path in zip(models, paths, strict=True):
@@ -431,7 +431,7 @@ def joint_information(joint, models, paths):
 
 
 def surprisal(p):
-    """Return -p log p, nats, for an array; 0 at 0 and at what rounding leaves below it."""
+    """Return -p log p, nats, for an array; 0 at 0 and for negative rounding errors."""
     return -p * np.log(np.where(p > 0, p, 1.0))
 
 
@@ -440,10 +440,9 @@ def information_of_pairs(joint, model, visits):
     Return I(Z, X; both outcomes) of all pairs of paths, (paths, paths) nats, exactly.
 
     `visits` has a row of visits per cell for each path. H(outcomes) - H(outcomes | Z, X): given
-    who returns, a cell's readings count by their positives. When both robots return, the cells
-    are independent. When one does, the probability of its readings is that with the other one's
-    fate open less that with both returned: two products over cells. Tested against
-    `joint_information`.
+    who returns, a cell's readings count by their positives. When both robots return, the cells are
+    independent. When one does, the probability of its readings is that with any fate of the other
+    less that with both returned: two products over cells. Tested against `joint_information`.
     """
     cells, most = np.arange(len(joint)), 2 * visits.max()
     survive = np.array(step_survival(model)) ** np.arange(most + 1)[:, None]

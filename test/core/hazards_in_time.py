@@ -11,12 +11,12 @@ import numpy as np
 
 
 def enumerate_hazards(cells):
-    """List all states of so many hazards, (2^cells, cells)."""
+    """Return all states of the hazards of some cells, (2^cells, cells)."""
     return np.array(list(product((0, 1), repeat=cells)))
 
 
 def changed(weight, states, possible, appear, vanish):
-    """Move the weights, (..., states), of all states by a change of each possible cell."""
+    """Apply one change of each possible cell to the weights, (..., states), of all states."""
     for cell in np.flatnonzero(possible):
         bit = 1 << (states.shape[1] - 1 - cell)
         there = states[:, cell] == 1
@@ -28,7 +28,7 @@ def changed(weight, states, possible, appear, vanish):
 
 
 def deployed(weight, states, model, used_up, path, is_lost, lost_at):
-    """Send a robot along a path: the weights of the states after the outcome."""
+    """Deploy a robot on a path; return the weights of the states after its outcome."""
     failed, set_off = model.malfunction, model.lethality
     dead = np.zeros_like(weight)
     for step, cell in enumerate(path[1:]):
@@ -46,9 +46,9 @@ def deployed(weight, states, model, used_up, path, is_lost, lost_at):
 
 
 def moved_to(weight, target, where):
-    """Move the weights of some states to others."""
+    """Move weights of states to other states."""
     moved = np.zeros_like(weight)
-    # No two of these states have the same target.
+    # Each of these states has another target.
     moved[..., target[where]] = weight[..., where]
     return moved
 
@@ -60,7 +60,7 @@ def chance(joint, dynamics, model, path, readings, lost_at):
 
 
 def posterior(joint, dynamics, *deployments, possible=None):
-    """Take in deployments, each a sensor model, a path, readings or None and `lost_at` or None."""
+    """Fold deployments (sensor model, path, readings or None, `lost_at` or None)."""
     weight = weights(joint, dynamics, deployments, possible)
     if not weight.any():
         return None
@@ -73,7 +73,7 @@ def posterior(joint, dynamics, *deployments, possible=None):
 
 
 def weights(joint, dynamics, deployments, possible=None):
-    """Return for each cell and each target in it the weights of all states, (cells, 2, states)."""
+    """Return the weights of all states for each cell and its target, (cells, 2, states)."""
     cells = len(joint)
     states = enumerate_hazards(cells)
     read = np.ones((cells, 2))

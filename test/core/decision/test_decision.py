@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be relied on equals what enumeration of all states says."""
+"""Decisions and their probabilities equal the enumeration of all states."""
 
 from itertools import product
 from math import inf
@@ -46,7 +46,7 @@ SHAPES = ((3, 3), (4, 3), (4, 4))
 
 
 def posterior(rng, width, height, model, deployments):
-    """List all states of the hazards, and how probable each is after random deployments."""
+    """Return all states of the hazards and their probabilities after random deployments."""
     cells = width * height
     prior = rng.choice([0.0, 0.1, rng.uniform(), 0.9], cells)
     prior[0] = 0.0
@@ -64,7 +64,7 @@ def posterior(rng, width, height, model, deployments):
 
 
 def survivals(states, path, model):
-    """Return the chance to survive a path in each state."""
+    """Return the probability to survive a path in each state."""
     chances = np.ones(len(states))
     for cell in path[1:]:
         chances *= np.where(states[:, cell], *reversed(step_survival(model)))
@@ -72,7 +72,7 @@ def survivals(states, path, model):
 
 
 def ways(width, height, to, most):
-    """Return all ways from cell 0 that enter no cell twice."""
+    """Return all simple paths from cell 0."""
     around = adjacent(width, height)
     found, open_ways = [], [(0,)]
     while open_ways:
@@ -90,7 +90,7 @@ def entropy(p):
 
 
 @for_each('seed', range(300), every=1 if FULL else 3)
-def test_numbers_are_those_of_all_states(seed):
+def test_probabilities_are_those_of_all_states(seed):
     rng = np.random.default_rng(seed)
     width, height = SHAPES[seed % 3]
     model = SensorModel(**random_sensors(rng))
@@ -150,8 +150,8 @@ def test_numbers_are_those_of_all_states(seed):
 
 
 @for_each('seed', range(40))
-def test_readings_of_one_cell_tell_of_a_lane_what_all_their_outcomes_do(seed):
-    """Of several cells they tell at most what all together do, and what there is to be known."""
+def test_information_of_one_cell_about_a_lane_is_exact(seed):
+    """Readings of several cells tell at most the expected entropy of the lane."""
     rng = np.random.default_rng([seed, 31])
     grid, model = Grid(3, 3), SensorModel(**random_sensors(rng))
     states, weight = posterior(rng, 3, 3, model, 2)
@@ -199,8 +199,8 @@ def test_cheapest_ways_cost_least_of_all_ways(seed):
 
 
 @for_each('seed', range(60))
-def test_readings_tell_of_hazards_what_all_outcomes_do(seed):
-    """The expected fall of the entropies is that over all states, fates and readings."""
+def test_information_about_hazards_is_exact(seed):
+    """The expected fall of the entropies, over all states, fates and readings."""
     rng = np.random.default_rng([seed, 26])
     model = SensorModel(**random_sensors(rng))
     states, weight = posterior(rng, 3, 3, model, 2)
@@ -266,7 +266,7 @@ PATHS = ([0, 1, 2, 1, 0], [0, 3, 4, 1, 0], [0, 1, 4, 3, 0], [0, 4, 8, 4, 0])
 
 
 @pytest.mark.parametrize('method', ['kappa_bnitp_sampled', 'kappa_bnitp'])
-def test_draws_are_of_the_belief_and_those_of_sampling_of_the_joint_posterior(method):
+def test_draws_follow_the_belief_or_the_joint_posterior_of_sampling(method):
     hazard = np.array([0.0, *[0.3] * 8])
     prior = Belief.from_maps(hazard, hazard, np.full(9, 0.5))
     model = SensorModel(0.7)
@@ -296,7 +296,7 @@ def test_draws_are_of_the_belief_and_those_of_sampling_of_the_joint_posterior(me
 
 
 def uniform(grid, hazard):
-    """Return a prior with this hazard in every cell but the base."""
+    """Return a prior with the same hazard in all cells but the base."""
     maps = np.full(grid.cells, hazard)
     maps[grid.base] = 0.0
     return Belief.from_maps(maps, 0.8 * maps, np.full(grid.cells, 0.8))
@@ -358,8 +358,8 @@ def test_missions_stop_by_themselves():
         plan(GRID, PRIOR, certain, 12, minimum_survival=1.0)
 
 
-def test_robots_of_a_round_are_sent_for_what_each_adds():
-    # No lane is probably free, so that none is flown along by all.
+def test_robots_of_a_round_add_to_each_other():
+    # No lane is probably free, so not all robots fly along the same.
     prior = Belief.prior(GRID, 0.3, 0.35, 0.8)
     draws = HazardDraws.of(Estimator(prior, MODEL), 0)
     planned = plan_round(Lane(24), draws, GRID, prior, MODEL, Team(8), NEAR)
@@ -408,7 +408,7 @@ def test_contradictory_stops_are_refused():
             Stop(**wrong)
 
 
-def test_targets_are_told_with_looks_and_misses():
+def test_targets_have_their_looks_and_misses():
     belief = Belief.from_maps([0.0, 0.2, 0.2], [0.1, 0.5, 0.3], [0.1, 0.5, 0.5])
     model = SensorModel(0.5, true_positive=0.9)
     seen = Observation([0, 1, 2, 1, 0], True, [True, False, -1, False])

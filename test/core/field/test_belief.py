@@ -56,7 +56,7 @@ def test_rounding_alone_is_no_reason_to_refuse():
 
 
 def test_views_never_leave_the_probabilities_by_rounding():
-    """What a belief shows, from_maps takes back: also near certainty."""
+    """from_maps accepts the maps of any belief, also near certainty."""
     joint = np.random.default_rng(0).dirichlet([1e-3, 1.0, 1e-3, 1.0], 20000).reshape(-1, 2, 2)
     for nearly in (joint, joint.transpose(0, 2, 1)):
         belief = Belief(nearly)
@@ -125,7 +125,7 @@ def test_prior_has_no_hazard_at_the_base_and_nothing_in_blocked_cells():
 
 
 def test_prior_takes_maps():
-    """At the base the target is q = (0.3 - 0.4 * 0.5) / 0.5: what it is where no hazard is."""
+    """At the base the target is q = (0.3 - 0.4 * 0.5) / 0.5, the target without a hazard."""
     grid = Grid(3, 1, base=1)
     hazard, target, kappa = [0.2, 0.5, 0.4], [0.5, 0.3, 0.2], [0.9, 0.4, 0.1]
     belief = Belief.prior(grid, hazard, target, kappa)
@@ -174,7 +174,7 @@ def test_beliefs_cannot_be_changed():
     assert belief.joint[0, 0, 0] == 0.25
 
 
-# How far beliefs are from the world, and that the exact ones are as near as can be.
+# Scores against the true world; exact beliefs have the best possible.
 
 
 @for_each('seed', range(10))
@@ -206,7 +206,7 @@ def test_a_truth_of_another_size_is_refused(score):
 
 @pytest.fixture(scope='module')
 def one_deployment_each():
-    """Beliefs, exact and as published, of many worlds drawn from the prior."""
+    """Return beliefs, exact and published, of many worlds drawn from the prior."""
     grid, model, rng = Grid(3, 3), SensorModel(0.6), np.random.default_rng(1)
     prior = Belief.prior(grid, 0.3, 0.36, 0.8)
     drawn = []
@@ -226,7 +226,7 @@ def one_deployment_each():
 
 
 def test_exact_beliefs_are_calibrated(one_deployment_each):
-    """What is believed with p is there with frequency p."""
+    """Cells believed with probability p are true with frequency p."""
     _, drawn = one_deployment_each
     for name in ('hazard', 'target'):
         believed = np.concatenate([getattr(exact, name) for _, _, exact, _ in drawn])

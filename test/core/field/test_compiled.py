@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels are compiled where they can be, and run anyway where not."""
+"""Kernels are compiled if possible, and run uncompiled if not."""
 
 import ast
 import os
@@ -34,9 +34,9 @@ print(half(1.0), third(3.0), type(half).__name__)
 
 
 def run(source, file='kernel.py', folder=None, before='', **environment):
-    """Run the kernels in a process of its own; return what it printed and what it warned of."""
+    """Run the kernels in another process; return its output and its warnings."""
     path = folder / file
-    # Of a file that changed no code is kept.
+    # Files without a code change keep their compiled code.
     if not path.exists():
         path.write_text(source)
     code = f'{before}\nimport runpy; runpy.run_path({str(path)!r})'
@@ -55,7 +55,7 @@ def test_kernels_are_compiled(tmp_path):
     assert run(KERNEL, folder=tmp_path) == (['0.5', '1.0', 'CPUDispatcher'], [])
 
 
-def test_the_first_compilation_is_told_of_once(tmp_path):
+def test_the_first_compilation_is_announced_once(tmp_path):
     path = tmp_path / 'kernel.py'
     path.write_text(KERNEL)
     told = []
@@ -71,8 +71,8 @@ def test_compilation_can_be_switched_off(tmp_path):
     assert not warnings
 
 
-def test_a_numba_that_is_missing_is_told_once(tmp_path):
-    # A module that is None in sys.modules cannot be imported.
+def test_a_missing_numba_is_reported_once(tmp_path):
+    # None in sys.modules: the module cannot be imported.
     printed, warnings = run(
         KERNEL, folder=tmp_path, before="import sys; sys.modules['numba'] = None"
     )
@@ -81,8 +81,8 @@ def test_a_numba_that_is_missing_is_told_once(tmp_path):
     assert 'pip install' in warnings[0]
 
 
-def test_code_that_can_be_kept_nowhere_is_compiled_at_every_start(tmp_path):
-    # Functions of a file that does not exist have no folder for their code.
+def test_code_without_a_cache_is_compiled_at_every_start(tmp_path):
+    # Functions of a file that does not exist have no cache folder.
     nowhere = f'exec(compile({KERNEL!r}, "/nowhere/kernel.py", "exec"))'
     printed, warnings = run(nowhere, folder=tmp_path)
     assert printed == ['0.5', '1.0', 'CPUDispatcher']
@@ -90,7 +90,7 @@ def test_code_that_can_be_kept_nowhere_is_compiled_at_every_start(tmp_path):
 
 
 def cut(file):
-    """Leave the first half, as a machine that loses power may."""
+    """Cut a file in half, as a power loss may."""
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
 
 
@@ -127,7 +127,7 @@ def test_torn_files_are_compiled_anew(tmp_path, torn):
     assert run(KERNEL, **environment) == (compiled, [])
 
 
-def test_a_full_disk_is_told_and_kernels_run(tmp_path):
+def test_a_full_disk_is_reported_and_kernels_run(tmp_path):
     full = 'import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))'
     full += '; import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)'
     printed, warnings = run(KERNEL, folder=tmp_path, before=full, NUMBA_CACHE_DIR=str(tmp_path))
@@ -142,8 +142,8 @@ print(path_information(belief, SensorModel(0.5), [0, 1, 0]))
 """
 
 
-def test_no_code_outlives_its_sources(tmp_path):
-    """Also where another file of kernels changes than that of the kernel that is called."""
+def test_changed_sources_are_compiled_anew(tmp_path):
+    """Also if another kernel file changes than the called kernel's."""
     without = shutil.ignore_patterns('__pycache__')
     shutil.copytree(CORE.parent, tmp_path / 'kbnitp_ros', ignore=without)
     before = f'import sys; sys.path.insert(0, {str(tmp_path)!r})'
@@ -158,7 +158,7 @@ def test_no_code_outlives_its_sources(tmp_path):
 
 
 def test_inlined_kernels_return_no_arrays():
-    # numba itself refuses those that make some.
+    # numba itself refuses kernels that make arrays.
     returned = {
         kernel.name: ast.unparse(kernel.returns)
         for path in CORE.rglob('*_kernels.py')

@@ -18,7 +18,7 @@ import pytest
 
 @for_each('seed', range(40))
 def test_neighbors_of_every_cell(seed):
-    """All around, those that share a side, and those beside no blocked cell."""
+    """All around, by side, and not beside a blocked cell."""
     rng = np.random.default_rng(seed)
     width, height = rng.integers(1, 7, 2)
     blocked = rng.choice(width * height, rng.integers(0, width * height), replace=False)
@@ -91,7 +91,7 @@ def test_steps_to_base_go_around_blocked_cells():
 
 @for_each('blocked', [(), (1, 6, 11, 16)])
 @for_each('max_steps', [0, 1, 2, 3, 5, 1000])
-def test_what_is_in_reach_is_what_some_path_leads_through(max_steps, blocked):
+def test_cells_in_reach_are_those_of_all_paths(max_steps, blocked):
     grid = Grid(5, 4, base=0, blocked=blocked)
     ways_out = {0: {grid.base}}
     for steps in range(1, min(max_steps, grid.cells) // 2 + 1):
@@ -155,7 +155,7 @@ def test_a_center_is_in_its_cell_wherever_a_grid_may_lie(resolution, origin, cel
     st.tuples(st.floats(-1e5, 1e5), st.floats(-1e5, 1e5)),
 )
 def test_cells_follow_rows_that_are_turned(yaw, resolution, origin):
-    """A turn is a product of complex numbers."""
+    """The turn, as a product of complex numbers."""
     grid = Grid(4, 3, resolution=resolution, origin=origin, yaw=yaw)
     row, column = np.divmod(np.arange(12), 4)
     along = np.exp(1j * yaw) * resolution * (column + 0.5 + 1j * (row + 0.5))
@@ -231,7 +231,7 @@ def test_paths_are_of_any_length_unless_limited():
     assert len(Grid(2, 2).check_path([0] * 1000)) == 1000
 
 
-def test_a_grid_is_told_in_a_line_however_much_of_it_is_blocked():
+def test_the_repr_of_a_grid_is_one_line_however_much_is_blocked():
     few, many = Grid(3, 2, base=4, blocked=(2, 0)), Grid(90, 90, blocked=range(1, 6000, 2))
     assert str(few) == (
         'Grid(width=3, height=2, base=4, resolution=1.0, origin=(0.0, 0.0), yaw=0.0, '

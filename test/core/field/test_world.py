@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds, sensors, and what robots do and bring from there."""
+"""Worlds, sensors, executions and observations of robots."""
 
 from itertools import product
 import math
@@ -15,7 +15,7 @@ SIGMAS = 5
 
 
 def assert_share(count, of, probability):
-    """Hold a count against the binomial it is drawn from."""
+    """Check a count against its binomial distribution."""
     spread = math.sqrt(of * probability * (1 - probability))
     assert abs(count - of * probability) <= SIGMAS * spread + 1e-9
 
@@ -145,7 +145,7 @@ def test_a_path_outside_the_world_is_refused():
         World(HAZARD, TARGET).traverse([0, 4, 0], SensorModel(0.5), np.random.default_rng(0))
 
 
-# What a robot survives and what it reports.
+# Survival and readings of a robot.
 
 
 FIELDS = ('lethality', 'malfunction', 'false_negative', 'true_positive', 'false_positive')
@@ -179,7 +179,7 @@ def test_reading_of_a_cell():
 
 
 @for_each('field, value', product(FIELDS, [-0.01, 1.01, math.nan, math.inf, -math.inf]))
-def test_what_is_no_probability_is_refused_by_name(field, value):
+def test_bad_probabilities_are_refused_by_name(field, value):
     with pytest.raises(ValueError, match=rf'{field} is {value}.*\[0, 1\]'):
         SensorModel(**{'lethality': 0.5, field: value})
 
@@ -196,7 +196,7 @@ def test_models_compare_and_cannot_be_changed():
         SensorModel(0.5).lethality = 0.9
 
 
-# What comes back, or does not, from one deployment.
+# Observation of one deployment.
 
 
 def test_a_returned_robot_brings_a_reading_for_each_step():
@@ -256,7 +256,7 @@ def test_observations_cannot_be_changed():
     assert observation.readings.tolist() == [True, False]
 
 
-# Robots that depart from their orders make walks all the same, and tell what they may.
+# Robots that deviate from their orders still make walks, and tell them correctly.
 
 
 GRID = Grid(5, 4, base=6, blocked=(8, 13), through_corners=False)
@@ -272,7 +272,7 @@ def runs(execution, count=400, model=MODEL):
     ]
 
 
-def test_who_obeys_fares_as_by_the_world_alone():
+def test_an_obedient_robot_has_the_fate_of_the_world_alone():
     for seed, made in enumerate(runs(Execution(), 100)):
         expected = WORLD.traverse(PATH, MODEL, np.random.default_rng(seed))
         found = made.observation
@@ -287,7 +287,7 @@ def test_who_obeys_fares_as_by_the_world_alone():
     'execution',
     [Execution(detour=0.4), Execution(early_return=0.2), Execution(0.3, 0.1, 0.3, 0.1)],
 )
-def test_every_walk_is_one(execution):
+def test_every_walk_is_a_path(execution):
     made = runs(execution)
     for run in made:
         walk = GRID.check_path(run.walk)
@@ -308,7 +308,7 @@ def test_a_detour_passes_every_cell_of_the_path():
     assert max(map(len, longer)) > len(PATH) + 2
 
 
-def test_who_turns_back_takes_a_shortest_way_home():
+def test_a_robot_that_turns_back_takes_a_shortest_way_home():
     walks = [made.walk.tolist() for made in runs(Execution(early_return=0.3))]
     for walk in walks:
         assert walk == PATH or any(
@@ -337,15 +337,15 @@ def test_certain_contact_tells_each_step():
 
 
 @pytest.mark.slow
-def test_silence_tells_that_a_robot_was_lost_soon():
-    """Of all that were heard of last after the same step, as many are lost in each as is said."""
+def test_silence_after_a_contact_has_the_right_probabilities():
+    """After the same last contact, losses in each step are as frequent as `lost_at` says."""
     contact, safe = 0.4, SensorModel(lethality=0.0, malfunction=0.2)
     counts = np.zeros(len(PATH) - 1)
     for made in runs(Execution(contact=contact), 8000, safe):
         if not made.observation.survived and made.observation.steps_survived == 1:
             counts[made.steps_made] += 1
             lost_at = made.observation.lost_at
-    # The chance to be lost in a step falls by malfunctions as well.
+    # Malfunctions also reduce the probability to be lost in a later step.
     expected = lost_at * 0.8 ** np.arange(lost_at.size)
     assert counts / counts.sum() == pytest.approx(expected / expected.sum(), abs=0.03)
     assert lost_at[1:] / lost_at[1] == pytest.approx((1 - contact) ** np.arange(len(PATH) - 2))
@@ -363,11 +363,11 @@ def test_a_camera_fails_for_the_rest_of_the_way():
     assert {(-1 in readings) for readings in read} == {True, False}
 
 
-def test_what_robots_do_is_drawn_as_often_as_told():
+def test_deviations_are_as_frequent_as_stated():
     safe = SensorModel(lethality=0.0, malfunction=0.0)
     walks = [made.walk for made in runs(Execution(early_return=0.25), 4000, safe)]
     kept = np.mean([len(walk) == len(PATH) for walk in walks])
-    # The last step home is the same whether it turned back or not.
+    # The last step home is the same with and without turning back.
     assert kept == pytest.approx(0.75**7, abs=0.02)
 
 

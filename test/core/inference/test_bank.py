@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bank of filters: each as the one-pass method, evidence by enumeration, and the mixture."""
+"""A bank of filters: each equals the one-pass method, evidence by enumeration, the mixture."""
 
 import brute_force
 import hazards_in_time
@@ -112,7 +112,7 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
 @pytest.mark.slow
 @for_each('seed, kind', [(seed, kind) for seed in range(20) for kind in KINDS], every=5)
 def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
-    """Weighed by the product of what each filter gave each outcome beforehand."""
+    """Weighed by the product of the predictive probabilities of all outcomes."""
     belief, model, outcomes = drawn(seed, 3)
     bank = Bank(belief, model, TWO, 0, new_dynamics(kind))
     monkeypatch.setattr(Bank, '_resample', lambda *_: None)
@@ -146,7 +146,7 @@ def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
 
 
 def fly_mission(lethality, seed, robots=40, kind='static'):
-    """Return the outcomes of a mission with a right prior, and its last field."""
+    """Return the prior and outcomes of a mission with a correct prior, and its last field."""
     grid, rng = Grid(6, 6), np.random.default_rng(seed)
     prior = Belief.prior(grid, 0.15, 0.205, 0.8)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
@@ -193,7 +193,7 @@ def test_intervals_cover_numbers_drawn_from_the_prior():
 
 
 @pytest.mark.slow
-def test_a_lethality_that_nobody_knows_costs_little_where_hazards_are_used_up():
+def test_an_unknown_lethality_costs_little_where_hazards_are_used_up():
     lost = []
     for seed in range(6):
         prior, observations, world = fly_mission(0.5, seed, kind='used_up')
@@ -229,7 +229,7 @@ def test_draws_are_of_particles():
 
 
 def test_where_all_particles_die_more_are_drawn():
-    """A sure hazard was survived thirty times, which hardly any particle allows."""
+    """A certain hazard was survived thirty times, which hardly any particle allows."""
     belief = Belief.from_maps([0.0, 1.0], [0.5, 0.5], [0.5, 0.5])
     model = SensorModel(0.5, malfunction=0.0, false_negative=0.0)
     estimator = Estimator(belief, model, unknowns=Unknowns(lethality=(0.0, 1.0)))

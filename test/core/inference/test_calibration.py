@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ranks of the truth among what is drawn are uniform, and long chains agree."""
+"""Ranks of the truth among posterior draws are uniform, and long chains agree."""
 
 from dataclasses import dataclass, replace
 from math import erfc, exp, gamma, sqrt
@@ -27,11 +27,11 @@ from laws import for_each
 import numpy as np
 import pytest
 
-# How many worlds, and into how many bins the ranks go.
+# Number of worlds, and of bins for the ranks.
 FEW, MANY = (60, 10), (500, 20)
 ROBOTS = 20
 FIELD = Grid(3, 3)
-# Below this a rank counts as not uniform, of as many as there are.
+# Least p-value of uniform ranks, divided by the number of ranks.
 SIGNIFICANT = 0.01
 
 UNKNOWNS = Unknowns(
@@ -48,7 +48,7 @@ PRIOR = Belief.prior(FIELD, 0.3, 0.4, 0.7)
 
 
 def ranks(number):
-    """Draw numbers, a world and a mission, and return the rank of the truth in each posterior."""
+    """Draw parameters, a world and a mission; return the rank of the truth in each posterior."""
     rng = np.random.default_rng([17, number])
     drawn = {}
     for name, prior in UNKNOWNS.priors.items():
@@ -68,7 +68,7 @@ def ranks(number):
 
 
 def truth_ranks(estimator, places, world, rng):
-    """Return the ranks of the numbers, by their places among the values, and of the hazards."""
+    """Return the ranks of the true parameters, by their places among the values, and hazards."""
     found = {}
     for name, place in places.items():
         weights = estimator.parameters[name].weights
@@ -90,12 +90,12 @@ def probability_of_more(statistic, bins):
 
 
 def worst(worlds, bins):
-    """Return the least of the p-values of all ranks, times how many they are, and its name."""
+    """Return the least p-value of all ranks, times their number, and its name."""
     return least_p([ranks(number) for number in range(worlds)], bins)
 
 
 def least_p(drawn, bins):
-    """Return the least of the p-values of ranks, times how many they are, and its name."""
+    """Return the least p-value of ranks, times their number, and its name."""
     found, worlds = {}, len(drawn)
     for name in drawn[0]:
         of_name = np.array([each[name] for each in drawn])
@@ -115,7 +115,7 @@ def test_ranks_are_uniform(size):
 
 
 def planted(name):
-    """Return a draw of numbers that takes the evidence of one of them for its opposite."""
+    """Return a draw of parameters that inverts the evidence of one of them."""
     draw = Chains._draw
 
     def wrong(self, drawn, log_likelihood):
@@ -124,7 +124,7 @@ def planted(name):
     return wrong
 
 
-# What few worlds show of an error; of the others it takes many, and minutes each.
+# Errors that few worlds reveal; others take many worlds, and minutes each.
 SEEN_SOON = {'malfunction', 'hazard_density', 'target_background'}
 
 
@@ -152,7 +152,7 @@ def test_an_error_in_the_draw_of_hazards_is_found(monkeypatch):
     assert p < SIGNIFICANT
 
 
-# Simulation-based calibration where losses are heard and hazards change, go or cluster.
+# Simulation-based calibration with last contacts and with hazards that change or cluster.
 
 
 WORLDS, BINS, SENT, DRAWS = 120, 10, 20, 400
@@ -164,7 +164,7 @@ CHANGING = Dynamics('changing', appear=0.02, vanish=0.2)
 
 @dataclass(frozen=True)
 class Kind:
-    """What is true of hazards and of what is heard, and is believed unless an error is planted."""
+    """The truth of hazards and contacts, and the belief in it unless an error is planted."""
 
     method: str = 'kappa_bnitp_sampled'
     contact: float = 0.0
@@ -182,7 +182,7 @@ KINDS = {
 
 
 def clustered(world, clustering, rng):
-    """Draw a coupling and a world of that prior; return them, the coupling by its place."""
+    """Draw a coupling and a world of that prior; return both, the coupling by its place."""
     bins = clustering.bins
     place = int(rng.choice(bins.values.size, p=np.exp(bins.log_prior)))
     states, chances = brute_force.clustered_prior(FIELD, bins.values[place], DENSITY)
@@ -191,8 +191,8 @@ def clustered(world, clustering, rng):
     return replace(world, hazard=hazard, target=target), {'coupling': place}
 
 
-def ranks_of_kind(number, kind, believed, as_told):
-    """Draw a world and a mission, and return the rank of the truth in each posterior."""
+def kind_ranks(number, kind, believed, as_told):
+    """Draw a world and a mission; return the rank of the truth in each posterior."""
     rng = np.random.default_rng([24, number])
     world, places = World.random(FIELD, rng, DENSITY, KAPPA, BACKGROUND), {}
     if kind.clustering is not None:
@@ -232,8 +232,8 @@ def ranks_of_kind(number, kind, believed, as_told):
 
 
 def worst_of_kind(kind, believed, as_told=replace):
-    """Return the least of the p-values of all ranks, times how many they are, and its name."""
-    drawn = [ranks_of_kind(number, kind, believed, as_told) for number in range(WORLDS)]
+    """Return the least p-value of all ranks, times their number, and its name."""
+    drawn = [kind_ranks(number, kind, believed, as_told) for number in range(WORLDS)]
     return least_p(drawn, BINS)
 
 
@@ -245,7 +245,7 @@ def test_ranks_are_uniform_of_kinds(kind):
 
 
 def late(observation):
-    """Tell a loss a step late."""
+    """Report a loss a step late."""
     if observation.lost_at is None:
         return observation
     return replace(observation, steps_survived=0, lost_at=np.roll(observation.lost_at, 1))
@@ -262,19 +262,19 @@ FASTER = Dynamics('changing', appear=0.2, vanish=0.02)
     (KINDS['used_up'], {'dynamics': STATIC}, replace),
     (CLUSTERED, {'clustering': None}, replace),
 ])  # fmt: skip
-def test_what_is_told_late_or_believed_wrongly_is_found(kind, wrong, told):
+def test_late_reports_and_wrong_beliefs_are_found(kind, wrong, told):
     p, _ = worst_of_kind(kind, replace(kind, **wrong), told)
     assert p < SIGNIFICANT
 
 
-# Sampling, against long chains: `benchmarks/reference.py` wrote them.
+# Sampling against long chains, written by `benchmarks/reference.py`.
 
 
 REFERENCE = np.load(Path(__file__).with_name('reference.npz'))
 GRID = Grid(9, 9)
 LETHALITIES = (0.1, 0.3, 0.5, 0.9)
 REFERENCE_WORLDS = 3
-# KL divergence, nats: what sampling may be away by default, and the two halves of the chains.
+# KL divergence, nats: tolerance of sampling by default, and between the chains' halves.
 CLOSE = 0.0005
 APART = 1e-5
 

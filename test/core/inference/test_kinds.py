@@ -36,7 +36,7 @@ UNKNOWN = {
 
 
 def outcomes(seed, count=4):
-    """Draw what came of some robots."""
+    """Draw outcomes of some robots."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         path = brute_force.random_path(rng, 3, 2, 0, int(rng.integers(1, 8)))
@@ -77,7 +77,7 @@ def test_a_rate_is_log_uniform_unless_it_is_known():
 
 @for_each('seed', range(20), every=5)
 def test_kinds_are_weighed_by_the_probability_of_all_evidence(seed):
-    """With rates that are known the evidence is the product of what each filter gave."""
+    """With known rates, the evidence is the product of the predictive probabilities."""
     dynamics = Dynamics('learn', 0.01, 0.1, 0.05)
     observations = list(outcomes(seed, 3))
     evidence, joints = {}, {}
@@ -104,7 +104,7 @@ def test_kinds_are_weighed_by_the_probability_of_all_evidence(seed):
     ],
 )
 def test_the_ratio_of_each_alternative_is_fair(unknowns, dynamics):
-    """Over all outcomes of a deployment the belief expects each ratio to stay as it is."""
+    """The belief expects each ratio to stay the same, over all outcomes of a deployment."""
     path, (first, *_) = [0, 1, 4, 1, 0], outcomes(3, 1)
     estimator = after([first], unknowns=unknowns, dynamics=dynamics)
     before, expected, total = estimator.check.alternatives, {}, 0.0
@@ -137,7 +137,7 @@ def predicted(estimator):
 
 
 def flown(believed, seed, true=None):
-    """Return an estimator after a mission in a field that is what it is."""
+    """Return an estimator after a mission in a field with these true dynamics."""
     grid = Grid(9, 9)
     prior, rng = Belief.prior(grid, 0.15, 0.205, 0.8), np.random.default_rng(seed)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
@@ -153,7 +153,7 @@ def flown(believed, seed, true=None):
 
 
 @pytest.mark.slow
-def test_the_evidence_tells_kinds_and_the_check_tells_of_a_wrong_one():
+def test_the_evidence_identifies_kinds_and_the_check_detects_a_wrong_one():
     used_up = Dynamics('used_up')
     found = flown(Dynamics('learn'), 1, used_up)
     assert max(found.kinds, key=found.kinds.get) == 'used_up'
@@ -169,7 +169,7 @@ def test_the_evidence_tells_kinds_and_the_check_tells_of_a_wrong_one():
     assert 'no reason for doubt' in right.reason
 
 
-def test_a_check_does_not_depend_on_when_it_is_asked_for():
+def test_a_check_does_not_depend_on_earlier_checks():
     observations = list(outcomes(5, 6))
     late, often = after(observations), Estimator(PRIOR, MODEL)
     for observation in observations:
@@ -183,7 +183,7 @@ def test_a_check_does_not_depend_on_when_it_is_asked_for():
 
 
 def test_a_kind_that_the_evidence_rules_out_has_no_weight():
-    """A robot without malfunctions was lost three times on a cell where one hazard may be."""
+    """A robot without malfunctions was lost three times on a path with at most one hazard."""
     belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5]).on(Grid(2, 1))
     model = SensorModel(0.9, malfunction=0.0)
     estimator = Estimator(belief, model, dynamics=Dynamics('learn'))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ledger, of whatever comes in whatever order, has the belief of the evidence so far."""
+"""A ledger's belief is that of the evidence so far, in any order of arrival."""
 
 from collections import defaultdict
 import tracemalloc
@@ -96,7 +96,7 @@ def test_impossible_paths_are_refused(path, message):
     with pytest.raises(ValueError, match=message):
         ledger.record_path(A, path)
     assert state(ledger) == before
-    assert not ledger.record_path(A, PATH)  # the right one may still come
+    assert not ledger.record_path(A, PATH)  # the correct one may still arrive
     assert ledger.record_report(A, LOST)
 
 
@@ -111,7 +111,7 @@ def test_another_path_for_a_known_deployment_is_refused(ledger):
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
-# Returns of one deployment, such as of two robots of one name, from the one that counts least.
+# Returns of one deployment (for example of two robots of one name), in order of precedence.
 RETURNS = [
     Report(True, ((0, True), (1, -1), (4, -1))),
     Report(True, ((0, True), (4, True))),
@@ -123,7 +123,7 @@ RETURNS = [
 
 @for_each('second', range(len(RETURNS)))
 @for_each('first', range(len(RETURNS)))
-def test_of_two_returns_that_with_more_readings_counts_whichever_comes_first(first, second):
+def test_the_return_with_more_readings_counts_in_any_order(first, second):
     ledger = new_ledger()
     ledger.record_path(A, PATH)
     assert ledger.record_report(A, RETURNS[first])
@@ -159,7 +159,7 @@ def test_a_report_that_does_not_fit_its_path_is_refused(report, message):
     with pytest.raises(ValueError, match=message):
         ledger.record_report(A, report)
     assert state(ledger) == before
-    assert ledger.record_report(A, RETURNED)  # the right one may still come
+    assert ledger.record_report(A, RETURNED)  # the correct one may still arrive
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
@@ -195,7 +195,7 @@ def test_the_walk_that_was_made_is_the_evidence(readings):
 
 
 def test_a_report_that_waits_beside_one_that_does_not_fit_is_taken_in(ledger):
-    """As if the path had come first: then only the wrong report is refused."""
+    """As if the path had come first: only the wrong report is refused."""
     for report, _ in UNFIT:
         ledger.record_report(A, report)
     ledger.record_report(A, RETURNED)
@@ -207,14 +207,14 @@ def test_a_report_that_waits_beside_one_that_does_not_fit_is_taken_in(ledger):
 
 @for_each('method', METHODS)
 def test_a_return_that_makes_later_ones_impossible_is_refused(method):
-    """The sensor never errs, so one cell had no target for A and has one for B."""
+    """The sensor never errs: one cell had no target for A and has one for B."""
     model = SensorModel(0.5, true_positive=1.0, false_positive=0.0)
     assert_is_refused_before_two_returns(Report(True, ((0, False), (4, False))), model, method)
 
 
 @for_each('method', LEARN_FROM_LOSSES)
 def test_a_loss_that_makes_later_returns_impossible_is_refused(method):
-    """Robots die in every hazard and of nothing else, so one cell took A and let B through."""
+    """Only hazards destroy robots, always: one cell destroyed A and let B through."""
     model = SensorModel(1.0, malfunction=0.0, false_negative=0.0)
     assert_is_refused_before_two_returns(LOST, model, method)
 
@@ -242,14 +242,14 @@ def test_keys_name_the_agent_and_the_time():
 
 
 @pytest.mark.slow
-def test_pending_reports_are_bounded_by_bytes_and_what_no_stamp_fits_is_dropped_first(ledger):
+def test_pending_reports_are_bounded_by_bytes_and_bad_stamps_dropped_first(ledger):
     ledger.record_path(DeploymentKey('scout', 10**18), PATH)
     real = DeploymentKey('scout', 10**18 + 1)
     ledger.record_report(real, Report(False))
     refusals = []
     tracemalloc.start()
     for number in range(700):
-        # As long as a report may be, of cells that are numbers of their own in memory.
+        # Of maximum length, with cells that are separate integers in memory.
         readings = tuple((1000 + cell, 0) for cell in range(1500))
         try:
             ledger.record_report(DeploymentKey('scout', number + 1), Report(True, readings))
@@ -261,11 +261,11 @@ def test_pending_reports_are_bounded_by_bytes_and_what_no_stamp_fits_is_dropped_
     assert refusals
     assert all('at most 50 MB of them are kept' in each for each in refusals)
     assert peak < 60e6
-    # The report of a robot that the planner has sent is not dropped for them.
+    # The report of a robot in flight is never dropped for them.
     assert ledger.record_path(real, PATH)
 
 
-# Whatever way paths and reports come, the belief is that of the evidence in its order.
+# In any order of paths and reports, the belief is that of the evidence in its order.
 
 
 MAX_STEPS = 6
@@ -273,7 +273,7 @@ ADJACENT = brute_force.adjacent(3, 3)
 
 
 class Evidence:
-    """What has come so far, kept and folded in the plainest way: all again every time."""
+    """Evidence so far, kept plainly and folded from the start every time."""
 
     def __init__(self, method):
         self.method = method
@@ -281,7 +281,7 @@ class Evidence:
         self.reports = defaultdict(list)
 
     def take(self, key, said):
-        """Keep a path or a report."""
+        """Add a path or a report."""
         if isinstance(said, Report):
             self.reports[key].append(said)
         else:
@@ -308,7 +308,7 @@ class Evidence:
 
 @st.composite
 def paths(draw):
-    """Draw a closed walk from the base, by way of any of its neighbours, all of which touch it."""
+    """Draw a closed walk from the base through any neighbour of it."""
     inner = [4]
     for _ in range(draw(st.integers(0, MAX_STEPS - 2))):
         inner.append(draw(st.sampled_from(ADJACENT[inner[-1]])))
@@ -317,7 +317,7 @@ def paths(draw):
 
 @st.composite
 def arrivals(draw):
-    """Draw the messages of a mission, each once or more, in any order."""
+    """Draw the messages of a mission, each at least once, in any order."""
     messages = []
     keys = st.builds(DeploymentKey, st.sampled_from(['a', 'b', 'c']), st.integers(0, 9))
     for key in draw(st.lists(keys, unique=True, min_size=1, max_size=7)):
@@ -339,7 +339,7 @@ def arrivals(draw):
 
 
 def tell(ledger, key, said):
-    """Tell a ledger of a path or a report, and return whether its belief changed."""
+    """Record a path or a report in a ledger; return whether its belief changed."""
     record = ledger.record_report if isinstance(said, Report) else ledger.record_path
     return record(key, said)
 
@@ -378,7 +378,7 @@ def mission(robots, rng):
 
 
 def test_disorder_is_cheap(monkeypatch):
-    """A deployment that is late by a few of a thousand costs no thousand updates."""
+    """A deployment that is late by a few of a thousand does not repeat a thousand updates."""
     updates = []
     assimilate = Estimator.assimilate
     monkeypatch.setattr(

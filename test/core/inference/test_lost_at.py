@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of where a robot was lost is taken in exactly, by every method."""
+"""Knowledge of where a robot was lost is assimilated exactly, by every method."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -25,13 +25,13 @@ from laws import for_each
 import numpy as np
 import pytest
 
-# Paths over fields of 2x3 to 4x3 cells, of which brute force holds all states of those visited.
+# Fields of 2x3 to 4x3 cells; brute force enumerates all states of the visited ones.
 SIZES = [(2, 3), (3, 2), (3, 3), (4, 3)]
 MAX_CELLS = 6
 
 
 def draw_lost_at(rng, steps):
-    """Draw how well each step fits: anything, a bell, pings, or one step for certain."""
+    """Draw the weights of the steps: arbitrary, a bell, pings, or one certain step."""
     kind = rng.integers(4)
     step = np.arange(steps)
     if kind == 0:
@@ -47,7 +47,7 @@ def draw_lost_at(rng, steps):
 
 
 def draw_path(rng, width, height, base):
-    """Draw a path with stays and repeats, over few enough cells."""
+    """Draw a path with stays and repeats over at most MAX_CELLS cells."""
     while True:
         steps = int(rng.integers(1, 10))
         path = brute_force.random_path(rng, width, height, base, steps)
@@ -56,7 +56,7 @@ def draw_path(rng, width, height, base):
 
 
 def located(seed, independent=False):
-    """Draw a belief, sensors, a path, the steps survived, and perhaps where it was lost."""
+    """Draw a belief, sensors, a path, the steps survived, and perhaps `lost_at`."""
     rng = np.random.default_rng(seed)
     while True:
         width, height = SIZES[rng.integers(len(SIZES))]
@@ -133,7 +133,7 @@ def mission(seed):
 
 
 def observed(path, readings, steps_survived=0, lost_at=None):
-    """Return the observation of a deployment of brute force."""
+    """Return the observation of a brute-force deployment."""
     return Observation(path, readings is not None, readings, steps_survived, lost_at)
 
 
@@ -142,7 +142,7 @@ def test_sampling_takes_missions_in(seed):
     assert divergence_of_sampling(*mission(seed)) < 0.003
 
 
-# Those of 300 that sampling is furthest from at its default number of sweeps: .003 to .02.
+# The missions of 300 with the largest error at the default sweeps: .003 to .02.
 @pytest.mark.slow
 @for_each('seed', [63, 291, 267, 53], every=4)
 def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
@@ -152,7 +152,7 @@ def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
 
 
 def divergence_of_sampling(joint, model, deployments):
-    """Return how far sampling is from the exact posterior, in nats."""
+    """Return the error of sampling against the exact posterior, nats."""
     estimator = Estimator(Belief(joint), model, 'kappa_bnitp_sampled')
     for deployment in deployments:
         estimator.assimilate(observed(*deployment))
@@ -162,10 +162,10 @@ def divergence_of_sampling(joint, model, deployments):
     return float((expected[seen] * np.log(expected[seen] / found[seen])).sum())
 
 
-# What is refused, and what is the same
+# Refused and equivalent values
 
 
-def test_all_alike_is_nothing_known():
+def test_uniform_lost_at_is_no_information():
     joint, model, path, *_ = located(3)
     for method in METHODS:
         plain, told = (Estimator(Belief(joint), model, method) for _ in range(2))
@@ -175,7 +175,7 @@ def test_all_alike_is_nothing_known():
 
 
 def test_a_loss_in_a_stretch_is_one_on_a_shorter_path():
-    """What comes after the last step that fits says nothing."""
+    """Steps after the last possible one do not matter."""
     belief = Belief.from_maps([0.0, 0.3, 0.4, 0.2], [0.4] * 4, [0.8] * 4)
     longer, shorter = (
         Estimator(belief, SensorModel(0.5), 'kappa_bnitp_sampled') for _ in range(2)
@@ -185,7 +185,7 @@ def test_a_loss_in_a_stretch_is_one_on_a_shorter_path():
     assert longer.belief.joint.tobytes() == shorter.belief.joint.tobytes()
 
 
-def test_steps_that_cannot_be_are_survived():
+def test_impossible_steps_are_survived():
     seen = Observation([0, 1, 2, 3, 0], False, None, 1, [4.0, 0.0, 2.0, 1.0])
     assert seen.steps_survived == 2
     assert seen.lost_at.tolist() == [0.0, 0.0, 1.0, 0.5]
@@ -215,14 +215,14 @@ BACK = {'survived': True}
     ({**BACK, 'readings': [-1, 0]}, 'readings has shape'),
     ({**BACK, 'readings': [-1, 0, float('nan')]}, 'readings is nan'),
 ])  # fmt: skip
-def test_what_cannot_be_known_is_refused(arguments, message):
+def test_a_bad_lost_at_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Observation(**{'path': [0, 1, 2, 0], 'survived': False, **arguments})
 
 
 @for_each('method', ['kappa_bnitp', 'kappa_bnitp_sampled'])
 def test_an_impossible_loss_is_refused_and_changes_nothing(method):
-    """Without malfunctions no robot is lost in the one step that fits, into a cell known safe."""
+    """Without malfunctions no robot is lost in its only possible step, into a safe cell."""
     belief = Belief.from_maps([0.0, 0.5, 0.0, 0.5], [0.4] * 4, [0.8] * 4)
     estimator = Estimator(belief, SensorModel(0.5, malfunction=0.0), method)
     with pytest.raises(ValueError, match='impossible'):
@@ -230,7 +230,7 @@ def test_an_impossible_loss_is_refused_and_changes_nothing(method):
     assert estimator.belief.joint.tobytes() == belief.joint.tobytes()
 
 
-def test_a_method_that_does_not_say_so_is_given_no_such_loss(monkeypatch):
+def test_a_method_without_support_gets_no_lost_at(monkeypatch):
     monkeypatch.setattr(OnePass, 'takes_lost_at', False)
     estimator = Estimator(Belief.from_maps([0.0, 0.5], [0.4] * 2, [0.8] * 2), SensorModel(0.5))
     with pytest.raises(ValueError, match='kappa_bnitp does not .*: use kappa_bnitp_sampled'):
@@ -238,8 +238,8 @@ def test_a_method_that_does_not_say_so_is_given_no_such_loss(monkeypatch):
     estimator.assimilate(Observation([0, 1, 1, 0], False, lost_at=[2, 2, 2]))
 
 
-def test_the_report_that_tells_most_of_where_counts():
-    """The later contact, then the closer, whatever comes first; a late return replaces both."""
+def test_the_most_informative_report_counts():
+    """A later contact first, then the closer one, in any order; a late return replaces both."""
     grid, path = Grid(2, 2), (0, 1, 2, 3, 0)
     prior = Belief.prior(grid, 0.3, 0.4, 0.8)
     key = DeploymentKey('scout_1', 1)
@@ -271,7 +271,7 @@ def test_the_report_that_tells_most_of_where_counts():
 @pytest.mark.slow
 @for_each('kind, seed', [(kind, n) for n in range(300) for kind in ('changing', 'used_up')], 5)
 def test_where_robots_were_lost_is_taken_in_exactly_in_time(kind, seed):
-    """Each deployment from what was believed of each cell before it, some of which are losses."""
+    """Each deployment, some of them losses, from the belief of each cell before it."""
     joint, model, path, _, lost_at = located(4 * seed)
     rng = np.random.default_rng([seed, 25])
     rates = rng.choice([0.01, 0.2, 1.0], 2) if kind == 'changing' else (0.0, 0.0)

@@ -24,7 +24,7 @@ ONE_PASS = [name for name, each in METHODS.items() if isinstance(each, OnePass)]
 
 
 def deployments(seed, most_cells, most_steps):
-    """Draw a belief, a model and a return, or every second time a loss if one is possible."""
+    """Draw a belief, a model and a return, or every second time a loss if possible."""
     rng = np.random.default_rng(seed)
     joint, sensors, path = brute_force.random_case(rng, most_cells, most_steps)
     model = SensorModel(**sensors)
@@ -57,7 +57,7 @@ def test_published_update_is_the_paper_equations_summed_out(seed):
     for cell, (hazard, target, kappa) in expected.items():
         assert after.hazard[cell] == pytest.approx(hazard, abs=1e-12)
         assert after.target[cell] == pytest.approx(target, abs=1e-12)
-        if hazard > 1e-12:  # kappa of a cell without hazard cannot be told
+        if hazard > 1e-12:  # kappa of a cell without hazard is undetermined
             assert after.kappa[cell] == pytest.approx(kappa, abs=1e-12 + 1e-15 / hazard)
 
 
@@ -76,7 +76,7 @@ def test_published_loss_of_a_repeated_cell_by_hand():
 
 
 def without_kappa(joint):
-    """Hazard and target as they are, kappa := target."""
+    """Return the belief with kappa := target."""
     hazard, target = joint.sum(axis=2), joint.sum(axis=1)
     return hazard[:, :, None] * target[:, None, :]
 
@@ -100,7 +100,7 @@ def test_methods_without_kappa_start_from_kappa_equal_to_target(seed, relaxed, c
 
 @for_each('hazard', [1e-3, 1e-6, 1e-9, 1e-12])
 def test_rare_hazards_of_a_perfect_robot_are_told_apart(hazard):
-    """Two cells can have destroyed it, each as likely; nothing is lost to 1 - (1 - tiny)."""
+    """Two cells may equally have destroyed it; no precision is lost to 1 - (1 - tiny)."""
     belief = Belief.from_maps([0.0, hazard, 2 * hazard], [0.5] * 3, [0.5] * 3)
     model = SensorModel(0.9, malfunction=0.0)
     after = update(belief, model, Observation([0, 1, 2, 0], False))
@@ -174,7 +174,7 @@ def test_an_unknown_method_is_refused_with_the_known_ones():
 
 
 def test_a_deployment_impossible_only_after_an_earlier_one_is_refused():
-    """The loss can only be cell 1's doing, which is deadly: nobody returns from there."""
+    """The loss can only be due to cell 1, which is deadly: no robot returns from there."""
     belief = Belief.from_maps([0, 0.5], [0.5] * 2, [0.5] * 2)
     estimator = Estimator(belief, SensorModel(1.0, malfunction=0.0, false_negative=0.0))
     estimator.assimilate(Observation([0, 1, 0], False))
@@ -208,7 +208,7 @@ def test_a_removed_method_is_refused_with_the_one_to_use():
         METHODS.find('kappa_bnitp_smoothed')
 
 
-# Losses as a Bayesian network, in pyAgrum: what the methods come to beside its posterior.
+# Losses as a Bayesian network in pyAgrum, compared with the methods.
 
 
 NETWORKS = 50
@@ -216,7 +216,7 @@ MAX_CELLS = 12
 
 
 def draw(seed, losses):
-    """Draw a belief of at most 12 cells and the base, a sensor model, and lost paths."""
+    """Draw a belief of at most 12 cells and the base, a sensor model, and paths of losses."""
     rng = np.random.default_rng(seed)
     cells = int(rng.integers(2, MAX_CELLS + 1))
     hazard = np.append(0.0, rng.uniform(0.02, 0.8, cells))
@@ -252,7 +252,7 @@ def averaged_universes(belief, model, path):
     weights, hazards = [], []
     alive = np.stack([1.0 - belief.hazard, belief.hazard])
     for cell in path[1:]:
-        # Destroyed here: all steps before were survived, and this one was not.
+        # Destroyed at this step: all earlier steps were survived.
         here = alive.copy()
         here[:, cell] *= 1.0 - np.array([safe, hazardous])
         total = here.sum(axis=0)
@@ -263,7 +263,7 @@ def averaged_universes(belief, model, path):
 
 
 @for_each('seed', range(NETWORKS))
-def test_one_loss_says_the_same_in_the_network_the_universes_and_the_update(seed):
+def test_one_loss_gives_the_same_in_network_universes_and_update(seed):
     belief, model, (path,) = draw(seed, 1)
     expected = posterior(belief, model, [path])
     lost = Observation(path, survived=False)
@@ -274,7 +274,7 @@ def test_one_loss_says_the_same_in_the_network_the_universes_and_the_update(seed
     np.testing.assert_allclose(universes, expected, rtol=0, atol=1e-12)
 
 
-def test_several_losses_are_tied_together_in_the_network_and_by_sampling():
+def test_several_losses_are_correlated_in_the_network_and_by_sampling():
     off = {'kappa_bnitp': [], 'kappa_bnitp_sampled': []}
     for seed in range(100, 120):
         belief, model, paths = draw(seed, 6)
@@ -284,7 +284,7 @@ def test_several_losses_are_tied_together_in_the_network_and_by_sampling():
             for path in paths:
                 estimator.assimilate(Observation(path, survived=False))
             errors.append(abs(estimator.belief.hazard - expected).max())
-    # One loss after another forgets that each ties the cells of its path together.
+    # Folding one loss after another loses the correlation between cells of a path.
     assert np.mean(off['kappa_bnitp_sampled']) < 0.3 * np.mean(off['kappa_bnitp'])
     assert max(off['kappa_bnitp_sampled']) < 0.05
 

@@ -17,13 +17,13 @@ import pytest
 
 
 def random_robot_type(rng):
-    """Draw which numbers of the sensor model a robot type has of its own, and what they are."""
+    """Draw the numbers of the sensor model that a robot type overrides."""
     own = {name: p for name, p in brute_force.random_sensors(rng).items() if rng.random() < 0.6}
     return RobotType(**own)
 
 
 def random_robots(seed, robots, most_steps=6, independent=False):
-    """Draw a joint of four cells, a model, and robots: type, path, readings, survived steps."""
+    """Draw a joint of four cells, a model, and robots: type, path, readings, steps survived."""
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, 4, 0)
     if independent:
@@ -50,7 +50,7 @@ def random_robots(seed, robots, most_steps=6, independent=False):
 
 
 def assimilated(joint, model, seen, method, **options):
-    """Return an estimator that took in what robots of several types met."""
+    """Return an estimator after the outcomes of robots of several types."""
     estimator = Estimator(Belief(joint), model, method, **options)
     for robot_type, path, readings, known in seen:
         estimator.assimilate(Observation(path, readings is not None, readings, known), robot_type)
@@ -58,7 +58,7 @@ def assimilated(joint, model, seen, method, **options):
 
 
 def enumerated(joint, model, seen):
-    """Return the posterior by enumeration of all states, each robot with its own model."""
+    """Return the posterior by enumeration, each robot with its own model."""
     return brute_force.weighed(joint, [(kind.model(model), *each) for kind, *each in seen])[1]
 
 
@@ -85,15 +85,15 @@ def test_robots_of_several_types_are_sampled_closely(seed):
     np.testing.assert_allclose(found, exact, rtol=0, atol=0.05)
 
 
-# What is learnt of robots that differ
+# Learning from robots that differ
 
 LETHALITIES = (np.arange(200) + 0.5) / 200
 
 
 @pytest.mark.slow
 @for_each('seed', range(6))
-def test_a_lethality_is_learnt_of_the_robots_that_share_it(seed):
-    """By enumeration: a robot with a lethality of its own tells of hazards, not of the number."""
+def test_a_lethality_is_learnt_from_robots_that_share_it(seed):
+    """By enumeration: a robot with its own lethality informs of hazards, not of the shared one."""
     rng = np.random.default_rng(seed)
     joint, _, seen = random_robots(seed, 8)
     own = [
@@ -123,7 +123,7 @@ def test_a_lethality_is_learnt_of_the_robots_that_share_it(seed):
 
 
 @for_each('name', ['lethality', 'malfunction', 'true_positive', 'false_positive'])
-def test_nothing_is_learnt_of_robots_that_all_have_a_number_of_their_own(name):
+def test_nothing_is_learnt_from_robots_with_their_own_number(name):
     joint, _, seen = random_robots(3, 8)
     model, seen = SensorModel(0.5), [(RobotType(**{name: 0.4}), *each) for _, *each in seen]
     unknowns = Unknowns(**{name: (0.0, 1.0)})
@@ -131,8 +131,8 @@ def test_nothing_is_learnt_of_robots_that_all_have_a_number_of_their_own(name):
     assert after.parameters[name].mean == pytest.approx(0.5, abs=0.03)
 
 
-def test_what_one_kind_cannot_have_met_is_refused():
-    """A robot without malfunctions is lost to a hazard only; another may be lost anywhere."""
+def test_outcomes_impossible_for_a_robot_type_are_refused():
+    """A robot without malfunctions is lost only to hazards; others anywhere."""
     safe = Belief.from_maps([0.0, 0.0], [0.5, 0.5], [0.5, 0.5])
     lost = Observation([0, 1, 0], False)
     for method in METHODS:
@@ -151,6 +151,6 @@ def test_what_one_kind_cannot_have_met_is_refused():
     ({'max_steps': 2.5}, 'max_steps is 2.5.*whole'),
     ({'loss_cost': -1.0}, 'loss_cost is -1.0.*at least 0'),
 ])  # fmt: skip
-def test_what_no_robot_type_can_have_is_refused(own, message):
+def test_bad_robot_types_are_refused(own, message):
     with pytest.raises(ValueError, match=message):
         RobotType(**own)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hazards that change or move are predicted as worlds go on."""
+"""Beliefs in hazards that change or move follow the dynamics of worlds."""
 
 from itertools import product
 
@@ -28,12 +28,12 @@ SIZES = ((2, 3), (2, 3), (3, 3), (2, 3), (4, 3))
 KINDS = ('changing', 'used_up', 'static')
 EXACT = ('kappa_bnitp', 'relaxed_itp')
 
-# A robot that learns nothing on its only step, from the base to the base.
+# From the base to the base in one step, a robot learns nothing.
 UNEVENTFUL = SensorModel(0.0, malfunction=0.0), [0, 0], [-1], None
 
 
 def drawn(seed, kind, size=None):
-    """Draw a field, how its hazards change, and some deployments in it."""
+    """Draw a field, dynamics of its hazards, and some deployments."""
     rng = np.random.default_rng([seed, len(kind)])
     width, height = size or SIZES[seed % len(SIZES)]
     base = int(rng.integers(width * height))
@@ -56,7 +56,7 @@ def seen(path, readings, heard):
 
 
 def is_taken_in(estimator, observation, robot_type):
-    """Whether an estimator does not refuse an outcome as impossible."""
+    """Return False if an estimator refuses an outcome as impossible."""
     try:
         estimator.assimilate(observation, robot_type)
     except ValueError as error:
@@ -69,7 +69,7 @@ def is_taken_in(estimator, observation, robot_type):
 @pytest.mark.parametrize('method', EXACT)
 @for_each('kind, seed', [(kind, seed) for seed in CASES for kind in KINDS], every=10)
 def test_each_deployment_is_taken_in_exactly(method, kind, seed):
-    """After a change, from what was believed of each cell before it."""
+    """After one change of each cell's prior belief."""
     joint, dynamics, deployments = drawn(seed, kind)
     prior = Belief(joint) if method == 'kappa_bnitp' else Belief(joint).independent()
     estimator = Estimator(prior, SensorModel(0.5), method, dynamics=dynamics)
@@ -95,7 +95,7 @@ def test_each_deployment_is_taken_in_exactly(method, kind, seed):
 
 @pytest.mark.parametrize('method', METHODS)
 def test_no_rates_are_static_hazards(method):
-    """Bit for bit, by every method."""
+    """Bit for bit, for every method."""
     joint, _, deployments = drawn(1, 'changing')
     beliefs = []
     for dynamics in (Dynamics('changing'), Dynamics()):
@@ -107,7 +107,7 @@ def test_no_rates_are_static_hazards(method):
 
 
 @for_each('method', METHODS)
-def test_a_method_refuses_hazards_that_it_does_not_take(method):
+def test_a_method_refuses_dynamics_that_it_does_not_support(method):
     prior = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     for dynamics in (Dynamics('changing', 0.1, 0.1), Dynamics('used_up')):
         able = [name for name, each in METHODS.items() if dynamics.kind in dynamics_of(each)]
@@ -137,7 +137,7 @@ def test_rates_out_of_range_or_of_another_kind_are_refused(arguments, named):
 
 @for_each('lethality, method', product((0.5, 1.0), EXACT))
 def test_two_losses_that_one_hazard_alone_explains_are_refused(lethality, method):
-    """Also where beliefs of single cells leave room for more."""
+    """Also where the marginals of single cells would allow more."""
     prior = Belief.from_maps([0.0, 0.5, 0.5, 0.0], [0.5] * 4, [0.5] * 4)
     model = SensorModel(lethality, malfunction=0.0, false_negative=0.0)
     estimator = Estimator(prior, model, method, dynamics=Dynamics('used_up'))
@@ -152,8 +152,8 @@ def test_two_losses_that_one_hazard_alone_explains_are_refused(lethality, method
 
 
 @pytest.mark.slow
-def test_a_field_changes_as_its_robots_are_told():
-    """A hazard is gone once it struck; chance alone makes others, and none where none may be."""
+def test_worlds_change_by_the_stated_dynamics():
+    """A hazard is gone once it struck; only chance adds hazards, and only where allowed."""
     grid = Grid(4, 3, base=5, blocked=(0,))
     prior, model = Belief.prior(grid, 0.5, 0.4, 0.8), SensorModel(0.5, 0.05, 0.3)
     rng = np.random.default_rng(5)
@@ -180,7 +180,7 @@ def test_a_field_changes_as_its_robots_are_told():
                 assert abs(share[1:, may].sum() - times * rate) < 5 * spread
 
 
-# Hazards that move: the prediction of a filter against draws of the world, and what it keeps.
+# Moving hazards: the filter's prediction against drawn worlds, and its invariants.
 
 
 GRID = Grid(3, 3, blocked=(5,))
@@ -196,7 +196,7 @@ def drawn_belief(seed):
 
 @pytest.mark.slow
 @for_each('seed, move', [(seed, move) for seed in range(4) for move in (0.02, 0.3)], every=2)
-def test_a_prediction_is_close_to_what_worlds_do(seed, move):
+def test_a_prediction_is_close_to_drawn_worlds(seed, move):
     dynamics, rng, draws = Dynamics('moving', move=move), np.random.default_rng(seed), 4000
     joint = drawn_belief(seed)
     hazard = joint[:, 1].sum(axis=1)

@@ -25,7 +25,7 @@ GRIDS = [(2, 3), (3, 3), (4, 3)]
 
 
 def uniform_prior(grid, density):
-    """Return a prior of one density, free at the base."""
+    """Return a prior of one density, with no hazard at the base."""
     return Belief.prior(grid, density, density * KAPPA + (1 - density) * BACKGROUND, KAPPA)
 
 
@@ -57,7 +57,7 @@ def posterior(grid, couplings, density, model, observations):
 
 
 def random_mission(seed, malfunction=0.05):
-    """Draw a field, a world in it, and what robots on random walks meet."""
+    """Draw a field, a world, and the observations of robots on random walks."""
     rng = np.random.default_rng([2024, seed])
     width, height = GRIDS[seed % 3]
     blocked = (5,) if seed % 5 == 0 else ()
@@ -81,7 +81,6 @@ def random_mission(seed, malfunction=0.05):
 
 
 def new_estimator(grid, clustering, density, model, seed=0):
-    """Return what samples."""
     return Estimator(uniform_prior(grid, density), model, METHOD, seed=seed, clustering=clustering)
 
 
@@ -93,7 +92,7 @@ def divergence(exact, hazard):
 
 
 def divergences(seeds):
-    """Return the divergence of each mission's belief, and the error of each mean coupling."""
+    """Return the KL divergences of beliefs, and the errors of mean couplings, of some missions."""
     of_beliefs, of_couplings = [], []
     for seed in seeds:
         grid, clustering, density, model, observations = random_mission(seed)
@@ -118,7 +117,7 @@ def test_beliefs_are_those_of_enumeration(record_property):
 
 
 def converge_at(monkeypatch, error, most):
-    """Have sweeps made until no more than this error is left, and at most so many."""
+    """Set the error at which sampling stops, and its maximum number of sweeps."""
     monkeypatch.setattr(sampler, 'CONVERGED', error)
     monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', error)
     monkeypatch.setattr(sampler, 'MOST_SWEEPS', most)
@@ -138,8 +137,8 @@ def test_more_sweeps_come_closer(monkeypatch):
 
 @for_each('seed', [0, 1])
 @for_each('error, most, made', [(0.0, 4, 4), (0.0, 24, 24), (1e9, 24, 4)])
-def test_as_many_sweeps_are_made_as_are_asked_for(monkeypatch, seed, error, most, made):
-    """In rounds of four: all of them, or one round where the belief is as close as it is to be."""
+def test_the_stated_number_of_sweeps_is_made(monkeypatch, seed, error, most, made):
+    """In rounds of four: all of them, or one round if the belief is close enough."""
     grid, clustering, density, model, observations = random_mission(seed)
     estimator = new_estimator(grid, clustering, density, model)
     converge_at(monkeypatch, error, most)
@@ -179,12 +178,12 @@ def test_draws_are_clustered():
 
 @pytest.mark.slow
 def test_density_and_coupling_are_learnt_together():
-    """Of a field that was seen whole, against all densities and couplings there may be."""
+    """On a field that was fully observed, against all densities and couplings."""
     grid = Grid(4, 3)
     clustering, unknowns = Clustering(grid, 'learn'), Unknowns(hazard_density=(0.05, 0.6))
     hazard = np.zeros(12, bool)
     hazard[[2, 3, 6, 7]] = True
-    # A safe sensor of targets that are hazards shows them all.
+    # A safe, perfect sensor of targets that are hazards reveals them all.
     model = SensorModel(0.0, 0.0, true_positive=1.0 - 1e-9, false_positive=1e-9)
     prior = Belief.prior(grid, 0.3, 0.3, 1.0)
     estimator = Estimator(prior, model, METHOD, unknowns, clustering=clustering)
@@ -225,7 +224,7 @@ def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
         'prior hazards differ between cells',
     ),
 ])  # fmt: skip
-def test_what_does_not_go_with_clusters_is_refused(changed, message):
+def test_unsupported_options_with_clusters_are_refused(changed, message):
     grid = Grid(4, 3)
     given = {
         'belief': uniform_prior(grid, 0.2),

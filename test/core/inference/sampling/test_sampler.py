@@ -38,12 +38,12 @@ EVERYTHING = {
 
 
 def observed(path, readings=None, steps_survived=0):
-    """Return the observation of a deployment as `brute_force` has it."""
+    """Return the observation of a brute-force deployment."""
     return Observation(path, readings is not None, readings, steps_survived)
 
 
 def assimilated(prior, model, observations, unknowns=Unknowns(), seed=0):  # noqa: B008
-    """Return an estimator that has taken everything in."""
+    """Return an estimator after these deployments."""
     estimator = Estimator(prior, model, METHOD, unknowns, seed)
     for observation in observations:
         estimator.assimilate(observation)
@@ -51,7 +51,7 @@ def assimilated(prior, model, observations, unknowns=Unknowns(), seed=0):  # noq
 
 
 def random_mission(rng, width, height, robots, joint, model):
-    """Draw what robots on random walks meet in a world; some of it lacks parts."""
+    """Draw observations of robots on random walks, some without readings or steps survived."""
     world = np.array([rng.choice(4, p=cell.ravel()) for cell in joint])
     s, on = brute_force.step_survival(model), brute_force.detection(model)
     seen = []
@@ -82,7 +82,7 @@ def log_odds(p):
 
 
 def moved(probabilities, average):
-    """Add to the log odds of all that are open what gives them an average."""
+    """Shift the log odds of all open cells to a given mean."""
     is_open = (probabilities > 0) & (probabilities < 1)
     if not is_open.any():
         return probabilities
@@ -100,7 +100,7 @@ def moved(probabilities, average):
 
 
 def with_value(joint, model, name, value):
-    """Return a prior and a sensor model in which one number has a value."""
+    """Return a prior and a sensor model with one number set."""
     if name in ('lethality', 'malfunction', 'true_positive', 'false_positive'):
         return joint, SensorModel(**{**vars(model), name: value})
     hazard = joint[:, 1].sum(axis=1)
@@ -119,7 +119,7 @@ def with_value(joint, model, name, value):
 
 
 def posterior(joint, model, seen, name, bins):
-    """Return the weights of a number's values, and the cells' joints, by enumeration."""
+    """Return the weights of a number's values and the cells' joints, by enumeration."""
     evidence, joints = [], []
     for value in bins.values:
         prior, sensors = with_value(joint, model, name, value)
@@ -133,7 +133,7 @@ def posterior(joint, model, seen, name, bins):
 
 LEARNT = [
     *((name, 4) for name in EVERYTHING),
-    # Of cells that nobody went to.
+    # Cells that no robot entered.
     *((name, 9) for name in ('hazard_density', 'kappa', 'target_background')),
 ]
 
@@ -142,7 +142,7 @@ LEARNT = [
 @for_each('name, cells', LEARNT, every=4)
 @for_each('seed', range(3))
 def test_a_number_is_learnt_as_by_enumeration(name, cells, seed, monkeypatch):
-    """By 20 robots on 2x2 of some cells."""
+    """By 20 robots on some 2x2 cells."""
     monkeypatch.setattr(sampler, 'CONVERGED_LEARNING', 0.0)
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, cells, 0)
@@ -166,13 +166,13 @@ HAZARDS = np.array([[0, *bits] for bits in np.ndindex(*15 * [2])], dtype=float)
 
 @cache
 def exposures(path):
-    """Return how often a path enters hazards, for each state of them."""
+    """Return the number of hazards that a path enters, for each state."""
     visits = np.bincount(np.frombuffer(path, dtype=np.intp)[1:], minlength=16)
     return (HAZARDS @ visits).astype(int)
 
 
 def weight_of_hazards(joint, model, observations):
-    """Enumerate the hazards of 4x4 cells, none at the base; targets are told by them alone."""
+    """Enumerate the hazards of 4x4 cells, none at the base; targets follow from them."""
     survive, on = np.array(brute_force.step_survival(model)), brute_force.detection(model)
     local, weight = joint.copy(), np.ones(len(HAZARDS))
     for observation in observations:
@@ -203,7 +203,7 @@ ENTROPIC = Belief.prior(FIELD, 0.5, 0.45, 0.8)
 
 
 def mission_of_25(seed, model):
-    """Draw what 25 robots on random walks meet on 4x4 cells."""
+    """Draw observations of 25 robots on random walks on 4x4 cells."""
     rng = np.random.default_rng(seed)
     world = World.random(FIELD, rng, 0.5, 0.8, 0.1)
     paths = [brute_force.random_path(rng, 4, 4, 0, rng.integers(1, 11)) for _ in range(25)]
@@ -213,7 +213,7 @@ def mission_of_25(seed, model):
 @pytest.mark.slow
 @for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=4)
 def test_a_mission_is_taken_in_nearly_exactly(lethality):
-    """25 robots on 4x4 cells from a prior of maximum entropy."""
+    """From a prior of maximum entropy."""
     model = SensorModel(lethality)
     away = []
     for seed in range(20 if FULL else 8):
@@ -225,7 +225,7 @@ def test_a_mission_is_taken_in_nearly_exactly(lethality):
 
 @pytest.mark.slow
 @for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=4)
-def test_a_lethality_that_nobody_knows_is_learnt(lethality):
+def test_an_unknown_lethality_is_learnt(lethality):
     model = SensorModel(lethality)
     away, apart = [], []
     for seed in range(5):
@@ -244,14 +244,14 @@ def test_a_lethality_that_nobody_knows_is_learnt(lethality):
 
 
 @pytest.mark.slow
-def test_more_sweeps_come_as_close_as_anyone_likes(monkeypatch):
+def test_more_sweeps_converge_to_the_exact_posterior(monkeypatch):
     monkeypatch.setattr(sampler, 'CONVERGED', 0.0)
     model = SensorModel(0.5)
     observations = mission_of_25(3, model)
     exact = marginals(*weight_of_hazards(ENTROPIC.joint, model, observations))
     for sweeps, close in ((8, 1e-3), (128, 1e-4), (512, 3e-5))[: 3 if FULL else 2]:
         away, said = [], []
-        # What is said varies as much as what it tells of, so that it takes many to compare them.
+        # The estimate varies as much as its error, so a comparison takes many missions.
         for seed in range(20 if FULL else 12):
             monkeypatch.setattr(sampler, 'MOST_SWEEPS', 4)
             estimator = assimilated(ENTROPIC, model, observations[:-1], seed=seed)
@@ -267,7 +267,7 @@ EXCLUSIVE = SensorModel(0.5, malfunction=1e-9)
 
 
 def test_a_loss_with_two_explanations_is_explained_by_either():
-    """Without malfunctions one of the path's cells is to blame, and no cell can go alone."""
+    """Without malfunctions one cell of the path is guilty, so no cell can change alone."""
     belief = Belief.prior(Grid(4, 1), [0, 0.1, 0.1, 0.1], 0.3, 0.3)
     path = [0, 1, 2, 3, 2, 1, 0]
     observations = [Observation(path, False)] * 3
@@ -281,7 +281,7 @@ def test_a_loss_with_two_explanations_is_explained_by_either():
 
 @for_each('malfunction, lethality', [(0.0, 1.0), (0.0, 0.4), (0.2, 1.0)])
 @for_each('seed', range(5))
-def test_what_is_certain_is_sampled_as_well(malfunction, lethality, seed):
+def test_certain_cells_are_sampled(malfunction, lethality, seed):
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, 6, 0)
     joint[4] = [[0, 0], [0.3, 0.7]]
@@ -295,7 +295,7 @@ def test_what_is_certain_is_sampled_as_well(malfunction, lethality, seed):
 # What holds exactly
 
 
-def test_without_losses_nothing_is_left_to_chance():
+def test_without_losses_the_posterior_is_exact():
     rng = np.random.default_rng(1)
     joint, model = brute_force.random_joint(rng, 9, 0), SensorModel(0.5)
     seen = []
@@ -308,7 +308,7 @@ def test_without_losses_nothing_is_left_to_chance():
     assert found.sampling_error < 1e-12
 
 
-def test_cells_that_nobody_went_to_keep_their_bits_where_the_prior_is_known():
+def test_unvisited_cells_keep_their_bits_if_the_prior_is_known():
     observations = [Observation([0, 1, 4, 0], False), Observation([0, 1, 0], True, [1, 0])]
     unknowns = Unknowns(lethality=(0, 1), true_positive=(0.5, 1))
     estimator = assimilated(ENTROPIC, SensorModel(0.5), observations, unknowns)
@@ -316,7 +316,7 @@ def test_cells_that_nobody_went_to_keep_their_bits_where_the_prior_is_known():
     assert (estimator.belief.joint[elsewhere] == ENTROPIC.joint[elsewhere]).all()
 
 
-def test_before_the_first_deployment_all_is_as_the_priors_say():
+def test_before_the_first_deployment_the_belief_is_the_prior():
     unknowns = Unknowns(**EVERYTHING)
     estimator = Estimator(ENTROPIC, SensorModel(0.5), METHOD, unknowns)
     density = 0.45
@@ -339,7 +339,7 @@ def test_before_the_first_deployment_all_is_as_the_priors_say():
 
 
 def test_the_model_to_plan_with_survives_and_reads_as_expected():
-    """Without deployments lethality and malfunction are independent; a loss ties them."""
+    """Without deployments lethality and malfunction are independent; a loss couples them."""
     unknowns = Unknowns(lethality=(0, 1), malfunction=(0, 1))
     belief = Belief.prior(Grid(2, 1), [0, 0.5], 0.5, 0.5)
     model = SensorModel(0.5, false_negative=0.2)
@@ -395,7 +395,7 @@ print(digest.hexdigest())
 
 
 def bits(numba='some', **environment):
-    """Return the hash of what is learnt in another process."""
+    """Return the hash of a posterior computed in another process."""
     ran = subprocess.run(
         [sys.executable, '-W', 'ignore', '-c', BITS, numba],
         env={**os.environ, **environment},
@@ -436,13 +436,13 @@ def test_the_numbers_drawn_are_not_those_of_a_world_of_that_seed():
     (0.5, 'two numbers'),
     (('a', 'b'), "low is 'a': it must be a number"),
 ])  # fmt: skip
-def test_an_interval_that_is_none_is_refused(given, message):
+def test_a_bad_interval_is_refused(given, message):
     with pytest.raises(ValueError, match=f'lethality is unknown within.*{message}|{message}'):
         Unknowns(lethality=given)
 
 
 @for_each('arguments', [(0, 1), (1, -2), (float('inf'), 1), (1, float('nan'))])
-def test_a_beta_that_is_none_is_refused(arguments):
+def test_a_bad_beta_distribution_is_refused(arguments):
     with pytest.raises(ValueError, match='of a Beta is .*: it must be above 0'):
         Beta(*arguments)
 
@@ -460,20 +460,20 @@ def test_a_method_that_learns_no_numbers_refuses_to(method):
     ({'target_background': (0, 1)}, (0.5, 0.4, 0.8), {}, 'target_background.*open in no cell'),
     ({'lethality': (0, 1)}, (0.5, 0.5, 0.5), {'false_negative': 1.0}, 'lethality.*strike'),
 ])  # fmt: skip
-def test_a_number_that_makes_no_difference_is_refused(unknowns, maps, sensors, message):
+def test_a_number_without_effect_is_refused(unknowns, maps, sensors, message):
     belief = Belief.prior(Grid(2, 2), *maps)
     with pytest.raises(ValueError, match=f'{message}'):
         Estimator(belief, SensorModel(0.5, **sensors), METHOD, Unknowns(**unknowns))
 
 
 @for_each('seed', [-1, 0.5])
-def test_a_seed_that_is_none_is_refused(seed):
+def test_a_bad_seed_is_refused(seed):
     with pytest.raises(ValueError, match=f'seed is {seed}'):
         Estimator(ENTROPIC, SensorModel(0.5), METHOD, seed=seed)
 
 
-def test_only_what_no_value_explains_is_refused():
-    """Without malfunctions a loss needs a hazard, or malfunctions that may be."""
+def test_only_evidence_that_no_value_explains_is_refused():
+    """Without malfunctions a loss needs a hazard, or a malfunction rate above 0."""
     safe = Belief.prior(Grid(2, 1), 0.0, 0.5, 0.5)
     lost = Observation([0, 1, 0], False)
     told = SensorModel(0.5, malfunction=0.0)
