@@ -144,7 +144,7 @@ def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
 
 
 # Maximum cells along a side for lines between cells.
-MOST_LINED = 20
+MAX_LINED = 20
 
 # Opacity of a single path; many show through each other.
 DARKEST = 0.9
@@ -231,7 +231,7 @@ def draw_field(axes: Axes, grid: Grid) -> None:
     axes.set_ylim(*np.sort(corners[:, 1])[[0, -1]])
     axes.set_aspect('equal')
     axes.add_patch(PathPatch(outlines(grid, ~grid.free), facecolor='0.6', linewidth=0))
-    if max(grid.width, grid.height) <= MOST_LINED:
+    if max(grid.width, grid.height) <= MAX_LINED:
         columns = left + np.arange(1, grid.width) * grid.resolution
         rows = bottom + np.arange(1, grid.height) * grid.resolution
         line: dict[str, Any] = {'color': '0.75', 'linewidth': 0.4}

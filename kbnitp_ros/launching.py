@@ -9,7 +9,7 @@ from pathlib import Path
 import signal
 from typing import Any
 
-from kbnitp_ros.configuration import Parameter, parameters_of
+from kbnitp_ros.configuration import node_parameters, Parameter
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.log.files import new_log
@@ -64,7 +64,7 @@ TRANSPORT = OpaqueFunction(function=transport)
 
 def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
     """Return the arguments that all launch files of missions take."""
-    known = parameters_of('estimator') | parameters_of('planner')
+    known = node_parameters('estimator') | node_parameters('planner')
     return [
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of all nodes and topics.'
@@ -97,11 +97,11 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
             choices=SWITCH,
             description='Whether to show the mission in RViz.',
         ),
-        *(argument_of(known[name], defaults.get(name, '')) for name in OPTIONS),
+        *(launch_argument(known[name], defaults.get(name, '')) for name in OPTIONS),
     ]
 
 
-def argument_of(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
+def launch_argument(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
     """Return the launch argument of a parameter's name."""
     description = f'{parameter.description} Empty for what params_file says.'
     return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
@@ -157,7 +157,7 @@ class MissionArguments:
         self._sections = read_sections(self.argument('params_file'))
         self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
         self.agents = agents_named(self.argument('agents')) or list(
-            self._values('planner').get('agents', parameters_of('planner')['agents'].default)
+            self._values('planner').get('agents', node_parameters('planner')['agents'].default)
         )
         # Restarted nodes resume it.
         self._log: Path | None = None
@@ -183,7 +183,7 @@ class MissionArguments:
 
     def base(self, **of_real_robots: str) -> list[Action]:
         """Return the nodes of the base, and RViz."""
-        said, known, log = self._values('planner'), parameters_of('planner'), self._log
+        said, known, log = self._values('planner'), node_parameters('planner'), self._log
         self._options = {
             name: text
             for name, text in of_real_robots.items()
@@ -215,7 +215,7 @@ class MissionArguments:
         ends_mission: bool = True,
     ) -> Node:
         """Return a node of the mission; its executable has the same name."""
-        known, log = parameters_of(name), self._log
+        known, log = node_parameters(name), self._log
         values = {
             'agents': self.agents,
             'resume': self.argument('resume'),
@@ -275,7 +275,7 @@ def agents_named(given: str) -> list[str]:
         return [f'scout_{number}' for number in range(1, int(given) + 1)]
     names = given.split(',') if given else []
     try:
-        return list(parameters_of('planner')['agents'].check(names))
+        return list(node_parameters('planner')['agents'].check(names))
     except ValueError as error:
         raise ValueError(
             f'agents is {given!r}: it must be a whole number, at least 1, or names with commas '

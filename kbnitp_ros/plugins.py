@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from importlib.metadata import entry_points, EntryPoint
 from inspect import signature
 from types import MappingProxyType
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NoReturn, TypeVar
 from warnings import warn
 
 
@@ -21,6 +21,17 @@ def extra(name: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         words = f"No module named {error.name!r}; pip install 'kbnitp_ros[{name}]'"
         raise ModuleNotFoundError(words, name=error.name) from None
+
+
+def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], NoReturn]:
+    """Return the ``__getattr__`` of a module that refuses old names with the new ones."""
+
+    def refuse(name: str) -> NoReturn:
+        if name in names:
+            raise ImportError(f'{module}.{name} is called {names[name]} now')
+        raise AttributeError(f'module {module!r} has no attribute {name!r}')
+
+    return refuse
 
 
 Entry = TypeVar('Entry')
@@ -109,7 +120,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             try:
                 return self.check(given)
             except TypeError as error:
-                raise TypeError(f'{self.kind} {name_of(given)}: {error}') from error
+                raise TypeError(f'{self.kind} {entry_name(given)}: {error}') from error
         if given not in self:
             raise ValueError(f'{self.kind} is {given!r}: {self.why_not(given)}')
         return self[given]
@@ -136,7 +147,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """Return the error that blames an entry."""
         source = given.__module__ if callable(given) else self._sources[given]
         return PluginError(
-            f'{self.kind} {name_of(given)!r} of {source} {words}; '
+            f'{self.kind} {entry_name(given)!r} of {source} {words}; '
             f'kbnitp_ros.testing.check_{self.kind} finds such faults'
         )
 
@@ -146,13 +157,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             return
         # A module that asks for names while it is imported sees those found by then.
         self._is_searched = True
-        points = sorted(entry_points(group=f'{PACKAGE}.{self.kind}s'), key=source_of)
+        points = sorted(entry_points(group=f'{PACKAGE}.{self.kind}s'), key=entry_source)
         count = Counter(point.name for point in points)
         for point in points:
-            source = source_of(point)
+            source = entry_source(point)
             try:
                 if count[point.name] > 1:
-                    others = [source_of(each) for each in points if each.name == point.name]
+                    others = [entry_source(each) for each in points if each.name == point.name]
                     raise ValueError(f'{" and ".join(others)} have one of this name')
                 self._add(point.name, point.load(), source)
             # Importing a module may raise anything, and end the process.
@@ -170,7 +181,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._sources[name] = source
 
 
-def name_of(given: str | Callable[..., Any]) -> str:
+def entry_name(given: str | Callable[..., Any]) -> str:
     """Return the name of an entry."""
     if isinstance(given, str):
         return given
@@ -191,7 +202,7 @@ def takes(given: object, arguments: Iterable[str]) -> Any:
     return given
 
 
-def source_of(point: EntryPoint) -> str:
+def entry_source(point: EntryPoint) -> str:
     """Return the distribution of an entry point, and its value."""
     whose = f'{point.dist.name} {point.dist.version}' if point.dist else 'a distribution'
     return f'{whose} (entry point {point.name} = {point.value})'

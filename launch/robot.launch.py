@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch the agent of one real robot, on its own computer."""
 
-from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.configuration.given import read_sections
-from kbnitp_ros.launching import argument_of, check_arguments, FINAL, respawned, SHARE, TRANSPORT
+from kbnitp_ros.launching import (
+    check_arguments,
+    FINAL,
+    launch_argument,
+    respawned,
+    SHARE,
+    TRANSPORT,
+)
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import (
@@ -35,7 +42,7 @@ def generate_launch_description():
             default_value=PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
             description='YAML file with the parameters, the same as at the base.',
         ),
-        *(argument_of(parameters_of('robot')[name]) for name in OPTIONS),
+        *(launch_argument(node_parameters('robot')[name]) for name in OPTIONS),
     ]
     return LaunchDescription([*arguments, TRANSPORT, OpaqueFunction(function=robot)])
 

@@ -14,7 +14,7 @@ import sys
 from ament_index_python.packages import get_package_prefix
 import kbnitp_ros
 from kbnitp_ros import __main__ as commands
-from kbnitp_ros.configuration import NODES, parameter_of, parameters_of
+from kbnitp_ros.configuration import find_parameter, node_parameters, NODES
 from kbnitp_ros.nodes.runtime.command_line import node_parser
 from kbnitp_ros.starting import EXECUTABLES, EXTRAS
 from laws import for_each
@@ -85,12 +85,12 @@ def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(na
 def test_the_help_of_a_node_has_its_parameters_with_defaults_and_what_they_must_be(name):
     parser = node_parser(name, 'Does it.')
     told = ' '.join(parser.format_help().split())
-    for parameter in parameters_of(name).values():
+    for parameter in node_parameters(name).values():
         default = ' '.join(json.dumps(parameter.default).split())
         assert f' {parameter.name} {parameter.description} Default {default}; ' in told
         assert parameter.must_be in told
     (example,) = re.findall(r'-p ([a-z][\w.]*):=', told)
-    assert parameter_of(name, example)
+    assert find_parameter(name, example)
 
 
 def test_an_unknown_name_is_named(capsys):

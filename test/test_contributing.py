@@ -17,11 +17,11 @@ LISTS = ROOT.joinpath('CONTRIBUTING.md').read_text().split('## Steps of frequent
 
 COLUMN = """
 from pathlib import Path
-from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.tables import mission_curves
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.tables import write_tables
 mission = read_mission('log.mcap')
-write_tables(Path(), mission, curves_of(mission))
+write_tables(Path(), mission, mission_curves(mission))
 head, *lines = Path('deployments.csv').read_text().splitlines()
 place = head.split(',').index('"first_cell"')
 assert lines and all(line.split(',')[place] == '0' for line in lines), lines

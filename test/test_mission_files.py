@@ -10,9 +10,9 @@ import subprocess
 from subprocess import DEVNULL
 import time
 
-from kbnitp_ros.cli.parameters import values_of
+from kbnitp_ros.cli.parameters import node_values
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration import NODES, parameters_of
+from kbnitp_ros.configuration import node_parameters, NODES
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.log.read import read_log, read_parameters
 from kbnitp_ros.log.replay import replay
@@ -30,7 +30,7 @@ POSES = 'tf2_msgs/msg/TFMessage'
 @for_each('node', NODES)
 def test_the_configuration_has_every_parameter_with_its_default(node):
     given = values_for(read_sections(CONFIG), f'/north/{node}')
-    table = parameters_of(node)
+    table = node_parameters(node)
     assert {name: table[name].check(given.get(name)) for name in table} == {
         name: parameter.default for name, parameter in table.items()
     }
@@ -194,7 +194,7 @@ def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
         try:
             sections = read_sections(tmp_path / 'short.yaml')
             own = {'agent': 'ada', 'agents': ['ada'], 'recorded': True}
-            values = values_of(sections, ['agent'])['agent']
+            values = node_values(sections, ['agent'])['agent']
             robots.start('agent', {**values, **own}, output=DEVNULL)
             assert base.wait(timeout=120) == 0
         finally:

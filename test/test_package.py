@@ -3,7 +3,7 @@
 
 import ast
 from collections import defaultdict
-from importlib import metadata
+from importlib import import_module, metadata
 import json
 import os
 from pathlib import Path
@@ -322,3 +322,20 @@ def test_ros_is_tried_with_what_rosdep_does_not_know():
     installed = {name for line in steps('ros') if 'pip install' in line for name in line.split()}
     assert len(wanted) > 5
     assert wanted <= installed
+
+
+@pytest.mark.parametrize(
+    'module, old, new',
+    [
+        ('configuration', 'grid_of', 'make_grid'),
+        ('maps', 'levels_of', 'quantise_belief'),
+        ('study', 'tables_of', 'study_tables'),
+    ],
+)
+def test_an_old_name_is_refused_with_the_new_one(module, old, new):
+    package = import_module(f'kbnitp_ros.{module}')
+    with pytest.raises(ImportError, match=f'kbnitp_ros.{module}.{old} is called {new} now'):
+        getattr(package, old)
+    assert callable(getattr(package, new))
+    with pytest.raises(AttributeError, match='has no attribute'):
+        getattr(package, f'{old}_all')

@@ -24,7 +24,7 @@ from kbnitp_ros.log import mcap_file
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.study.scenario import Scenario
 from kbnitp_ros.study.scenario_file import read_scenario
-from kbnitp_ros.study.trial import trials_of
+from kbnitp_ros.study.trial import list_trials
 from laws import for_each
 import pytest
 
@@ -150,7 +150,7 @@ def test_files_are_read_as_the_page_shows_them(tmp_path):
     world = read_world(tmp_path / 'world.yaml', Grid(4, 3))
     assert world.hazard.nonzero()[0].tolist() == [1, 10]
     assert world.target.nonzero()[0].tolist() == [1, 4, 10]
-    trials = len(trials_of(read_scenario(tmp_path / 'scenario.yaml')))
+    trials = len(list_trials(read_scenario(tmp_path / 'scenario.yaml')))
     assert f'= {trials} missions' in words('docs/files.md')
     missing = [key for key in keys_in(Scenario) if not re.search(rf'\b{key}:', shown('scenario'))]
     assert missing == []

@@ -156,7 +156,7 @@ SCRIPT = """
 from kbnitp_ros.core import Belief, Estimator, Grid, plan, run_mission, SensorModel, World
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.maps import read_map
-from kbnitp_ros.study import compare, tables_of
+from kbnitp_ros.study import compare, study_tables
 
 grid = Grid(4, 4)
 prior = Belief.prior(grid, hazard=0.15, target=0.2, kappa=0.8)
@@ -169,7 +169,7 @@ reveal_type(Estimator(prior, model, 'kappa_bnitp').belief)
 reveal_type(read_history)
 reveal_type(read_map('field.yaml').grid())
 reveal_type(compare(planners=['beam', lambda finder, objective: []]))
-reveal_type(tables_of(compare())['summary'].latex())
+reveal_type(study_tables(compare())['summary'].latex())
 Grid('4', 4)
 """
 

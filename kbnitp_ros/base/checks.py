@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from math import ceil
 from typing import Any
 
-from kbnitp_ros.configuration import parameter_of, value_for
-from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration import find_parameter, value_for
+from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import Grid, Ledger, RobotType
 import numpy as np
@@ -45,7 +45,7 @@ def reach_note(
 def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
     """Check that the robots of each agent can leave their base."""
     for agent in values['agents']:
-        field = grid.at(base_of(values, agent, grid))
+        field = grid.at(own_base(values, agent, grid))
         why = ''
         if not (field.steps_to_base == 1).any():
             why = 'no other cell can be entered from it (map, grid.blocked and grid.corners)'
@@ -99,7 +99,7 @@ def check_changes(
     given = {
         name: parameter.check(value)
         for name, value in changes.items()
-        if (parameter := parameter_of('planner', name))
+        if (parameter := find_parameter('planner', name))
     }
     check_search({**values, **given}, grid, believed)
     check_robots(given.get('robots', sent), sent)

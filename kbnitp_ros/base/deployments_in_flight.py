@@ -10,7 +10,7 @@ import time
 from typing import Any, TypeVar
 
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.configuration.table import MOST_ROBOTS
+from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.record import Departures
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Seconds after the first refusal, doubled with each further one, and their maximum.
-FIRST, LONGEST = 1.0, 60.0
+FIRST, MAX_PAUSE = 1.0, 60.0
 
 
 class Refusals:
@@ -31,7 +31,7 @@ class Refusals:
 
     def add(self, agent: str) -> None:
         """Record that an agent refused an order."""
-        pause = min(2 * self._pauses[agent], LONGEST) if agent in self._pauses else FIRST
+        pause = min(2 * self._pauses[agent], MAX_PAUSE) if agent in self._pauses else FIRST
         self._pauses[agent], self._until[agent] = pause, time.monotonic() + pause
 
     def clear(self, agent: str) -> None:
@@ -75,7 +75,7 @@ K = TypeVar('K')
 V = TypeVar('V')
 
 # Maximum number of recorded or unknown deployments remembered until their paths arrive.
-MOST_UNHEARD = 1000
+MAX_UNHEARD = 1000
 
 
 @dataclass
@@ -189,9 +189,9 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
                 None,
             )
             return True
-        if len(self._others) >= MOST_ROBOTS:
+        if len(self._others) >= MAX_ROBOTS:
             raise ValueError(
-                f'more than {MOST_ROBOTS} paths of other planners were received: stop all but one'
+                f'more than {MAX_ROBOTS} paths of other planners were received: stop all but one'
             )
         self._others[key] = mission
         return False
@@ -299,5 +299,5 @@ def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
 def remember(known: OrderedDict[K, V], key: K, value: V) -> None:
     """Add an entry, and drop the oldest of too many."""
     known[key] = value
-    if len(known) > MOST_UNHEARD:
+    if len(known) > MAX_UNHEARD:
         known.popitem(last=False)

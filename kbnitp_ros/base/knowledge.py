@@ -8,8 +8,8 @@ from contextlib import suppress
 from threading import Lock
 from typing import Any
 
-from kbnitp_ros.configuration import goal_of
-from kbnitp_ros.configuration.mission import stop_of
+from kbnitp_ros.configuration import make_goal
+from kbnitp_ros.configuration.mission import make_stop
 from kbnitp_ros.core import (
     Belief,
     Decision,
@@ -55,12 +55,12 @@ class Knowledge:
     @property
     def goal(self) -> Goal | None:
         """Return the goal of the mission; None to map the field."""
-        return goal_of(self._values, self._grid)
+        return make_goal(self._values, self._grid)
 
     @property
     def stop(self) -> Stop:
         """Return the conditions that end the mission early."""
-        return stop_of(self._values)
+        return make_stop(self._values)
 
     @property
     def lost(self) -> int:

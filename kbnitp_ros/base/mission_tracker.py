@@ -9,8 +9,8 @@ from typing import Any
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import Plans, Rounds
-from kbnitp_ros.configuration.agents import robot_types_of
-from kbnitp_ros.configuration.table import MOST_ROBOTS
+from kbnitp_ros.configuration.agents import make_robot_types
+from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.log.record import read_newest_round, read_resumed
 from kbnitp_ros.log.roles import MissionLog
@@ -58,9 +58,9 @@ class MissionTracker:
         # A belief may come before its publisher is counted, so its content decides: it holds no
         # more deployments than paths were sent. Only the first belief of a single estimator may
         # hold more: those paths were lost with an earlier planner.
-        if snapshot.deployments > MOST_ROBOTS:
+        if snapshot.deployments > MAX_ROBOTS:
             raise ValueError(
-                f'deployments is {snapshot.deployments}: a mission has at most {MOST_ROBOTS}'
+                f'deployments is {snapshot.deployments}: a mission has at most {MAX_ROBOTS}'
             )
         self._check_mission(snapshot, authors)
         remedy = f'{authors} nodes publish beliefs: stop all but one'
@@ -117,7 +117,7 @@ class Resumption:
         self._log = log
         self._values = values
         self._agents = agents
-        robot_types = robot_types_of(values, grid)
+        robot_types = make_robot_types(values, grid)
         self.record = read_resumed(log, grid, values['max_steps'], robot_types)
         # In their order.
         self.orders = self.record.orders

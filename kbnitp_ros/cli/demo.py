@@ -10,8 +10,8 @@ from pathlib import Path
 
 from kbnitp_ros.cli.output import command, complain
 from kbnitp_ros.cli.parameters import DEFAULTS, NODES, OPTIONS, OWN
-from kbnitp_ros.configuration.known import parameters_of
-from kbnitp_ros.configuration.table import MOST_AGENTS
+from kbnitp_ros.configuration.known import node_parameters
+from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 
 DESCRIPTION = """
@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Return the options; those that were not given are None."""
-    table = {name: each for node in NODES for name, each in parameters_of(node).items()}
+    table = {name: each for node in NODES for name, each in node_parameters(node).items()}
     parser = command_parser('demo', DESCRIPTION, *EXAMPLES)
     for option, name in OPTIONS.items():
         default = DEFAULTS.get(name, table[name].default)
@@ -76,7 +76,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--agents',
         metavar='N',
         type=int,
-        help=f'agents whose robots leave together, from 1 to {MOST_AGENTS}; default 1',
+        help=f'agents whose robots leave together, from 1 to {MAX_AGENTS}; default 1',
     )
     parser.add_argument(
         '--params',

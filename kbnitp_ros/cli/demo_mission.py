@@ -26,24 +26,30 @@ from kbnitp_ros.cli.parameters import (
     DEFAULTS,
     HELD,
     LEARNT,
+    node_values,
     NODES,
     OPTIONS,
     OWN,
     recorded_values,
     set_parameter,
-    values_of,
 )
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.cli.report import report
 from kbnitp_ros.cli.watch import HOST, serving
-from kbnitp_ros.configuration import agents_of, estimator_of, grid_of, parameters_of, value_for
+from kbnitp_ros.configuration import (
+    agent_names,
+    make_estimator,
+    make_grid,
+    node_parameters,
+    value_for,
+)
 from kbnitp_ros.configuration.agents import (
-    base_of,
-    execution_of,
+    make_execution,
+    make_robot_types,
     most_distance,
     most_steps,
-    robot_types_of,
+    own_base,
     true_dynamics,
 )
 from kbnitp_ros.configuration.field import read_world
@@ -53,7 +59,7 @@ from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words, share
-from kbnitp_ros.log.files import check_is_new, LogError, LogLock, NAME, new_log, parts_of
+from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
 from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
@@ -95,7 +101,7 @@ MAY_DIFFER = ('sensor.', 'hazards.', 'await_nodes')
 def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]]]:
     """Return the log of the mission that these options mean, and the parameters of its nodes."""
     if options.resume:
-        log = parts_of(options.resume)[0]
+        log = log_parts(options.resume)[0]
         # Nodes that went on with a mission which still lives would send its robots again.
         LogLock(log).release()
         return log, recorded_parameters(log)
@@ -115,8 +121,8 @@ def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]
 def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: bool) -> int:
     """Run the mission, replay and report it; return the exit code."""
     planner = parameters['planner']
-    grid, most = grid_of(planner), most_steps(planner)
-    bases = [base_of(planner, agent, grid) for agent in planner['agents']]
+    grid, most = make_grid(planner), most_steps(planner)
+    bases = [own_base(planner, agent, grid) for agent in planner['agents']]
     distance = most_distance(planner, planner['agents'])
     reach = reach_note(grid, most, bases=bases, max_distance=distance)
     if reach:
@@ -144,9 +150,9 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     sections = read_sections(options.params) if options.params else {}
     if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
         raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
-    parameters = values_of(sections, NODES, DEFAULTS)
+    parameters = node_values(sections, NODES, DEFAULTS)
     for name, value in given_by_options(options):
-        for table, values in ((parameters_of(node), parameters[node]) for node in NODES):
+        for table, values in ((node_parameters(node), parameters[node]) for node in NODES):
             if name in table:
                 values[name] = table[name].check(value)
     for rule in options.set:
@@ -202,15 +208,15 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
         raise ValueError(
             f'map_topic is {simulated["map_topic"]}: no map reaches the demo, use map'
         )
-    grid = grid_of(simulated)
-    agents_of(simulated, grid)
-    check_search(parameters['planner'], grid, robot_types_of(estimator, grid))
+    grid = make_grid(simulated)
+    agent_names(simulated, grid)
+    check_search(parameters['planner'], grid, make_robot_types(estimator, grid))
     check_reach(grid, parameters['planner'])
-    execution_of(simulated)
+    make_execution(simulated)
     true_dynamics(simulated)
     if simulated['world.file']:
         read_world(simulated['world.file'], grid)
-    estimator_of(estimator, grid)
+    make_estimator(estimator, grid)
 
 
 def how_to_go_on(log: Path) -> str:

@@ -14,13 +14,13 @@ import sys
 from typing import Any
 
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.cli.parameters import recorded_planner, set_parameter, values_of
+from kbnitp_ros.cli.parameters import node_values, recorded_planner, set_parameter
 from kbnitp_ros.cli.study import count
-from kbnitp_ros.configuration import agents_of, estimator_of, goal_of, grid_of
-from kbnitp_ros.configuration.agents import robot_types_of
+from kbnitp_ros.configuration import agent_names, make_estimator, make_goal, make_grid
+from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
-from kbnitp_ros.configuration.mission import check_search, search_options, stop_of, type_to_plan
+from kbnitp_ros.configuration.mission import check_search, make_stop, search_options, type_to_plan
 from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Team
 from kbnitp_ros.core.forecast import Course, PossibleWorld, Share
 from kbnitp_ros.figures import forecast_figure, save
@@ -139,7 +139,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
     """Return the forecast of a new mission, as a function of worlds and randomness."""
     sections = read_sections(options.params) if options.params else {}
-    parameters = values_of(sections, ('planner', 'estimator'))
+    parameters = node_values(sections, ('planner', 'estimator'))
     for rule in options.set:
         set_parameter(parameters, rule, 'forecast')
     planner, estimator = parameters['planner'], parameters['estimator']
@@ -147,16 +147,16 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
         raise ValueError(
             f'map_topic is {planner["map_topic"]}: no map reaches the forecast, use map'
         )
-    grid = grid_of(planner)
-    if grid_of(estimator) != grid:
+    grid = make_grid(planner)
+    if make_grid(estimator) != grid:
         raise ValueError('planner and estimator have different fields: give both the same')
-    believed = robot_types_of(estimator, grid)
+    believed = make_robot_types(estimator, grid)
     return partial(
         forecast,
         grid,
-        estimator_of(estimator, grid),
+        make_estimator(estimator, grid),
         planner['robots'],
-        **plan_of(planner, grid, believed),
+        **planning_arguments(planner, grid, believed),
     )
 
 
@@ -164,7 +164,7 @@ def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
     """Return the forecast of a resumed mission, as a function of worlds and randomness."""
     ledger = read_ledger(log := MissionLog(options.log, options.namespace))
     parameters = (
-        values_of(read_sections(options.params), ('planner',))
+        node_values(read_sections(options.params), ('planner',))
         if options.params
         else {'planner': recorded_planner(log)}
     )
@@ -182,22 +182,22 @@ def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
         ledger.estimator,
         planner['robots'] - sent,
         before=[ledger.outcomes[key] for key in ledger.deployments],
-        **plan_of(planner, ledger.grid, ledger.robot_types),
+        **planning_arguments(planner, ledger.grid, ledger.robot_types),
     )
 
 
-def plan_of(
+def planning_arguments(
     planner: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]
 ) -> dict[str, Any]:
     """Return the planning arguments of `forecast` from the planner's parameters."""
     check_own(planner)
     check_search(planner, grid, believed)
-    types = [type_to_plan(planner, agent, grid, believed) for agent in agents_of(planner, grid)]
+    types = [type_to_plan(planner, agent, grid, believed) for agent in agent_names(planner, grid)]
     return {
         'options': search_options(planner),
         'team': Team(len(types), planner['allocation'], tuple(types)),
-        'goal': goal_of(planner, grid),
-        'stop': stop_of(planner),
+        'goal': make_goal(planner, grid),
+        'stop': make_stop(planner),
     }
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.configuration import goal_of, parameter_of, parameters_of
+from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known
 from kbnitp_ros.configuration.parameter import nearest, own_name
@@ -46,7 +46,7 @@ HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
 OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 
 
-def values_of(
+def node_values(
     sections: Sections,
     nodes: Collection[str],
     defaults: Mapping[str, Any] = MappingProxyType({}),
@@ -54,11 +54,11 @@ def values_of(
     """Return the values of each node from the sections of a file, or the defaults."""
     parameters = {}
     for node in nodes:
-        table = parameters_of(node)
+        table = node_parameters(node)
         values = {name: parameter.default for name, parameter in table.items()}
         values |= {name: value for name, value in defaults.items() if name in table}
         for name, value in values_for(sections, f'/{node}').items():
-            if parameter := parameter_of(node, name):
+            if parameter := find_parameter(node, name):
                 values[name] = parameter.check(value)
         parameters[node] = values
     return parameters
@@ -83,7 +83,7 @@ def set_parameter(
     try:
         check_known(name, nodes)
         for each in nodes:
-            if parameter := parameter_of(each, name):
+            if parameter := find_parameter(each, name):
                 parameters[each][name] = parameter.read(text)
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
@@ -94,7 +94,7 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
     # A parameter that the recording version lacked has the value that it had implicitly.
     values = {
         name: parameter.default if recorded.get(name) is None else recorded[name]
-        for name, parameter in parameters_of(node).items()
+        for name, parameter in node_parameters(node).items()
     }
     return values | {name: value for name, value in recorded.items() if own_name(name)}
 
@@ -112,6 +112,6 @@ def asked_on_record(log: MissionLog) -> RecordedGoal | None:
     """Return the goal on record; None if it is not recorded."""
     with suppress(ValueError):
         first, planner = first_belief(log), recorded_planner(log)
-        goal = goal_of(planner, first.grid) if first else None
+        goal = make_goal(planner, first.grid) if first else None
         return RecordedGoal(goal, planner['max_steps']) if goal else None
     return None

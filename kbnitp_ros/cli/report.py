@@ -12,10 +12,10 @@ from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
-from kbnitp_ros.report.comparison import check_one_field, comparison_of, Pair
+from kbnitp_ros.report.comparison import check_one_field, comparison_page, Pair
 from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
 from kbnitp_ros.report.mission import Mission, read_mission
-from kbnitp_ros.report.tables import Curves, curves_of
+from kbnitp_ros.report.tables import Curves, mission_curves
 from tqdm import tqdm
 
 DESCRIPTION = """
@@ -87,7 +87,7 @@ def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
     """Write the page of two missions, with progress bars on a terminal."""
     missions = [read(first), read(second)]
     check_one_field(*missions)
-    page = comparison_of(*(Pair(each, curves_with_progress(each)) for each in missions))
+    page = comparison_page(*(Pair(each, curves_with_progress(each)) for each in missions))
     write_comparison(folder, page)
     say(f'wrote {folder / "comparison.html"}')
     return missions
@@ -100,4 +100,4 @@ def read(log: Path, namespace: str | None = None) -> Mission:
 
 def curves_with_progress(mission: Mission) -> Curves:
     """Return the curves of a mission, with a progress bar on a terminal."""
-    return curves_of(mission, partial(tqdm, unit='belief', desc='curves', disable=None))
+    return mission_curves(mission, partial(tqdm, unit='belief', desc='curves', disable=None))

@@ -119,7 +119,7 @@ def study(options: argparse.Namespace) -> int:
     from kbnitp_ros.study.comparison import write_report
     from kbnitp_ros.study.results import check_memory, Results
     from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
-    from kbnitp_ros.study.trial import run_trial, trials_of
+    from kbnitp_ros.study.trial import list_trials, run_trial
     from kbnitp_ros.study.workers import Folder, workers
 
     with ExitStack() as stack:
@@ -135,7 +135,7 @@ def study(options: argparse.Namespace) -> int:
             return 2
         try:
             outcomes = folder.outcomes()
-            trials = trials_of(scenario)
+            trials = list_trials(scenario)
             missing = [trial for trial in trials if trial not in outcomes]
             # World after world, so that an interrupted study has complete worlds.
             missing.sort(key=attrgetter('number'))

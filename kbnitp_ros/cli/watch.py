@@ -15,14 +15,14 @@ import time
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.study import count
-from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.read import is_finished
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.page import page_of, rendered, title_of, without_library
-from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.page import mission_page, mission_title, rendered, without_library
+from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
 Serve the page of a mission while it runs. The page follows the log as it grows. The command reads
@@ -92,7 +92,7 @@ def newest_log() -> Path:
     logs = [*Path('runs').glob('*/*.mcap')]
     if not logs:
         raise ValueError('no log is in runs/: name the log, or its folder')
-    return parts_of(max(logs, key=lambda log: log.stat().st_mtime).parent)[0]
+    return log_parts(max(logs, key=lambda log: log.stat().st_mtime).parent)[0]
 
 
 @contextmanager
@@ -100,7 +100,7 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
     """Serve the page of a log, and yield its address."""
     if not 0 <= port < 2**16:
         raise ValueError(f'--port is {port}: it must be from 0 to {2**16 - 1}')
-    follower = Follower(parts_of(log)[0], namespace)
+    follower = Follower(log_parts(log)[0], namespace)
     try:
         server = ThreadingHTTPServer((host, port), partial(Handler, follower))
     except OSError as error:
@@ -143,7 +143,7 @@ class Follower:
             self._look()
 
     def _waiting(self) -> str:
-        return rendered('waiting', title=f'Mission {title_of(self.log)}', log=self.log)
+        return rendered('waiting', title=f'Mission {mission_title(self.log)}', log=self.log)
 
     def follow(self) -> None:
         """Read the log repeatedly until the server ends."""
@@ -159,7 +159,7 @@ class Follower:
             self.is_over.wait(LOOK + time.monotonic() - began)
 
     def _look(self) -> None:
-        parts = [part.stat() for part in parts_of(self.log)]
+        parts = [part.stat() for part in log_parts(self.log)]
         state = [(each.st_ino, each.st_size, each.st_mtime_ns) for each in parts]
         now = time.monotonic()
         if state == self._state:
@@ -179,7 +179,7 @@ class Follower:
             self._tell('Waiting for the first belief: the nodes of the mission are starting.')
             return
         mission = read_mission(self.log, namespace=self._namespace)
-        page, _ = page_of(mission, curves_of(mission), is_live=True)
+        page, _ = mission_page(mission, mission_curves(mission), is_live=True)
         self._tell(
             f'Following the log: {len(mission.ended)} robots reported, {mission.in_flight} out.'
         )

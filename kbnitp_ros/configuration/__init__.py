@@ -1,22 +1,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """The parameters of all nodes: the table, its checks, and the objects built from the values."""
 
-from kbnitp_ros.configuration.agents import agents_of, value_for
-from kbnitp_ros.configuration.field import grid_of
-from kbnitp_ros.configuration.known import parameter_of, parameters_of
-from kbnitp_ros.configuration.mission import estimator_of, goal_of
+from kbnitp_ros.configuration.agents import agent_names, value_for
+from kbnitp_ros.configuration.field import make_grid
+from kbnitp_ros.configuration.known import find_parameter, node_parameters
+from kbnitp_ros.configuration.mission import make_estimator, make_goal
 from kbnitp_ros.configuration.parameter import Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
+from kbnitp_ros.plugins import renamed
 
 __all__ = [
     'NODES',
     'TABLE',
     'Parameter',
-    'agents_of',
-    'estimator_of',
-    'goal_of',
-    'grid_of',
-    'parameter_of',
-    'parameters_of',
+    'agent_names',
+    'find_parameter',
+    'make_estimator',
+    'make_goal',
+    'make_grid',
+    'node_parameters',
     'value_for',
 ]
+
+__getattr__ = renamed(
+    __name__,
+    {
+        'agents_of': 'agent_names',
+        'estimator_of': 'make_estimator',
+        'goal_of': 'make_goal',
+        'grid_of': 'make_grid',
+        'parameter_of': 'find_parameter',
+        'parameters_of': 'node_parameters',
+    },
+)

@@ -8,7 +8,7 @@ from dataclasses import fields
 import itertools
 from typing import Any
 
-from kbnitp_ros.configuration.table import LEARN, MOST_AGENTS, OPERATOR
+from kbnitp_ros.configuration.table import LEARN, MAX_AGENTS, OPERATOR
 from kbnitp_ros.core import (
     Beta,
     Clustering,
@@ -22,14 +22,14 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.field.unknowns import HAZARD_RATES
 
 
-def sensor_model_of(values: Mapping[str, Any]) -> SensorModel:
+def make_sensor_model(values: Mapping[str, Any]) -> SensorModel:
     """Return the sensor model that these parameters describe."""
     return SensorModel(
         **{each.name: values[f'sensor.{each.name}'] for each in fields(SensorModel)}
     )
 
 
-def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
+def make_priors(values: Mapping[str, Any]) -> dict[str, Beta]:
     """Return the priors of learnable numbers and rates, by name."""
     learn = values['learn.numbers']
     if len(set(learn)) < len(learn):
@@ -48,15 +48,15 @@ def priors_of(values: Mapping[str, Any]) -> dict[str, Beta]:
     return priors
 
 
-def unknowns_of(values: Mapping[str, Any]) -> Unknowns:
+def make_unknowns(values: Mapping[str, Any]) -> Unknowns:
     """Return the numbers that these parameters leave to be learnt."""
-    priors, rates = priors_of(values), [*itertools.chain(*HAZARD_RATES.values())]
+    priors, rates = make_priors(values), [*itertools.chain(*HAZARD_RATES.values())]
     return Unknowns(
         **{name: priors[name] for name in values['learn.numbers'] if name not in rates}
     )
 
 
-def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
+def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
     """Return the believed dynamics of hazards."""
     try:
         kind = values['hazards.dynamics']
@@ -64,7 +64,7 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
             name: values[f'hazards.{name}'] for name in itertools.chain(*HAZARD_RATES.values())
         }
         # Simulated agents learn nothing.
-        for name, prior in priors_of(values).items() if 'learn.numbers' in values else ():
+        for name, prior in make_priors(values).items() if 'learn.numbers' in values else ():
             if name in values['learn.numbers'] and rates.get(name):
                 raise ValueError(
                     f'{name} is {rates[name]}, and learn.numbers has it: leave it at 0'
@@ -84,7 +84,7 @@ def dynamics_of(values: Mapping[str, Any]) -> Dynamics:
 
 def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
     """Return the true dynamics of hazards; refuse an unknown kind or rate."""
-    dynamics = dynamics_of(values)
+    dynamics = make_dynamics(values)
     try:
         dynamics.known_rates()
     except ValueError as error:
@@ -95,13 +95,13 @@ def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
     return dynamics
 
 
-def clustering_of(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
+def make_clustering(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
     """Return the clustering of hazards; None if they are independent."""
     coupling = values['prior.clustering']
     return Clustering(grid, coupling) if coupling else None
 
 
-def execution_of(values: Mapping[str, Any]) -> Execution:
+def make_execution(values: Mapping[str, Any]) -> Execution:
     """Return how simulated robots deviate from their orders."""
     if values['silent_loss'] and values['contact_probability'] > 0.0:
         raise ValueError(
@@ -117,7 +117,7 @@ def execution_of(values: Mapping[str, Any]) -> Execution:
     )
 
 
-def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
+def agent_names(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     """Return the names of the agents."""
     agents: tuple[str, ...] = values['agents']
     if not agents or len(set(agents)) < len(agents):
@@ -129,9 +129,9 @@ def agents_of(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
             f'parameter agents is {list(agents)}: {OPERATOR} is no name for an agent, since a '
             'topic of the planner is called so'
         )
-    if len(agents) > MOST_AGENTS:
+    if len(agents) > MAX_AGENTS:
         raise ValueError(
-            f'parameter agents has {len(agents)} names: there can be at most {MOST_AGENTS}'
+            f'parameter agents has {len(agents)} names: there can be at most {MAX_AGENTS}'
         )
     free = int(grid.free.sum())
     if len(agents) > free:
@@ -159,7 +159,7 @@ def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
     return max(distances) if all(distances) else 0.0
 
 
-def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
+def own_base(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
     """Return an agent's own base; None if it has the common one."""
     name = f'team.{agent}.base'
     cell, position = values.get(name), values.get(f'{name}_position')
@@ -175,23 +175,23 @@ def base_of(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
         raise ValueError(f'parameter {name}_position: {error}') from error
 
 
-def robot_type_of(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotType:
+def make_robot_type(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotType:
     """Return the type of an agent's robots."""
     sensor = {each.name for each in fields(SensorModel)}
     names = {each.name for each in fields(RobotType)} - {'base'}
     given = {name: f'sensor.{name}' if name in sensor else name for name in names}
     return RobotType(
-        base=base_of(values, agent, grid),
+        base=own_base(values, agent, grid),
         **{name: values.get(f'team.{agent}.{each}') for name, each in given.items()},
     )
 
 
-def robot_types_of(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
+def make_robot_types(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
     """Return the robot types of all agents, on the grid of these parameters."""
-    return {agent: robot_type_of(values, agent, grid) for agent in values['agents']}
+    return {agent: make_robot_type(values, agent, grid) for agent in values['agents']}
 
 
 def own_robot_types(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
     """Return the robot types of agents that differ from the common one."""
-    types = robot_types_of(values, grid)
+    types = make_robot_types(values, grid)
     return {agent: robot_type for agent, robot_type in types.items() if robot_type.own}

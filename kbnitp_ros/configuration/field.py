@@ -9,9 +9,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.parameter import own_name
-from kbnitp_ros.configuration.table import LONGEST_SIDE
+from kbnitp_ros.configuration.table import MAX_SIDE
 from kbnitp_ros.core import Grid, World
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.maps import Datum, Map, read_map
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
+def make_grid(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
     """Return the grid that these parameters describe."""
     position = values['grid.base_position']
     if position and len(position) != 2:
@@ -50,10 +50,10 @@ def grid_of(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
             base=values['grid.base'],
             **steps,
         )
-        if max(grid.width, grid.height) > LONGEST_SIDE:
+        if max(grid.width, grid.height) > MAX_SIDE:
             raise ValueError(
                 f'the map makes a grid of {grid.width} x {grid.height} cells: at most '
-                f'{LONGEST_SIDE} a side may be; set a coarser grid.resolution'
+                f'{MAX_SIDE} a side may be; set a coarser grid.resolution'
             )
         return with_bases(grid, values)
     origin = values['grid.origin']
@@ -77,7 +77,7 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
     """Return the grid with the bases of all agents."""
     agents = dict.fromkeys(own[0] for name in values if (own := own_name(name)))
     for agent in agents:
-        base = base_of(values, agent, grid)
+        base = own_base(values, agent, grid)
         if base is None:
             continue
         try:
@@ -94,7 +94,7 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
     return grid
 
 
-def datum_of(values: Mapping[str, Any]) -> Datum | None:
+def make_datum(values: Mapping[str, Any]) -> Datum | None:
     """Return the geographic datum of these parameters, or None; ValueError if off the earth."""
     return Datum.of(values['datum'])
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from kbnitp_ros.configuration import NODES, parameter_of
+from kbnitp_ros.configuration import find_parameter, NODES
 from kbnitp_ros.configuration.known import check_known
 from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.files import read_yaml
@@ -32,13 +32,13 @@ Sections = dict[str, dict[str, Any]]
 def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> Sections:
     """Read and check a parameter file."""
     try:
-        return sections_of(read_yaml(path), names or {})
+        return check_sections(read_yaml(path), names or {})
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ValueError(f'parameter file {path}: {reason}') from error
 
 
-def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
+def check_sections(config: Any, names: Mapping[str, str]) -> Sections:
     """Check the sections of a parameter file that YAML has loaded."""
     if not isinstance(config, Mapping):
         raise ValueError(f'it holds {config!r}: it must hold sections, such as /**')
@@ -49,7 +49,7 @@ def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
             # It belongs to another program, unless a parameter of the node with a similar name is
             # in it.
             for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
-                if any(parameter_of(node, name) for name in values):
+                if any(find_parameter(node, name) for name in values):
                     raise ValueError(f'section {section!r} is for no node: did you mean {node}?')
             continue
         sections[section] = values
@@ -57,7 +57,7 @@ def sections_of(config: Any, names: Mapping[str, str]) -> Sections:
             for name, value in values.items():
                 check_known(name, nodes)
                 for node in nodes:
-                    if parameter := parameter_of(node, name):
+                    if parameter := find_parameter(node, name):
                         parameter.check(value)
         except ValueError as error:
             raise ValueError(f'section {section!r}: {error}') from error

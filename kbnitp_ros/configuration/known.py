@@ -17,14 +17,14 @@ from kbnitp_ros.plugins import Registry
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 
 
-def parameters_of(name: str) -> dict[str, Parameter]:
+def node_parameters(name: str) -> dict[str, Parameter]:
     """Return the parameters of a node by name."""
     return {parameter.name: parameter for parameter in TABLE if name in parameter.nodes}
 
 
-def parameter_of(node: str, name: str) -> Parameter | None:
+def find_parameter(node: str, name: str) -> Parameter | None:
     """Return a node's parameter of this name, or of one agent; None if there is none."""
-    known = parameters_of(node)
+    known = node_parameters(node)
     own = own_name(name)
     if own is None:
         return known.get(name)
@@ -37,14 +37,14 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
     """Check that a name is a parameter of one of these nodes."""
     if (now := current_name(name)) != name:
         raise ValueError(f'parameter {name} is called {now} now')
-    if name.split('.')[0] in ROS_PARAMETERS or any(parameter_of(node, name) for node in nodes):
+    if name.split('.')[0] in ROS_PARAMETERS or any(find_parameter(node, name) for node in nodes):
         return
     whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
-    if others := [node for node in NODES if parameter_of(node, name)]:
+    if others := [node for node in NODES if find_parameter(node, name)]:
         raise ValueError(
             f'parameter {name} is unknown to {whose}: it is one of {", ".join(others)}'
         )
-    table = [parameter for node in nodes for parameter in parameters_of(node).values()]
+    table = [parameter for node in nodes for parameter in node_parameters(node).values()]
     known = {parameter.name for parameter in table}
     if own := own_name(name):
         agent, meant = own
@@ -90,7 +90,7 @@ def reference_page() -> str:
             '| parameter | default | must be | meaning |',
             '|---|---|---|---|',
         ]
-        for parameter in parameters_of(name).values():
+        for parameter in node_parameters(name).values():
             if isinstance(parameter.choices, Registry):
                 parameter = replace(parameter, choices=parameter.choices.own)
             lines.append(

@@ -9,13 +9,13 @@ from math import isclose
 from typing import Any
 
 from kbnitp_ros.configuration.agents import (
-    agents_of,
-    clustering_of,
-    dynamics_of,
-    robot_type_of,
-    robot_types_of,
-    sensor_model_of,
-    unknowns_of,
+    agent_names,
+    make_clustering,
+    make_dynamics,
+    make_robot_type,
+    make_robot_types,
+    make_sensor_model,
+    make_unknowns,
 )
 from kbnitp_ros.core import (
     Belief,
@@ -41,7 +41,7 @@ import numpy as np
 MARKED = 50
 
 
-def goal_of(values: Mapping[str, Any], grid: Grid) -> Goal | None:
+def make_goal(values: Mapping[str, Any], grid: Grid) -> Goal | None:
     """Return the goal; None to map the field."""
     make = GOALS.find(values['goal.kind'])
     confidence = values['stop.confidence'] or None
@@ -78,15 +78,15 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     return [int(cell) for cell in np.flatnonzero(is_marked)]
 
 
-def stop_of(values: Mapping[str, Any]) -> Stop:
+def make_stop(values: Mapping[str, Any]) -> Stop:
     """Return the conditions that end a mission early."""
     return Stop(values['stop.gain'], values['stop.losses'])
 
 
 def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOptions]) -> None:
     """Check that the goal can be reached, and that the stops can end the mission."""
-    goal = goal_of(values, grid)
-    stop_of(values).check(goal, values['robots'])
+    goal = make_goal(values, grid)
+    make_stop(values).check(goal, values['robots'])
     for each in options:
         check_sought(goal, each, values['bound'])
     if goal is not None:
@@ -105,12 +105,12 @@ def type_to_plan(
     """Return the robot type of an agent, with the believed sensors."""
     sensors = believed.get(agent, ORDINARY)
     as_believed = {each.name: getattr(sensors, each.name) for each in fields(SensorModel)}
-    return replace(robot_type_of(values, agent, grid), **as_believed)
+    return replace(make_robot_type(values, agent, grid), **as_believed)
 
 
 def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
     """Check that the search fits in memory."""
-    types = [type_to_plan(values, agent, grid, believed) for agent in agents_of(values, grid)]
+    types = [type_to_plan(values, agent, grid, believed) for agent in agent_names(values, grid)]
     options = search_options(values)
     check_goal(values, grid, [options.of_type(each) for each in types])
     check_team(PathFinder(grid, options), types)
@@ -125,7 +125,7 @@ MAPS = ('hazard', 'target', 'kappa')
 SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
 
-def prior_of(values: Mapping[str, Any], grid: Grid) -> Belief:
+def make_prior(values: Mapping[str, Any], grid: Grid) -> Belief:
     """Return the prior of the estimator."""
     files = {name: values[f'prior.{name}_map'] for name in MAPS}
     log = values['prior.log']
@@ -161,24 +161,24 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
     return known.belief.on(grid)
 
 
-def estimator_of(values: Mapping[str, Any], grid: Grid) -> Estimator:
+def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
     """Return the estimator before the first deployment."""
-    unknowns = unknowns_of(values)
+    unknowns = make_unknowns(values)
     for name in unknowns.priors:
         if all(
             getattr(robot_type, name, None) is not None
-            for robot_type in robot_types_of(values, grid).values()
+            for robot_type in make_robot_types(values, grid).values()
         ):
             raise ValueError(
                 f'parameter learn.numbers has {name}: the robots of every agent have one of their '
                 'own, which tell nothing of another'
             )
     return Estimator(
-        prior_of(values, grid),
-        sensor_model_of(values),
+        make_prior(values, grid),
+        make_sensor_model(values),
         values['method'],
         unknowns,
         values['seed'],
-        dynamics=dynamics_of(values),
-        clustering=clustering_of(values, grid),
+        dynamics=make_dynamics(values),
+        clustering=make_clustering(values, grid),
     )

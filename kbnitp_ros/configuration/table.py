@@ -14,11 +14,11 @@ SENSING = ('agent', 'estimator')
 GRID = (*FIELD, 'robot')
 
 PROBABILITY = (0.0, 1.0)
-MOST_ROBOTS = 20_000
-MOST_STEPS = 10_000
-LONGEST_SIDE = 1000
-MOST_AGENTS = 100
-MOST_CELLS = LONGEST_SIDE**2
+MAX_ROBOTS = 20_000
+MAX_STEPS = 10_000
+MAX_SIDE = 1000
+MAX_AGENTS = 100
+MAX_CELLS = MAX_SIDE**2
 
 # The topic of the operator's actions.
 OPERATOR = 'operator'
@@ -60,15 +60,15 @@ TABLE = (
         'Whether robots keep off cells of which the map does not know a part.',
         GRID,
     ),
-    Parameter('grid.width', 9, 'Cells along x.', GRID, limits=(1, LONGEST_SIDE)),
-    Parameter('grid.height', 9, 'Cells along y.', GRID, limits=(1, LONGEST_SIDE)),
+    Parameter('grid.width', 9, 'Cells along x.', GRID, limits=(1, MAX_SIDE)),
+    Parameter('grid.height', 9, 'Cells along y.', GRID, limits=(1, MAX_SIDE)),
     Parameter(
         'grid.base',
         0,
         'Cell (row * width + column, row 0 at the bottom) that paths start and end in; of one '
         'agent as team.AGENT.base.',
         GRID,
-        limits=(0, MOST_CELLS - 1),
+        limits=(0, MAX_CELLS - 1),
         per_agent=True,
     ),
     Parameter(
@@ -121,7 +121,7 @@ TABLE = (
         choices=('auto', 'avoid', 'cut'),
     ),
     Parameter(
-        'max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MOST_STEPS), per_agent=True
+        'max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MAX_STEPS), per_agent=True
     ),
     Parameter(
         'max_distance',
@@ -319,7 +319,7 @@ TABLE = (
     Parameter(
         'agents',
         ('scout_1',),
-        f'Names of all agents of the team, at most {MOST_AGENTS}; each has its topics under its '
+        f'Names of all agents of the team, at most {MAX_AGENTS}; each has its topics under its '
         'name.',
         (*FIELD, 'recorder'),
         element=str,
@@ -340,7 +340,7 @@ TABLE = (
         100,
         'Robots to deploy, one after another.',
         ('planner',),
-        limits=(0, MOST_ROBOTS),
+        limits=(0, MAX_ROBOTS),
         read_only=False,
     ),
     Parameter(
@@ -463,7 +463,7 @@ TABLE = (
         0,
         'No more robots leave when so many are lost; 0 for never.',
         ('planner',),
-        limits=(0, MOST_ROBOTS),
+        limits=(0, MAX_ROBOTS),
         read_only=False,
     ),
     Parameter(

@@ -27,7 +27,7 @@ INFORMATION = 'rosbag2_bagfile_information'
 NUMBER = r'_([1-9]\d{0,4})'
 
 
-def parts_of(path: str | Path) -> list[Path]:
+def log_parts(path: str | Path) -> list[Path]:
     """Return the files of a log in order, from its first file or its folder."""
     path = Path(path)
     try:

@@ -63,7 +63,7 @@ class Moment:
         """Return the number of deployments in the belief."""
         return self.snapshot.deployments
 
-    def model_of(self, agent: str) -> SensorModel:
+    def agent_model(self, agent: str) -> SensorModel:
         """Return the believed sensor model of an agent's robots."""
         own = self.snapshot.robot_types.get(agent, ORDINARY)
         return own.model(self.snapshot.model)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kbnitp_ros.files import naming, parse_yaml
-from kbnitp_ros.log.files import check_in_place, check_is_new, LogError, LogLock, parts_of
+from kbnitp_ros.log.files import check_in_place, check_is_new, log_parts, LogError, LogLock
 from kbnitp_ros.log.read import (
     is_finished_part,
     read_part,
@@ -21,9 +21,9 @@ from kbnitp_ros.log.read import (
     RecordedMetadata,
 )
 from kbnitp_ros.log.schema import (
+    bag_file,
     BagFile,
     BagTopic,
-    file_of,
     information,
     QOS,
     sync_folder,
@@ -223,7 +223,7 @@ def repair(
 ) -> Repaired:
     """Write the readable part of a log to a new finished file; none is left after an error."""
     check_is_new(target)
-    lost = [f'{part} is unfinished' for part in parts_of(path) if not is_finished_part(part)]
+    lost = [f'{part} is unfinished' for part in log_parts(path) if not is_finished_part(part)]
     corrupt: list[LogError] = []
     contents = copy(progress(read_recorded(path, corrupt)), target, target.name, 'none')
     try:
@@ -254,7 +254,7 @@ def described(part: Path) -> BagFile:
         each.name: each.values for each in read_part(part) if isinstance(each, RecordedMetadata)
     }
     try:
-        contents = file_of(yaml.safe_load(records[BAG_RECORD][BAG_FIELD]))
+        contents = bag_file(yaml.safe_load(records[BAG_RECORD][BAG_FIELD]))
     except Exception as error:
         raise LogError(
             f'{part} does not say what is in it ({error!r}): replay --repair makes a log that does'

@@ -16,7 +16,7 @@ import struct
 from typing import Any, BinaryIO, NamedTuple
 
 from kbnitp_ros.files import in_words
-from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.files import log_parts, LogError
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
@@ -138,7 +138,7 @@ def read_metadata(
 ) -> dict[str, dict[str, str]]:
     """Return the values of metadata records by name; later files replace, later records add."""
     records: dict[str, dict[str, str]] = {}
-    for part in parts_of(path):
+    for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}
         for item in metadata_of_part(part, corrupt):
             own[item.name] = {**own.get(item.name, {}), **item.values}
@@ -156,7 +156,7 @@ def metadata_of_part(
 def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
     """Yield in words which parameters of some nodes changed in a run, and from what to what."""
     known: dict[str, dict[str, str]] = {}
-    for part in parts_of(path):
+    for part in log_parts(path):
         for record in metadata_of_part(part, []):
             if not record.name.startswith(f'{PARAMETERS}/'):
                 continue
@@ -194,7 +194,7 @@ def current_name(name: str) -> str:
 
 def is_finished(path: str | Path) -> bool:
     """Return whether each part of a log ends as its writer ends it."""
-    return all(map(is_finished_part, parts_of(path)))
+    return all(map(is_finished_part, log_parts(path)))
 
 
 def is_finished_part(part: Path) -> bool:
@@ -211,10 +211,10 @@ def ends_finished(file: BinaryIO, size: int) -> bool:
 
 def log_size(path: str | Path) -> int:
     """Return the bytes of all parts of a log."""
-    return sum(map(size_of, parts_of(path)))
+    return sum(map(file_size, log_parts(path)))
 
 
-def size_of(part: Path) -> int:
+def file_size(part: Path) -> int:
     """Return the bytes of a file."""
     with readable(part):
         return part.stat().st_size
@@ -222,8 +222,8 @@ def size_of(part: Path) -> int:
 
 def read_recorded(path: str | Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
     """Return the messages, not decoded, and metadata of all parts, with positions in the log."""
-    parts = parts_of(path)
-    starts = accumulate(map(size_of, parts), initial=0)
+    parts = log_parts(path)
+    starts = accumulate(map(file_size, parts), initial=0)
     return (
         item._replace(position=start + item.position)
         for part, start in zip(parts, starts)

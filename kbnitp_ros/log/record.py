@@ -22,7 +22,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
-from kbnitp_ros.log.roles import BELIEF, LONGEST, MissionLog, Role
+from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import (
     Assimilated,
     Snapshot,
@@ -181,7 +181,7 @@ def check_same_field(
     if belief and belief.grid != grid:
         raise ValueError(f'{log.path} is of a mission on {belief.grid}: the parameters say {grid}')
     for agent, robot_type in robot_types.items():
-        before = belief.base_of(agent) if belief else grid.at(robot_type.base).base
+        before = belief.agent_base(agent) if belief else grid.at(robot_type.base).base
         if before != (now := grid.at(robot_type.base).base):
             raise ValueError(
                 f'{log.path} is of a mission in which the base of {agent} is {before}, and by the '
@@ -251,7 +251,7 @@ class RecordedMission(MissionRecord):
             try:
                 self._take_evidence(role, logged)
             except ValueError as error:
-                self.refused.append(f'{logged.topic}: {error}'[:LONGEST])
+                self.refused.append(f'{logged.topic}: {error}'[:MAX_SHOWN])
 
     def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
         message = logged.message
@@ -289,9 +289,9 @@ class RecordedMission(MissionRecord):
         if report.survived:
             self.departures.end(key, report.stamp)
         if key in self.contradicted:
-            self.refused.append(self.contradicted[key][:LONGEST])
+            self.refused.append(self.contradicted[key][:MAX_SHOWN])
 
-    def report_of(self, key: DeploymentKey, stamp: int) -> Report:
+    def find_report(self, key: DeploymentKey, stamp: int) -> Report:
         """Return the first report of a deployment with this time, or else the one that counts."""
         return self._by_stamp[key].get(stamp, self.reports[key])
 

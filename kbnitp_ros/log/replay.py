@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Ledger
-from kbnitp_ros.core.inference.record import ending_of
+from kbnitp_ros.core.inference.record import ending_key
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import is_finished, LoggedMessage, read_changes
 from kbnitp_ros.log.record import begun, GapError, RecordedMission, required_belief
@@ -215,8 +215,8 @@ class Fold:
             if (
                 self._ledger
                 and key in self._assimilated
-                and ending_of(self._ledger.outcomes[key])
-                >= ending_of(report.evidence.outcomes[key])
+                and ending_key(self._ledger.outcomes[key])
+                >= ending_key(report.evidence.outcomes[key])
             ):
                 report.passed_over += report.not_yet_held
                 report.not_yet_held = []

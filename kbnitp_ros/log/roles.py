@@ -92,7 +92,7 @@ RECORD = 'roles'
 NAMESPACE = 'namespace'
 
 # Maximum number of characters shown of a message: a report may name any number of cells.
-LONGEST = 500
+MAX_SHOWN = 500
 
 # Fields of beliefs that 0.3.0 lacks.
 ADDED = {'move'}
@@ -290,7 +290,7 @@ class MissionLog:
         except LogError:
             raise
         except ValueError as error:
-            wrong = LeftOut(role, logged.topic, logged.index, str(error)[:LONGEST])
+            wrong = LeftOut(role, logged.topic, logged.index, str(error)[:MAX_SHOWN])
             self.left_out[logged.topic, logged.index] = wrong
 
     @cached_property

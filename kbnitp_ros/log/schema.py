@@ -197,7 +197,7 @@ def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
     yield from topics.values()
 
 
-def file_of(bag: Mapping[str, Any]) -> BagFile:
+def bag_file(bag: Mapping[str, Any]) -> BagFile:
     """Return the content of the one file of a bag, from its description."""
     file = BagFile(
         bag['relative_file_paths'][0],

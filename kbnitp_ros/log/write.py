@@ -10,10 +10,10 @@ from pathlib import Path
 from kbnitp_ros.log.files import (
     check_is_new,
     is_later_part,
+    log_parts,
     LogError,
     LogLock,
     part_path,
-    parts_of,
 )
 from kbnitp_ros.log.mcap_file import COMPRESSIONS, Definition, FileWriter, finished
 from kbnitp_ros.log.schema import (
@@ -70,14 +70,14 @@ class LogWriter:
         self._finished: list[BagFile] = []
         self._number = 0
         if resume:
-            parts = parts_of(path)
+            parts = log_parts(path)
             self.path = parts[0]
             check_goes_on(self.path)
             self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
             self._lock = LogLock(self.path)
             try:
                 # A writer that has just ended may have added one.
-                parts = parts_of(path)
+                parts = log_parts(path)
                 self._finished = [finished(part, compression, self._lock) for part in parts]
                 self._number = len(parts)
                 self.current_path = part_path(self.path, self._number)

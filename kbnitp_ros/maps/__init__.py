@@ -2,7 +2,7 @@
 """Maps in map_server's format, and grids and prior beliefs made from them."""
 
 from kbnitp_ros.maps.files import (
-    levels_of,
+    quantise_belief,
     read_map,
     read_probabilities,
     read_site,
@@ -10,15 +10,18 @@ from kbnitp_ros.maps.files import (
     write_probabilities,
 )
 from kbnitp_ros.maps.occupancy import Datum, Map, MapError
+from kbnitp_ros.plugins import renamed
 
 __all__ = [
     'Datum',
     'Map',
     'MapError',
     'Site',
-    'levels_of',
+    'quantise_belief',
     'read_map',
     'read_probabilities',
     'read_site',
     'write_probabilities',
 ]
+
+__getattr__ = renamed(__name__, {'levels_of': 'quantise_belief'})

@@ -191,7 +191,7 @@ def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) 
     yaml_path.write_text(yaml.safe_dump(said, sort_keys=False))
 
 
-def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
+def quantise_belief(belief: Belief) -> dict[str, NDArray[np.uint8]]:
     """Return the maps of a belief, rounded to steps of 1/255 that form a belief again."""
     exact = np.stack([belief.hazard, belief.target, belief.kappa]) * WHITE
     best = np.rint(exact)
@@ -208,14 +208,14 @@ def levels_of(belief: Belief) -> dict[str, NDArray[np.uint8]]:
 
 
 # Maximum number of pixels along a side; a page shows no more.
-MOST_SHOWN = 1000
+MAX_PIXELS = 1000
 
 
 @dataclass(frozen=True)
 class Site:
     """The image of a map, with its position in metres and rad."""
 
-    # A data URI with a PNG file of at most `MOST_SHOWN` pixels a side, the top row first.
+    # A data URI with a PNG file of at most `MAX_PIXELS` pixels a side, the top row first.
     source: str
     # Its extent along and across the map's rows.
     width: float
@@ -231,7 +231,7 @@ def read_site(yaml_path: str | Path) -> Site:
     gray, opaque = read_image(file.image)
     shade = np.stack([gray, np.where(opaque, 255, 0).astype(np.uint8)], axis=-1)[::-1]
     picture = Image.fromarray(np.ascontiguousarray(shade), 'LA')
-    picture.thumbnail((MOST_SHOWN, MOST_SHOWN))
+    picture.thumbnail((MAX_PIXELS, MAX_PIXELS))
     content = BytesIO()
     picture.save(content, 'PNG')
     rows, columns = gray.shape

@@ -95,7 +95,7 @@ class Snapshot:
     # of the prior, or over clustered hazards.
     prior: Belief
 
-    def base_of(self, agent: str) -> int:
+    def agent_base(self, agent: str) -> int:
         """Return the base of an agent's robots."""
         return self.grid.at(self.robot_types.get(agent, ORDINARY).base).base
 

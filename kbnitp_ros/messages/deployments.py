@@ -138,7 +138,7 @@ def _read_reading(message: Any, number: int) -> tuple[int, int]:
 
 
 # Maximum number of characters of a reason.
-LONGEST_REASON = 500
+MAX_REASON = 500
 
 
 class OrderState(IntEnum):
@@ -174,7 +174,7 @@ def status_message(
         agent=key.agent,
         deployment=to_stamp(key.stamp),
         state=state,
-        reason=reason[:LONGEST_REASON],
+        reason=reason[:MAX_REASON],
     )
 
 
@@ -195,8 +195,6 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
             f'reason is {shown(message.reason)} and state {state.name}: an order that is refused '
             'has a reason, and no other'
         )
-    if len(message.reason) > LONGEST_REASON:
-        raise ValueError(
-            f'reason has {len(message.reason)} characters: it may have {LONGEST_REASON}'
-        )
+    if len(message.reason) > MAX_REASON:
+        raise ValueError(f'reason has {len(message.reason)} characters: it may have {MAX_REASON}')
     return key, AgentStatus(state, stamp, message.reason, content_hash(message))

@@ -111,7 +111,7 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
 
 # Maximum numbers of pauses ended and of proposals refused in a mission: endless calls must fill
 # neither the planner's memory nor the disk.
-MOST_TIMES = 1000
+MAX_TIMES = 1000
 REPEATED = (Action.RESUME, Action.REFUSE)
 
 Paths = Mapping[DeploymentKey, NDArray[np.intp]]
@@ -151,7 +151,7 @@ class OperatorState:
     def check_times(self, what: Action) -> None:
         """Check that an action was not taken too often."""
         times = sum(each.action == what for each in self.actions.values())
-        if what in REPEATED and times >= MOST_TIMES:
+        if what in REPEATED and times >= MAX_TIMES:
             raise ValueError(
                 f'{what.name} was taken {times} times, and is not again: the service end_mission '
                 'ends this mission; begin another one'

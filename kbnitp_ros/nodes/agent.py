@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import sys
 
-from kbnitp_ros.configuration.agents import robot_types_of
+from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
@@ -22,7 +22,7 @@ class AgentNode(FieldNode):
         super().__init__('agent')
         resume = self.values['resume']
         log = resumed_log(resume, self.roles) if resume else None
-        rules = self.grid, self.values['max_steps'], robot_types_of(self.values, self.grid)
+        rules = self.grid, self.values['max_steps'], make_robot_types(self.values, self.grid)
         record = read_resumed(log, *rules) if log else RecordedMission(*rules)
         self._simulation = simulation = Simulation(self, record)
         name, team = self.values['agent'], simulation.agents

@@ -12,10 +12,10 @@ from kbnitp_ros.base.knowledge import Knowledge
 from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
-from kbnitp_ros.core.inference.record import observation_of
+from kbnitp_ros.core.inference.record import make_observation
 from kbnitp_ros.log.record import AtBaseError
 from kbnitp_ros.messages.deployments import (
     OrderState,
@@ -152,7 +152,7 @@ class Dispatch:
                 # The estimator would refuse it too, and the robot is still in flight.
                 path = self.in_flight[key].path
                 max_steps = value_for(self._values, 'max_steps', agent)
-                observation_of(report, key, path, self._node.grid, max_steps)
+                make_observation(report, key, path, self._node.grid, max_steps)
         except AtBaseError as error:
             if not self._early.keep(deadline, agent, message):
                 self._node.diagnostics.refuse(f'{agent}/report', error)
@@ -198,7 +198,7 @@ class Dispatch:
         try:
             grid = self._node.grid
             key, cells = read_path(grid, agent, message)
-            own = grid.at(base_of(self._values, agent, grid))
+            own = grid.at(own_base(self._values, agent, grid))
             path = own.check_path(cells, value_for(self._values, 'max_steps', agent))
             mission = mission_of_path(message)
             is_other = self.in_flight.hear(key, path, content_hash(message), mission)

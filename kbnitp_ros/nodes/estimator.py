@@ -11,10 +11,10 @@ import sys
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.base.checks import density_note
-from kbnitp_ros.configuration import agents_of, estimator_of
+from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
-from kbnitp_ros.configuration.field import datum_of
-from kbnitp_ros.configuration.table import MOST_AGENTS
+from kbnitp_ros.configuration.field import make_datum
+from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import (
@@ -54,8 +54,8 @@ class EstimatorNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('estimator')
         # The report reads it from the log, so errors are found before the mission.
-        datum_of(self.values)
-        estimator = estimator_of(self.values, self.grid)
+        make_datum(self.values)
+        estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
@@ -66,7 +66,7 @@ class EstimatorNode(FieldNode):
             log = resumed_log(self.values['resume'], self.roles)
             check_same_field(log, self.grid, robot_types)
             self._take_in(log)
-        agents = agents_of(self.values, self.grid)
+        agents = agent_names(self.values, self.grid)
         # In this order, a node that has discovered belief has discovered its views as well.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
@@ -223,7 +223,7 @@ class EstimatorNode(FieldNode):
         """Join a mission, or check that it is the one of the current paths."""
         if self._is_begun_by(mission):
             ledger = self._prior.copy()
-            ledger.copy_pending_of(self._ledger)
+            ledger.copy_pending(self._ledger)
             self._ledger = ledger
             self._new.name_all()
         else:
@@ -299,7 +299,7 @@ class EstimatorNode(FieldNode):
         """Publish the number of reports without a path, and warn if there are more than robots."""
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
-        if pending > MOST_AGENTS:
+        if pending > MAX_AGENTS:
             unknown = f'{pending} reports have no known path'
         self.diagnostics.warning = '; '.join(
             filter(None, (self._unconverged, self._weak_density, self._doubt, unknown))

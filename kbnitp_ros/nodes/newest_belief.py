@@ -11,7 +11,7 @@ from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacles import not_heard_again
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.configuration.agents import base_of
+from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import ORDINARY, RobotType
 from kbnitp_ros.files import counted
@@ -119,8 +119,8 @@ class NewestBelief:
                     f'max_steps is {theirs} for {agent}: the parameter max_steps is {own}, and '
                     'the estimator would refuse such paths'
                 )
-            base = grid.at(base_of(values, agent, grid)).base
-            if (other := snapshot.base_of(agent)) != base:
+            base = grid.at(own_base(values, agent, grid)).base
+            if (other := snapshot.agent_base(agent)) != base:
                 raise ValueError(
                     f'the base of {agent} is {other}: the parameters say {base}, and the '
                     'estimator would refuse such paths'

@@ -24,8 +24,8 @@ from kbnitp_ros.base.obstacles import (
     Obstacle,
 )
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search, SearchRequest
-from kbnitp_ros.configuration import agents_of
-from kbnitp_ros.configuration.agents import base_of, most_distance, most_steps
+from kbnitp_ros.configuration import agent_names
+from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
@@ -52,7 +52,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 # Share of the field within reach below which the planner warns.
-MOST = 0.5
+MIN_REACHED = 0.5
 
 
 class PlannerNode(FieldNode):
@@ -60,7 +60,7 @@ class PlannerNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('planner')
-        self._agents = agents_of(self.values, self.grid)
+        self._agents = agent_names(self.values, self.grid)
         check_search(self.values, self.grid, {})
         check_periods(self.values, self._agents)
         check_reach(self.grid, self.values)
@@ -115,10 +115,10 @@ class PlannerNode(FieldNode):
     def _log_reachability(self) -> None:
         """Log what no path reaches, as a warning if it is most of the field."""
         log, max_steps = self.get_logger(), most_steps(self.values)
-        bases = [base_of(self.values, agent, self.grid) for agent in self._agents]
+        bases = [own_base(self.values, agent, self.grid) for agent in self._agents]
         distance = most_distance(self.values, self._agents)
         if note := reach_note(self.grid, max_steps, 1.0, bases, distance):
-            is_most = bool(reach_note(self.grid, max_steps, MOST, bases, distance))
+            is_most = bool(reach_note(self.grid, max_steps, MIN_REACHED, bases, distance))
             (log.warning if is_most else log.info)(note)
         if note := cut_off_note(self.grid):
             log.info(note)

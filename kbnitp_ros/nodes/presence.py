@@ -26,7 +26,7 @@ INSTANCE = 'instance'
 SILENT = 3.0
 
 # Maximum number of other instances remembered, the newest.
-MOST_INSTANCES = 10
+MAX_INSTANCES = 10
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Instances:
                 continue
             self._heard.pop(instance, None)
             self._heard[instance] = Instance(status.name, values, time.monotonic())
-            if len(self._heard) > MOST_INSTANCES:
+            if len(self._heard) > MAX_INSTANCES:
                 del self._heard[next(iter(self._heard))]
 
     @property
@@ -80,8 +80,8 @@ LOG = 'log'
 BEGUN = 'begun'
 
 # Maximum numbers of characters of these values.
-LONGEST_PATH = 4096
-LONGEST_TIME = 20
+MAX_PATH = 4096
+MAX_TIME = 20
 
 # Seconds that a recorder looks for others before its acknowledgements count.
 LOOK = 1.5
@@ -100,9 +100,9 @@ class Recorders:
 
     def _is_recording(self, name: str, values: Mapping[str, str]) -> bool:
         begun = values.get(BEGUN, '')
-        is_time = begun.isdecimal() and len(begun) <= LONGEST_TIME
+        is_time = begun.isdecimal() and len(begun) <= MAX_TIME
         is_here = name.rpartition('/')[0] == self._namespace.rstrip('/')
-        return is_here and is_time and len(values.get(LOG, '')) <= LONGEST_PATH
+        return is_here and is_time and len(values.get(LOG, '')) <= MAX_PATH
 
     @property
     def publishers(self) -> Counter[str]:

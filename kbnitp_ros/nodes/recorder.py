@@ -207,7 +207,7 @@ class RecorderNode(MissionNode):
             for node in gone:
                 del self._differing[node]
             self._tell_what_waited()
-        found |= self._published(self._next_of(others))
+        found |= self._published(self._next_topics(others))
         for topic in sorted(found, reverse=True):
             self._hear(topic, found[topic])
 
@@ -230,7 +230,7 @@ class RecorderNode(MissionNode):
         publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in topics}
         return {topic: known for topic, known in publishers.items() if known}
 
-    def _next_of(self, topics: list[str]) -> list[str]:
+    def _next_topics(self, topics: list[str]) -> list[str]:
         """Return the topics or, of very many, the next ones in turn."""
         ordered = sorted(topics)
         start = bisect_right(ordered, self._last_looked)

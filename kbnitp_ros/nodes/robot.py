@@ -14,10 +14,10 @@ from typing import Any
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.configuration.agents import base_of
-from kbnitp_ros.configuration.field import datum_of
+from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.core.inference.record import LONGEST_WALK
+from kbnitp_ros.core.inference.record import MAX_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
@@ -50,7 +50,7 @@ class RobotNode(FieldNode):
     def grid(self) -> Grid:
         """Return the field, with the base of this robot."""
         field = super().grid
-        return field.at(base_of(self.values, self.values['agent'], field))
+        return field.at(own_base(self.values, self.values['agent'], field))
 
     def __init__(self) -> None:
         self._links = Links()
@@ -73,7 +73,7 @@ class RobotNode(FieldNode):
         # The source of the robot's pose, and its name.
         self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
         self._whereis: Transforms | Fixes
-        datum, frame = datum_of(values), values['base_frame']
+        datum, frame = make_datum(values), values['base_frame']
         if values['position'] == 'tf':
             self._whereis = Transforms(FRAME, frame)
         elif datum is not None:
@@ -242,7 +242,7 @@ class RobotNode(FieldNode):
         """Keep a detection until the robot's place at its time is known."""
         try:
             detection = read_detection(message, self.values)
-            since, until = self._time_of(detection.stamp, published)
+            since, until = self._detection_time(detection.stamp, published)
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
             return
@@ -250,7 +250,7 @@ class RobotNode(FieldNode):
             self._unread = [*self._unread[-MAX_UNREAD:], (since, until, detection.seen)]
         self._locate()
 
-    def _time_of(self, stamp: int | None, published: int) -> tuple[int, int]:
+    def _detection_time(self, stamp: int | None, published: int) -> tuple[int, int]:
         """Return the interval of ROS time in which a detection was made, in nanoseconds."""
         looked_at, looked = self._looked
         if stamp is None and self.get_parameter('use_sim_time').value:
@@ -497,12 +497,12 @@ class RobotNode(FieldNode):
         )
 
     def _report(self, deployment: Deployment) -> None:
-        most = LONGEST_WALK * value_for(self.values, 'max_steps', self._agent)
+        most = MAX_WALK * value_for(self.values, 'max_steps', self._agent)
         observation, now = deployment.observation(most), self.now()
         if len(deployment.steps) > most:
             warning = (
                 f'{self._key(deployment)} has {len(deployment.steps)} steps, and a report has at '
-                f'most {LONGEST_WALK} * max_steps = {most}: loops are left out, and '
+                f'most {MAX_WALK} * max_steps = {most}: loops are left out, and '
                 f'{observation.path.size - 1} steps reported; the journal has all'
             )
             self.get_logger().warning(warning)

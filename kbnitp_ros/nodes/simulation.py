@@ -8,12 +8,12 @@ from functools import partial
 import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
-from kbnitp_ros.configuration import agents_of, value_for
+from kbnitp_ros.configuration import agent_names, value_for
 from kbnitp_ros.configuration.agents import (
-    base_of,
-    execution_of,
-    robot_types_of,
-    sensor_model_of,
+    make_execution,
+    make_robot_types,
+    make_sensor_model,
+    own_base,
     true_dynamics,
 )
 from kbnitp_ros.configuration.field import read_world
@@ -153,9 +153,9 @@ class Simulation:
     def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
         self.grid = node.grid
-        common = sensor_model_of(node.values)
-        robot_types = robot_types_of(node.values, self.grid)
-        self.agents = agents_of(node.values, self.grid)
+        common = make_sensor_model(node.values)
+        robot_types = make_robot_types(node.values, self.grid)
+        self.agents = agent_names(node.values, self.grid)
         dynamics = true_dynamics(node.values)
         self._seeds = np.random.SeedSequence(node.values['seed'])
         if file := node.values['world.file']:
@@ -172,7 +172,7 @@ class Simulation:
             self.grid,
             world,
             dynamics,
-            execution_of(node.values),
+            make_execution(node.values),
             {agent: robot_type.model(common) for agent, robot_type in robot_types.items()},
             self.agents,
             self.generator,
@@ -251,7 +251,7 @@ class AgentPaths:
         self._node = simulation.node
         self._mission = mission
         self._max_steps = value_for(self._node.values, 'max_steps', name)
-        self._base = base_of(self._node.values, name, simulation.grid)
+        self._base = own_base(self._node.values, name, simulation.grid)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
         self._sent = RecordedPaths(self._node, name, self._read_path, self._take_path)
 

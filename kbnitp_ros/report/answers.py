@@ -57,14 +57,14 @@ class Cells:
     suspected: NDArray[np.bool_]
 
 
-def cells_of(mission: Mission) -> Cells:
+def classify_cells(mission: Mission) -> Cells:
     """Return the free, the suspected and the entered cells, none of them blocked."""
     hazard, inside = mission.moments[-1].belief.hazard, mission.grid.free
     entered = mission.visited() & inside
     return Cells(entered, inside & (hazard <= FREE), entered & (hazard >= SUSPECTED))
 
 
-def findings_of(mission: Mission) -> list[Finding]:
+def list_findings(mission: Mission) -> list[Finding]:
     """Return the targets and the suspected hazards, the most probable first."""
     belief, grid = mission.moments[-1].belief, mission.grid
     known = {
@@ -72,7 +72,7 @@ def findings_of(mission: Mission) -> list[Finding]:
         for each in targets(belief, mission.moments[-1].snapshot.model, mission.ended)
         if grid.free[each.cell]
     }
-    suspected = np.flatnonzero(cells_of(mission).suspected).tolist()
+    suspected = np.flatnonzero(classify_cells(mission).suspected).tolist()
     found = [
         *(('target', cell, each.probability) for cell, each in known.items()),
         *(('hazard', cell, float(belief.hazard[cell])) for cell in suspected),
@@ -108,7 +108,7 @@ MAX_SAFE = 1000
 
 def safe_cells(mission: Mission) -> list[dict[str, Any]]:
     """Return the free cells as rows of a table, the safest first, at most `MAX_SAFE`."""
-    grid, belief, cells = mission.grid, mission.moments[-1].belief, cells_of(mission)
+    grid, belief, cells = mission.grid, mission.moments[-1].belief, classify_cells(mission)
     free = np.flatnonzero(cells.free)
     listed = free[np.argsort(belief.hazard[free], kind='stable')][:MAX_SAFE]
     table = []
@@ -138,7 +138,7 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
     return table
 
 
-def losses_of(mission: Mission) -> NDArray[np.float64]:
+def expected_losses(mission: Mission) -> NDArray[np.float64]:
     """Return the expected number of robots lost in each cell, shape (cells,)."""
     expected = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
@@ -155,10 +155,10 @@ def loss_shares(
     stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]
-    return shares(seen, moment.model_of(deployment.key.agent).survival(hazard))
+    return shares(seen, moment.agent_model(deployment.key.agent).survival(hazard))
 
 
-def used_up_of(mission: Mission) -> NDArray[np.float64]:
+def expected_used_up(mission: Mission) -> NDArray[np.float64]:
     """Return the expected number of hazards used up in each cell, shape (cells,)."""
     used_up = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
@@ -172,7 +172,7 @@ def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
     moment, before = mission.moments[place], mission.moments[place - 1].belief
     if moment.outcome is None or moment.deployment is None:
         return np.zeros(mission.grid.cells)
-    model = moment.model_of(mission.deployments[moment.deployment].key.agent)
+    model = moment.agent_model(mission.deployments[moment.deployment].key.agent)
     return hazards_used_up(before, model, moment.outcome)
 
 
@@ -243,9 +243,9 @@ class Tile(NamedTuple):
     link: str = ''
 
 
-def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
+def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     """Yield the questions of a field engineer with the answers of a log."""
-    cells, inside = cells_of(mission), mission.grid.free
+    cells, inside = classify_cells(mission), mission.grid.free
     untouched = int((cells.free & ~cells.entered).sum())
     among = mission.moments[-1].belief.hazard[cells.free].sum()
     yield Tile(
@@ -256,7 +256,7 @@ def tiles_of(mission: Mission, curves: Curves) -> Iterator[Tile]:
         + f'. {among:.2g} hazards are expected among them all',
         'safe-title',
     )
-    found = findings_of(mission)
+    found = list_findings(mission)
     sure = [each for each in found if each.kind == 'target' and each.probability >= FOUND]
     probable = sum(each.kind == 'target' for each in found) - len(sure)
     yield Tile(
@@ -363,7 +363,7 @@ def fit(mission: Mission) -> Tile:
 
 def by_truth(mission: Mission, world: World) -> str:
     """Return how many of the free and the suspected cells are what they are said to be."""
-    cells, inside = cells_of(mission), mission.grid.free
+    cells, inside = classify_cells(mission), mission.grid.free
     missed = int((world.hazard & cells.free).sum())
     return (
         f'In truth {cells.free.sum() - missed} of {cells.free.sum()} free cells are free, '
@@ -377,7 +377,7 @@ def where_lost(mission: Mission, lost: int) -> Tile:
     question = 'Where were robots lost? (x, y in m)'
     if not lost:
         return Tile(question, 'No robot was lost', 'every robot that reported returned')
-    losses = losses_of(mission)
+    losses = expected_losses(mission)
     most = np.argsort(-losses, kind='stable')
     half = int(np.searchsorted(losses[most].cumsum(), lost / 2)) + 1
     first = most[: min(half, NAMED)]

@@ -10,26 +10,26 @@ from typing import Any, NamedTuple
 from kbnitp_ros.figures import DARK_MAPS, MAPS
 from kbnitp_ros.files import counted
 from kbnitp_ros.report.answers import (
-    cells_of,
-    findings_of,
+    answer_tiles,
+    classify_cells,
+    expected_losses,
     FOUND,
-    losses_of,
+    list_findings,
     places,
     spot,
     SUSPECTED,
     Tile,
-    tiles_of,
 )
-from kbnitp_ros.report.figures import quantiles_of
+from kbnitp_ros.report.figures import learnt_quantiles
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import (
+    colour_scales,
     Column,
-    field_of,
+    field_data,
     in_json,
+    mission_title,
     rendered,
-    scales_of,
     summary,
-    title_of,
     value_text,
 )
 from kbnitp_ros.report.plots import lines_plot, map_plot, OBSTACLE
@@ -97,7 +97,7 @@ def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
 
 def differences(first: Pair, second: Pair) -> Iterator[str]:
     """Yield the differences for each tile of two missions; empty where there is none."""
-    one, other = (cells_of(each.mission) for each in (first, second))
+    one, other = (classify_cells(each.mission) for each in (first, second))
     yield alone(one.free, other.free, 'free')
     yield found_alone(first.mission, second.mission, 'target', FOUND)
     yield found_alone(first.mission, second.mission, 'hazard', SUSPECTED)
@@ -123,7 +123,7 @@ def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str
     one, other = (
         {
             each.cell: each
-            for each in findings_of(mission)
+            for each in list_findings(mission)
             if each.kind == kind and each.probability >= least
         }
         for mission in (first, second)
@@ -164,7 +164,7 @@ def cost(first: Mission, second: Mission) -> str:
 
 def where(first: Mission, second: Mission) -> str:
     """Return where the expected losses differ most."""
-    one, other = losses_of(first), losses_of(second)
+    one, other = expected_losses(first), expected_losses(second)
     most = int(np.argmax(np.abs(other - one)))
     if one[most] == other[most]:
         return 'No difference.'
@@ -205,12 +205,12 @@ FINDINGS = (
 SIDES = ('A', 'B')
 
 
-def comparison_of(first: Pair, second: Pair) -> str:
+def comparison_page(first: Pair, second: Pair) -> str:
     """Return the page of two missions in one field, as `check_one_field` finds them to be."""
     missions = first.mission, second.mission
-    titles = [title_of(each.log) for each in missions]
-    maps = list(maps_of(*missions))
-    panels = dict(panels_of(first, second))
+    titles = [mission_title(each.log) for each in missions]
+    maps = list(compared_maps(*missions))
+    panels = dict(compared_panels(first, second))
     plots = {name: plot for name, _, _, plot in maps}
     plots |= {f'curve-{number}': plot for number, plot in enumerate(panels.values())}
     return rendered(
@@ -219,7 +219,7 @@ def comparison_of(first: Pair, second: Pair) -> str:
         summaries=[
             (side, pair.mission.log, summary(*pair)) for side, pair in zip(SIDES, (first, second))
         ],
-        notes=list(notes_of(*missions)),
+        notes=list(comparison_notes(*missions)),
         tiles=list(compared(first, second)),
         maps=maps,
         obstacle=OBSTACLE,
@@ -230,12 +230,12 @@ def comparison_of(first: Pair, second: Pair) -> str:
             ['' if each is None else value_text(each) for each in values]
             for values in given_differently(*missions)
         ],
-        data=json.dumps(data_of(*missions, maps)).replace('<', '\\u003c'),
+        data=json.dumps(comparison_data(*missions, maps)).replace('<', '\\u003c'),
         plots=in_json(plots),
     )
 
 
-def notes_of(first: Mission, second: Mission) -> Iterator[str]:
+def comparison_notes(first: Mission, second: Mission) -> Iterator[str]:
     """Yield what else is to be known of both, and of each."""
     yield from reservations(first, second)
     for side, mission in zip(SIDES, (first, second)):
@@ -244,12 +244,14 @@ def notes_of(first: Mission, second: Mission) -> Iterator[str]:
 
 def compared(first: Pair, second: Pair) -> Iterator[tuple[str, list[tuple[str, Tile]], str]]:
     """Yield each question, the answers of both missions, and the difference."""
-    for a, b, difference in zip(tiles_of(*first), tiles_of(*second), differences(first, second)):
+    for a, b, difference in zip(
+        answer_tiles(*first), answer_tiles(*second), differences(first, second)
+    ):
         question = a.question if a.question == b.question else 'Is the goal safe?'
         yield question, list(zip(SIDES, (a, b))), difference
 
 
-def maps_of(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, str]]:
+def compared_maps(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, str]]:
     """Yield the maps in rows of A, B and B less A: id, caption, colours, and Plotly's JSON."""
     grid = first.grid
     beliefs = [each.moments[-1].belief for each in (first, second)]
@@ -261,7 +263,7 @@ def maps_of(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, st
             yield f'{side}-{name}', f'{name}, believed in {side}', name, plot
         change = map_plot(grid, values[1] - values[0], least=-1.0)
         yield f'change-{name}', f'{name}, B less A', f'change-{name}', change
-    losses = [losses_of(each) for each in (first, second)]
+    losses = [expected_losses(each) for each in (first, second)]
     most = max(1.0, *(float(each.max()) for each in losses))
     for side, mission, each in zip(SIDES, (first, second), losses):
         plot = map_plot(mission.grid, each, most)
@@ -277,11 +279,11 @@ def maps_of(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, st
             yield f'{side}-true-{name}', f'{name}, true in {side}', name, plot
 
 
-def data_of(
+def comparison_data(
     first: Mission, second: Mission, maps: list[tuple[str, str, str, str]]
 ) -> dict[str, Any]:
     """Return what the page is to know to draw the maps, as JSON can hold it."""
-    scales: dict[str, Any] = scales_of(first)
+    scales: dict[str, Any] = colour_scales(first)
     for name in MAPS:
         # No change has the colour of the paper, half way between -1 and 1.
         scales[f'change-{name}'] = {
@@ -291,8 +293,8 @@ def data_of(
     entered = {side: each.visited().tolist() for side, each in zip(SIDES, (first, second))}
     believed = {f'{side}-{name}' for side in SIDES for name in MAPS}
     return {
-        'name': f'{title_of(first.log)}_{title_of(second.log)}',
-        'grid': field_of(first.grid),
+        'name': f'{mission_title(first.log)}_{mission_title(second.log)}',
+        'grid': field_data(first.grid),
         'scales': scales,
         'assumed': first.assumed,
         'maps': {
@@ -302,7 +304,7 @@ def data_of(
     }
 
 
-def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
+def compared_panels(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
     """Yield what each panel of curves is of, and the panel as Plotly's JSON."""
     panels: dict[str, dict[str, NDArray[np.float64]]] = {}
     for side, (_, curves) in zip(SIDES, (first, second)):
@@ -315,7 +317,7 @@ def panels_of(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
             panels.setdefault(label, {})[side] = values
     for name in first.mission.moments[-1].state.numbers | second.mission.moments[-1].state.numbers:
         panels[f'{name.replace("_", " ")} (median)'] = {
-            side: quantiles_of(pair.mission, name)[:, 2]
+            side: learnt_quantiles(pair.mission, name)[:, 2]
             for side, pair in zip(SIDES, (first, second))
         }
     for label, lines in panels.items():
@@ -331,7 +333,7 @@ def finding_rows(first: Mission, second: Mission) -> Iterator[dict[str, Any]]:
     found = {
         (each.kind, each.cell): each
         for mission in (first, second)
-        for each in findings_of(mission)
+        for each in list_findings(mission)
     }
     for (kind, place), each in sorted(found.items()):
         a, b = (float(getattr(belief, kind)[place]) for belief in beliefs)

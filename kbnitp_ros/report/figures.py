@@ -28,7 +28,7 @@ class Panel:
     lines: dict[str, NDArray[np.float64]]
 
 
-def panels_of(curves: Curves) -> list[Panel]:
+def mission_panels(curves: Curves) -> list[Panel]:
     """Return the panels of a mission."""
     panels = [
         Panel(
@@ -68,7 +68,7 @@ def panels_of(curves: Curves) -> list[Panel]:
 
 def progress_figure(mission: Mission, curves: Curves) -> Figure:
     """Return the figure of entropy, log loss, information and losses after each deployment."""
-    panels = panels_of(curves)
+    panels = mission_panels(curves)
     names = list(mission.moments[-1].state.numbers)
     rows = -(-(len(panels) + len(names)) // COLUMNS)
     figure = Figure(figsize=(7.2, 2.4 * rows + 0.3), layout='constrained')
@@ -77,7 +77,7 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
     for panel, axes in zip(panels, places):
         draw_panel(axes, panel)
     for name, axes in zip(names, places):
-        draw_number(axes, name, quantiles_of(mission, name), mission.numbers.get(name))
+        draw_number(axes, name, learnt_quantiles(mission, name), mission.numbers.get(name))
     for axes in places:
         axes.set_visible(False)
     for axes in grid.flat:
@@ -100,7 +100,7 @@ def draw_panel(axes: Axes, panel: Panel) -> None:
     axes.legend(fontsize='small', framealpha=0.8)
 
 
-def quantiles_of(mission: Mission, name: str) -> NDArray[np.float64]:
+def learnt_quantiles(mission: Mission, name: str) -> NDArray[np.float64]:
     """Return the quantiles of a learnt number, shape (moments, 5); NaN if unknown."""
     return np.array(
         [

@@ -13,7 +13,7 @@ import tempfile
 from kbnitp_ros.figures import save
 from kbnitp_ros.report.figures import maps_figure, progress_figure
 from kbnitp_ros.report.mission import Mission
-from kbnitp_ros.report.page import page_of
+from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.tables import Curves, write_beliefs, write_tables
 
 
@@ -35,7 +35,7 @@ def write_report(
     """Write a report, all of its files or none, and return what the page leaves out."""
     check_is_free(folder)
     with whole_folder(folder) as new:
-        page, left_out = page_of(mission, curves)
+        page, left_out = mission_page(mission, curves)
         new.joinpath('report.html').write_text(page, encoding='utf-8')
         done('report.html')
         save(maps_figure(mission, note), new / 'maps.png', 'png', 'svg')

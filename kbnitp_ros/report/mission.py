@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import Decision, DeploymentKey, Grid, Observation, World
-from kbnitp_ros.core.inference.record import observation_of
+from kbnitp_ros.core.inference.record import make_observation
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.history import History, Moment, read_history
 from kbnitp_ros.log.read import is_finished, LoggedMessage, read_metadata, RUN
 from kbnitp_ros.log.record import RecordedMission
@@ -32,7 +32,7 @@ Parameters = Mapping[str, Mapping[str, Any]]
 PART = 1e-3
 
 
-def datum_of(parameters: Parameters) -> Datum | None:
+def recorded_datum(parameters: Parameters) -> Datum | None:
     """Return the datum of a mission; None if none is on record."""
     given = {tuple(each['datum']) for each in parameters.values() if each.get('datum')}
     if len(given) > 1:
@@ -40,7 +40,7 @@ def datum_of(parameters: Parameters) -> Datum | None:
     return Datum.of(*given) if given else None
 
 
-def site_of(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
+def map_site(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
     """Return the image of the map that a mission took its field from, and why there is none."""
     name = next((each['map'] for each in parameters.values() if each.get('map')), '')
     if not name:
@@ -161,11 +161,11 @@ def read_mission(
     if not evidence.paths and evidence.refused:
         raise LogError(f'{path}: nothing to report, since refused was {evidence.refused[0]}')
     keys = evidence.orders
-    moments, notes = moments_of(log, history, keys)
+    moments, notes = recorded_moments(log, history, keys)
     first = history.moments[0].snapshot
     in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
     parameters = log.parameters
-    site, unseen = site_of(parameters, grid)
+    site, unseen = map_site(parameters, grid)
     return Mission(
         log=log.path,
         grid=grid,
@@ -176,25 +176,25 @@ def read_mission(
             'dynamics': first.dynamics.kind,
         },
         moments=moments,
-        deployments=deployments_of(history, keys, moments),
+        deployments=summarise_deployments(history, keys, moments),
         world=history.world,
         run=read_metadata(path, []).get(RUN, {}),
         parameters=parameters,
-        notes=[*notes, *notes_of(path, history, in_flight), *filter(None, [unseen])],
+        notes=[*notes, *log_notes(path, history, in_flight), *filter(None, [unseen])],
         corrupt=history.corrupt,
         in_flight=in_flight,
         decision=history.decision,
-        datum=datum_of(parameters),
+        datum=recorded_datum(parameters),
         site=site,
     )
 
 
-def moments_of(
+def recorded_moments(
     log: MissionLog, history: History, keys: Sequence[DeploymentKey]
 ) -> tuple[list[Moment], list[str]]:
     """Return the recorded beliefs as moments, and remarks on missing ones."""
     place = {key: number for number, key in enumerate(keys)}
-    ends = list(accumulate(part.stat().st_size for part in parts_of(log.path)))
+    ends = list(accumulate(part.stat().st_size for part in log_parts(log.path)))
     is_any_left_out = any(each.role.name == 'belief' for each in log.left_out.values())
     moments: list[Moment] = []
     notes = []
@@ -231,7 +231,7 @@ def moments_of(
             replace(
                 heard,
                 deployment=place.get(said.newest) if said.newest else None,
-                outcome=outcome_of(history.evidence, said.newest, said.stamp),
+                outcome=reported_outcome(history.evidence, said.newest, said.stamp),
                 is_late=said.newest in known,
                 is_after_gap=missing > 0,
                 state=history.models.get(said.stamp, NOTHING_LEARNT),
@@ -244,19 +244,19 @@ def moments_of(
     return moments, notes
 
 
-def outcome_of(
+def reported_outcome(
     evidence: RecordedMission, key: DeploymentKey | None, stamp: int
 ) -> Observation | None:
     """Return what the report of this stamp told; None if it is not on record."""
     if key not in evidence.reports or key not in evidence.paths:
         return None
-    report = evidence.report_of(key, stamp)
-    return observation_of(
+    report = evidence.find_report(key, stamp)
+    return make_observation(
         report, key, evidence.paths[key], evidence.grid, evidence.most_steps(key)
     )
 
 
-def deployments_of(
+def summarise_deployments(
     history: History, keys: Sequence[DeploymentKey], moments: Sequence[Moment]
 ) -> list[DeploymentSummary]:
     """Return the deployments whose path is on record."""
@@ -286,7 +286,7 @@ def moment_after(moments: Sequence[Moment], time: int | None) -> int | None:
     return next((place for place, each in enumerate(moments) if each.time >= time), None)
 
 
-def notes_of(log: str | Path, history: History, in_flight: int) -> Iterator[str]:
+def log_notes(log: str | Path, history: History, in_flight: int) -> Iterator[str]:
     """Yield remarks on a log."""
     evidence = history.evidence
     if history.corrupt:

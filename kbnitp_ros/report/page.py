@@ -20,15 +20,15 @@ from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import NAME
 from kbnitp_ros.report.answers import (
-    findings_of,
+    answer_tiles,
+    expected_losses,
+    expected_used_up,
     FREE,
+    list_findings,
     loss_shares,
-    losses_of,
     metres,
     safe_cells,
-    tiles_of,
     used_up_at,
-    used_up_of,
 )
 from kbnitp_ros.report.mission import DeploymentSummary, Mission
 from kbnitp_ros.report.plots import (
@@ -130,7 +130,7 @@ COLOURS = {name: f'probability of a {name}' for name in ('hazard', 'target')} | 
 }
 
 # Those of the last belief alone.
-ENDS = {'robots-lost': losses_of, 'used-up': used_up_of}
+ENDS = {'robots-lost': expected_losses, 'used-up': expected_used_up}
 
 # Maximum number of cells of a field whose last belief is in the page in full.
 MAX_EXACT = 10_000
@@ -142,7 +142,7 @@ ON_EARTH = (
 )
 
 
-def page_of(mission: Mission, curves: Curves, *, is_live: bool = False) -> tuple[str, str]:
+def mission_page(mission: Mission, curves: Curves, *, is_live: bool = False) -> tuple[str, str]:
     """Return the page of a mission, and what it leaves out to have at most `MAX_BYTES`."""
     moments = len(mission.moments)
     frames = quantised([each.belief for each in mission.moments])
@@ -183,26 +183,26 @@ def filled(
     tables = {'Versions': mission.run, **mission.parameters}
     return rendered(
         'page',
-        title=f'Mission {title_of(mission.log)}',
+        title=f'Mission {mission_title(mission.log)}',
         is_live=is_live,
         summary=summary(mission, curves),
-        tiles=list(tiles_of(mission, curves)),
+        tiles=list(answer_tiles(mission, curves)),
         notes=[*filter(None, [left_out]), *mission.notes],
         is_true_known=mission.world is not None,
         grid=mission.grid,
-        colours=colours_of(mission),
+        colours=map_colours(mission),
         returned=RETURNED.colour,
         lost=LOST.colour,
         obstacle=OBSTACLE,
         finding_columns=(*FINDINGS, *(ON_EARTH if mission.datum else ())),
-        findings=[vars(each) for each in findings_of(mission)],
+        findings=[vars(each) for each in list_findings(mission)],
         safe_columns=(*SAFE, *(ON_EARTH if mission.datum else ())),
         safe=safe_cells(mission),
         loss_columns=LOSS,
         is_exact=mission.grid.cells <= MAX_EXACT,
         site=mission.site,
         panels=labels,
-        columns=columns_of(table),
+        columns=table_columns(table),
         rows=[row(table[each], kept, mission.deployments[each]) for each in shown],
         configuration={
             name: {key: value_text(value) for key, value in values.items()}
@@ -211,14 +211,14 @@ def filled(
         },
         mission=packed(
             json.dumps(
-                data_of(mission, curves, table, kept, shown),
+                page_data(mission, curves, table, kept, shown),
                 separators=(',', ':'),
                 allow_nan=False,
             ).encode()
         ),
         # Differences modulo 256: negative ones wrap around, as they do in the page.
         frames=packed(np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1])).tobytes()),
-        plots=in_json(plots_of(mission, panels)),
+        plots=in_json(page_plots(mission, panels)),
     )
 
 
@@ -249,7 +249,7 @@ def in_json(plots: Mapping[str, str]) -> str:
     return f'{{{inside}}}'.replace('<', '\\u003c')
 
 
-def title_of(log: Path) -> str:
+def mission_title(log: Path) -> str:
     """Return what a mission is called: its log, or the folder if that has the usual name."""
     path = log.resolve()
     return path.parent.name if path.name == NAME else path.name
@@ -286,7 +286,7 @@ def summary(mission: Mission, curves: Curves) -> str:
     return ' '.join(words)
 
 
-def colours_of(mission: Mission) -> dict[str, str]:
+def map_colours(mission: Mission) -> dict[str, str]:
     """Return what the map can show in colour."""
     return {
         name: words
@@ -295,7 +295,7 @@ def colours_of(mission: Mission) -> dict[str, str]:
     }
 
 
-def plots_of(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
+def page_plots(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
     """Return all plots, each in JSON."""
     north = None if mission.datum is None else pi / 2 - mission.datum.heading
     plots = {'map': map_plot(mission.grid, north=north)}
@@ -304,7 +304,7 @@ def plots_of(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
     return plots
 
 
-def scales_of(mission: Mission) -> dict[str, dict[str, list[Any]]]:
+def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:
     """Return the colours of each map on light paper and on a dark screen."""
     assumed = mission.assumed
     scales = {
@@ -315,7 +315,7 @@ def scales_of(mission: Mission) -> dict[str, dict[str, list[Any]]]:
     return {**scales, 'robots-lost': counts, 'used-up': counts}
 
 
-def data_of(
+def page_data(
     mission: Mission,
     curves: Curves,
     table: list[dict[str, Any]],
@@ -324,15 +324,15 @@ def data_of(
 ) -> dict[str, Any]:
     """Return what the page shows beside the beliefs, as JSON can hold it."""
     grid, world = mission.grid, mission.world
-    colours = colours_of(mission)
+    colours = map_colours(mission)
     out = out_at(mission)
     needed = {*shown, *(int(each) for place in kept for each in out[place])}
     return {
-        'grid': field_of(grid),
+        'grid': field_data(grid),
         'site': mission.site
         and {name: getattr(mission.site, name) for name in ('source', 'width', 'height')},
         'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
-        'scales': scales_of(mission),
+        'scales': colour_scales(mission),
         'colours': colours,
         'ends': {
             name: np.round(count(mission), 4).tolist()
@@ -342,7 +342,7 @@ def data_of(
         'free': FREE,
         'lane': [] if mission.decision is None else mission.decision.path.tolist(),
         'assumed': mission.assumed,
-        'name': title_of(mission.log),
+        'name': mission_title(mission.log),
         'traces': TRACES,
         'walks': WALKS,
         'truth': world
@@ -358,7 +358,7 @@ def data_of(
         'deployments': {
             each: path_and_loss(mission, mission.deployments[each]) for each in sorted(needed)
         },
-        'moments': [moment_of(mission, curves, table, int(each), out[each]) for each in kept],
+        'moments': [moment_data(mission, curves, table, int(each), out[each]) for each in kept],
     }
 
 
@@ -378,7 +378,7 @@ def exact(belief: Belief) -> dict[str, list[float]]:
     return {name: np.round(getattr(belief, name), 6).tolist() for name in NAMES}
 
 
-def field_of(grid: Grid) -> dict[str, Any]:
+def field_data(grid: Grid) -> dict[str, Any]:
     """Return what a page is to know of the field."""
     corner, along, across = grid.in_metres([(0, 0), (1, 0), (0, 1)])
     x, y = as_drawn(grid).origin
@@ -412,7 +412,7 @@ def first_visits(mission: Mission) -> NDArray[np.intp]:
     return first
 
 
-def moment_of(
+def moment_data(
     mission: Mission,
     curves: Curves,
     table: list[dict[str, Any]],
@@ -436,8 +436,8 @@ def moment_of(
         'walk': walk,
         'readings': readings,
         'out': out.tolist(),
-        'told': told_of(mission, place),
-        'facts': list(facts_of(mission, curves, table, place, out)),
+        'told': describe_moment(mission, place),
+        'facts': list(moment_facts(mission, curves, table, place, out)),
     }
 
 
@@ -449,7 +449,7 @@ def heard_on(seen: Observation | None) -> tuple[int, int] | None:
     return int(likely[0]), int(likely[-1]) + 1
 
 
-def told_of(mission: Mission, place: int) -> str:
+def describe_moment(mission: Mission, place: int) -> str:
     """Return a moment in a sentence."""
     moment = mission.moments[place]
     if moment.deployment is None:
@@ -463,7 +463,7 @@ def told_of(mission: Mission, place: int) -> str:
     return f'{of}: no. {moment.deployment + 1}, {agent}, {ending}{late}.'
 
 
-def facts_of(
+def moment_facts(
     mission: Mission,
     curves: Curves,
     table: list[dict[str, Any]],
@@ -503,7 +503,7 @@ def facts_of(
         yield name.replace('_', ' '), f'{middle:.2f} ({low:.2f} to {high:.2f})'
 
 
-def columns_of(table: list[dict[str, Any]]) -> list[Column]:
+def table_columns(table: list[dict[str, Any]]) -> list[Column]:
     """Return the columns of the table of deployments, without those that would be empty."""
     optional = ('gap', 'log_loss')
     return [

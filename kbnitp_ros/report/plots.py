@@ -11,7 +11,7 @@ from typing import Any
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.figures import extent, LOST, MAPS, RETURNED, SERIES
-from kbnitp_ros.report.figures import panels_of, quantiles_of
+from kbnitp_ros.report.figures import learnt_quantiles, mission_panels
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.tables import Curves
 import numpy as np
@@ -46,7 +46,7 @@ def map_plot(
     north: float | None = None,
 ) -> str:
     """Return a map in Plotly's JSON; the page sets its colours."""
-    directions = directions_of(grid, north)
+    directions = arrow_directions(grid, north)
     place = (
         'along the rows %{x:.4g} m, across %{y:.4g} m'
         if grid.yaw
@@ -130,7 +130,7 @@ def as_drawn(grid: Grid) -> Grid:
     return replace(grid, origin=(0.0, 0.0), yaw=0.0) if grid.yaw else grid
 
 
-def directions_of(grid: Grid, north: float | None) -> dict[str, float]:
+def arrow_directions(grid: Grid, north: float | None) -> dict[str, float]:
     """Return which ways the arrows beside a map point, in rad from the right, by their names."""
     directions = {'x': 0.0, 'y': pi / 2} if grid.yaw else {}
     if north is not None:
@@ -174,11 +174,11 @@ def curve_plots(
     mission: Mission, curves: Curves, kept: NDArray[np.intp]
 ) -> Iterator[tuple[str, str]]:
     """Yield the title of each panel of curves, and the panel in Plotly's JSON."""
-    for panel in panels_of(curves):
+    for panel in mission_panels(curves):
         lines = {name: (kept, values[kept]) for name, values in panel.lines.items()}
         yield panel.label, lines_plot(panel.label, lines)
     for name in mission.moments[-1].state.numbers:
-        low, _, middle, _, high = quantiles_of(mission, name)[kept].T
+        low, _, middle, _, high = learnt_quantiles(mission, name)[kept].T
         known = {'x': kept, 'mode': 'lines', 'hovertemplate': '%{y:.3f}'}
         thin = {'color': '#888888', 'width': 1}
         figure = graph_objects.Figure()

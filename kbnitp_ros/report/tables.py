@@ -11,7 +11,7 @@ from typing import Any
 
 from kbnitp_ros.core import log_loss, Observation, path_information, Plan
 from kbnitp_ros.core.field.belief import binary_entropy
-from kbnitp_ros.maps import levels_of, write_probabilities
+from kbnitp_ros.maps import quantise_belief, write_probabilities
 from kbnitp_ros.report.mission import Mission
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class Curves:
         return self.hazard_loss + self.target_loss
 
 
-def curves_of(
+def mission_curves(
     mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> Curves:
     """Return how a mission went; `progress` passes the numbers of the moments on."""
@@ -95,7 +95,9 @@ def expected_at(mission: Mission, place: int) -> float:
     if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
         return nan
     before, deployment = mission.moments[place - 1], mission.deployments[moment.deployment]
-    return path_information(before.belief, before.model_of(deployment.key.agent), deployment.path)
+    return path_information(
+        before.belief, before.agent_model(deployment.key.agent), deployment.path
+    )
 
 
 def gap_at(mission: Mission, place: int, expected: float) -> float:
@@ -105,7 +107,7 @@ def gap_at(mission: Mission, place: int, expected: float) -> float:
     if isnan(expected) or isnan(before.upper_bound) or moment.deployment is None:
         return nan
     deployment = mission.deployments[moment.deployment]
-    plan = Plan.along(deployment.path, before.belief, before.model_of(deployment.key.agent))
+    plan = Plan.along(deployment.path, before.belief, before.agent_model(deployment.key.agent))
     cost = mission.loss_cost(deployment.key.agent) * (1.0 - plan.survival)
     return max(0.0, before.upper_bound - expected + cost)
 
@@ -245,5 +247,5 @@ def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:
     if mission.world:
         arrays |= {f'true_{name}': values for name, values in vars(mission.world).items()}
     np.savez_compressed(folder / 'belief.npz', **arrays, **vars(curves))
-    for name, levels in levels_of(moments[-1].belief).items():
+    for name, levels in quantise_belief(moments[-1].belief).items():
         write_probabilities(folder / f'{name}.yaml', mission.grid, levels)

@@ -160,7 +160,7 @@ class Journal:
             self._check = int(line[:8], 16)
             self._size += len(line) + 1
         # A power loss can leave the start of the first line, or zeros in place of the rest.
-        if not lines and not line_of(expected, 0)[0].startswith(rest.rstrip(b'\0')):
+        if not lines and not journal_line(expected, 0)[0].startswith(rest.rstrip(b'\0')):
             raise JournalError(self._no_journal)
         if of_another and self.under_way:
             raise of_another
@@ -178,7 +178,7 @@ class Journal:
 
     def _checked(self, line: bytes) -> Any:
         entry = json.loads(line[9:])
-        if line_of(entry, self._check)[0] != line + b'\n':
+        if journal_line(entry, self._check)[0] != line + b'\n':
             raise ValueError('the check sum is another')
         return entry
 
@@ -300,7 +300,7 @@ class Journal:
 
     def _append(self, entry: dict[str, Any]) -> None:
         """Write a line to the disk, as a whole or not at all."""
-        line, check = line_of(entry, self._check)
+        line, check = journal_line(entry, self._check)
         try:
             written = 0
             with naming(self.path):
@@ -329,7 +329,7 @@ def heading(agent: str, grid: Grid) -> dict[str, Any]:
     return {'journal': VERSION, 'agent': agent, 'grid': field}
 
 
-def line_of(entry: dict[str, Any], before: int) -> tuple[bytes, int]:
+def journal_line(entry: dict[str, Any], before: int) -> tuple[bytes, int]:
     """Return a line of a journal and its checksum, chained to the one before; 0 for none."""
     text = json.dumps(entry, separators=(',', ':')).encode()
     check = zlib.crc32(text, before)

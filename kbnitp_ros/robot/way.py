@@ -15,7 +15,7 @@ import numpy as np
 Leg = tuple[int, ...]
 
 
-def legs_of(path: Sequence[int]) -> list[Leg]:
+def split_legs(path: Sequence[int]) -> list[Leg]:
     """Split a path into legs, one for each goal of Nav2."""
     # Nav2 counts a goal as reached near its last pose and takes the nearest point of a path for
     # the place of the robot. So no leg enters a cell twice; stays are legs of their own.
@@ -94,7 +94,7 @@ class Itinerary:
 
     def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
         self._grid = grid
-        self._legs = legs_of(path) if path else []
+        self._legs = split_legs(path) if path else []
         self._attempts = attempts
         # Tries of the leg without progress, and number of its cells entered.
         self._tried = 0
@@ -187,7 +187,7 @@ class Walk:
                     f'the robot seems to have jumped from cell {self.cell} to cell {cell}, '
                     f'({x:.2f}, {y:.2f}): that counts if it lasts for {self._patience} s'
                 )
-            self.doubt = self._doubt_of(x, y, time) or self.doubt
+            self.doubt = self._why_doubtful(x, y, time) or self.doubt
         return self._come_to(cell, x, y, time)
 
     def _come_to(self, cell: int, x: float, y: float, time: float) -> list[int]:
@@ -196,7 +196,7 @@ class Walk:
         self.cell, self._seen, self._away_since = cell, (x, y, time), None
         return way
 
-    def _doubt_of(self, x: float, y: float, time: float) -> str:
+    def _why_doubtful(self, x: float, y: float, time: float) -> str:
         """Return why a position is impossible by now; empty if it is possible."""
         if self._seen is None or not self._max_speed:
             return ''

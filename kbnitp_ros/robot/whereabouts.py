@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Maximum number of frames; a robot has some tens.
-MOST_FRAMES = 1000
+MAX_FRAMES = 1000
 
 
 class Link(NamedTuple):
@@ -48,7 +48,7 @@ class Transforms:
 
     def __init__(self, frame: str, of: str) -> None:
         self._frame = frame
-        self._of = of
+        self._missions = of
         self._links: dict[str, Link] = {}
 
     def take(self, message: Any, *, static: bool) -> None:
@@ -64,8 +64,8 @@ class Transforms:
                     f'the transform to {child!r} has translation {translation.tolist()} and '
                     f'rotation {rotation.tolist()}: they must be finite and a unit quaternion'
                 )
-            if child not in self._links and len(self._links) == MOST_FRAMES:
-                raise ValueError(f'frame {child!r} is one more than {MOST_FRAMES}')
+            if child not in self._links and len(self._links) == MAX_FRAMES:
+                raise ValueError(f'frame {child!r} is one more than {MAX_FRAMES}')
             parent = transform.header.frame_id.lstrip('/')
             stamp = None if static else from_stamp(transform.header.stamp)
             self._links[child] = Link(parent, translation, rotation / length, stamp)
@@ -73,14 +73,14 @@ class Transforms:
     def place(self, now: int, oldest: float) -> Place:
         """Return the place of the frame by transforms of at most so many seconds ago."""
         place: NDArray[np.float64] = np.zeros(3)
-        frame, stamp = self._of, now
+        frame, stamp = self._missions, now
         odometry: int | None = None
         passed = set()
         while frame != self._frame:
             link = self._links.get(frame)
             if link is None or frame in passed:
                 raise ValueError(
-                    f'no transform leads from {self._frame!r} to {self._of!r}: the place of '
+                    f'no transform leads from {self._frame!r} to {self._missions!r}: the place of '
                     f'{frame!r} is unknown'
                 )
             passed.add(frame)

@@ -24,7 +24,16 @@ from kbnitp_ros.figures import FORMATS, LETTERS, save, SERIES, WIDTH
 from kbnitp_ros.files import naming, share
 from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
 from kbnitp_ros.study.comparing import compare
-from kbnitp_ros.study.results import as_json, Cell, LOG_LOSS, Mean, mean_of, Results, shown, Table
+from kbnitp_ros.study.results import (
+    as_json,
+    bootstrap_mean,
+    Cell,
+    LOG_LOSS,
+    Mean,
+    Results,
+    shown,
+    Table,
+)
 from kbnitp_ros.study.scenario import Scenario
 from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
 from matplotlib import rc_context
@@ -75,7 +84,7 @@ class Entry(NamedTuple):
 
     def final(self, *measures: str) -> Mean:
         """Return the sum of measures after the last robot."""
-        return mean_of(self.series(*measures)[:, -1])
+        return bootstrap_mean(self.series(*measures)[:, -1])
 
     def series(self, *measures: str) -> NDArray[np.float64]:
         """Return the sum of measures, shape (trials, robots + 1)."""
@@ -99,7 +108,7 @@ def entered() -> tuple[list[str], list[str]]:
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 
 
-def worth_of(
+def plan_worths(
     planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]
 ) -> NDArray[np.float64]:
     """Return worth / bound of the plans of a planner, and their seconds, shape (2, beliefs)."""
@@ -114,7 +123,7 @@ def worth_of(
     return np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T
 
 
-def seconds_of(method: str, scenario: Scenario) -> float:
+def time_method(method: str, scenario: Scenario) -> float:
     """Return the seconds of a method for a deployment, averaged over a mission."""
     field, truth = scenario.field(), scenario.truth(scenario.lethalities[0], 0)
     prior, model = scenario.belief(truth), scenario.model(truth)
@@ -144,7 +153,7 @@ def missions(
         yield Entry(PLANNER, method, by_method)
 
 
-def table_of(
+def benchmark_table(
     entries: Sequence[Entry], worths: dict[str, NDArray[np.float64]], seconds: dict[str, float]
 ) -> Table:
     """Return the table of the benchmark."""
@@ -162,7 +171,7 @@ def table_of(
             [
                 Cell(entry.planner, f'`{entry.planner}`'),
                 Cell(entry.method, f'`{entry.method}`'),
-                mean(mean_of(ratio), 3),
+                mean(bootstrap_mean(ratio), 3),
                 number(float(ratio.min()), 3),
                 number(1e3 * float(np.median(times)), 1),
                 mean(entry.final(*LOG_LOSS)),
@@ -182,7 +191,7 @@ def table_of(
     return Table(caption, HEADS, rows)
 
 
-def figure_of(entries: Sequence[Entry]) -> Figure:
+def benchmark_figure(entries: Sequence[Entry]) -> Figure:
     """Draw the log loss after each robot: of the planners, and of the methods."""
     with rc_context(LETTERS):
         figure = Figure(figsize=(WIDTH, 0.45 * WIDTH), layout='constrained')
@@ -211,11 +220,11 @@ def run_benchmark(folder: Path, workers: int | None = None, **changes: int) -> l
     planners, methods = entered()
     scenario, beliefs = read_scenario(scenario_file(NAME)), frozen()
     field, steps = scenario.field(), scenario.planning.max_steps
-    worths = {each: worth_of(each, field, steps, beliefs) for each in planners}
-    seconds = {each: seconds_of(each, scenario) for each in methods}
+    worths = {each: plan_worths(each, field, steps, beliefs) for each in planners}
+    seconds = {each: time_method(each, scenario) for each in methods}
     entries = list(missions(planners, methods, workers, **changes))
-    table = table_of(entries, worths, seconds)
-    written = save(figure_of(entries), folder / NAME, *FORMATS)
+    table = benchmark_table(entries, worths, seconds)
+    written = save(benchmark_figure(entries), folder / NAME, *FORMATS)
     for suffix, text in (('md', table.markdown()), ('tex', table.latex())):
         written.append(folder / f'{NAME}.{suffix}')
         written[-1].write_text(text)

@@ -11,9 +11,9 @@ from typing import Literal
 from kbnitp_ros.figures import SERIES, Style, WIDTH
 from kbnitp_ros.study.results import (
     after_rounds,
+    bootstrap_mean,
     LOG_LOSS,
     MEAN,
-    mean_of,
     of_number,
     Results,
     SD,
@@ -39,7 +39,7 @@ COLUMNS = 4
 Draw = Callable[[Axes, float | None, Contender, Style, str], None]
 
 
-def labels_of(scenario: Scenario) -> dict[Contender, str]:
+def contender_labels(scenario: Scenario) -> dict[Contender, str]:
     """Return labels that tell the contenders apart."""
     teams, are_named = team_labels(scenario), len(scenario.methods) > 1
     return {
@@ -49,7 +49,7 @@ def labels_of(scenario: Scenario) -> dict[Contender, str]:
     }
 
 
-def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
+def group_contenders(contenders: Sequence[Contender]) -> list[list[Contender]]:
     """Return the contenders grouped by panel."""
     if len(contenders) <= len(SERIES):
         return [list(contenders)]
@@ -62,7 +62,7 @@ def groups_of(contenders: Sequence[Contender]) -> list[list[Contender]]:
             return [
                 group
                 for name in names
-                for group in groups_of(
+                for group in group_contenders(
                     [
                         each
                         for each, distinction in zip(contenders, distinctions)
@@ -80,14 +80,14 @@ def panels_figure(
     scenario: Scenario, draw: Draw, across: str, up: str, scale: str = 'linear'
 ) -> Figure:
     """Return a figure with a panel for each lethality, and rows for groups of contenders."""
-    labels, groups = labels_of(scenario), groups_of(scenario.contenders)
+    labels, groups = contender_labels(scenario), group_contenders(scenario.contenders)
     lethalities = scenario.lethalities
     columns = columns_for(len(lethalities))
     height = 1.9 * -(-len(lethalities) // columns) + 0.4
     figure = Figure(figsize=(WIDTH, height * len(groups) + 0.4), layout='constrained')
     panels = []
     for part, group in zip(figure.subfigures(len(groups), 1, squeeze=False).flat, groups):
-        row = grid_of(part, len(lethalities), columns)
+        row = panel_grid(part, len(lethalities), columns)
         for axes, lethality in zip(row, lethalities):
             for contender, style in zip(group, SERIES):
                 draw(axes, lethality, contender, style, labels[contender])
@@ -127,7 +127,7 @@ def columns_for(panels: int) -> int:
     return -(-panels // rows)
 
 
-def grid_of(
+def panel_grid(
     part: FigureBase, panels: int, columns: int, sharey: Literal['none', 'all', 'row'] = 'all'
 ) -> list[Axes]:
     """Return panels that share their axes, row by row; only those at the edges have numbers."""
@@ -190,7 +190,7 @@ def means_chart(
 
 def draw_mean(axes: Axes, samples: NDArray[np.float64], style: Style, label: str) -> None:
     """Draw a line of the mean of samples, shape (trials, points), with its interval."""
-    mean, low, high = mean_of(samples)
+    mean, low, high = bootstrap_mean(samples)
     axes.plot(mean, **style.line(mean.size), label=label)
     axes.fill_between(range(mean.size), low, high, color=style.colour, alpha=BAND, linewidth=0)
 
@@ -198,7 +198,7 @@ def draw_mean(axes: Axes, samples: NDArray[np.float64], style: Style, label: str
 def reliability_chart(results: Results) -> Figure:
     """Draw the true share against the predicted probability after the last robot."""
     scenario = results.scenario
-    contenders, labels = scenario.contenders, labels_of(scenario)
+    contenders, labels = scenario.contenders, contender_labels(scenario)
     blocks = -(-len(contenders) // BESIDE)
     columns = -(-len(contenders) // blocks)
     side = WIDTH / max(3, columns)
@@ -271,7 +271,7 @@ def loss_cost_chart(results: Results) -> Figure:
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
     ) -> None:
-        (lost, log_loss), low, high = mean_of(
+        (lost, log_loss), low, high = bootstrap_mean(
             trade(partial(results.series, lethality, contender.method), contender.team)
         )
         at_its_end = {'markevery': [-1], 'markersize': 5}
@@ -299,7 +299,7 @@ def numbers_chart(results: Results) -> Figure:
     columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
     rows = -(-len(shown_in) // columns)
     figure = Figure(figsize=(WIDTH, 1.7 * rows + 0.6), layout='constrained')
-    panels = grid_of(figure, len(shown_in), columns, sharey='row' if are_rows else 'none')
+    panels = panel_grid(figure, len(shown_in), columns, sharey='row' if are_rows else 'none')
     for place, ((name, lethality), axes) in enumerate(zip(shown_in, panels)):
         draw_known(axes, *of_number(results, lethality, name))
         if not are_rows:

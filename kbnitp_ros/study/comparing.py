@@ -11,11 +11,11 @@ from typing import Any
 
 from kbnitp_ros.core import METHODS, PLANNERS
 from kbnitp_ros.files import read_yaml
-from kbnitp_ros.plugins import name_of
+from kbnitp_ros.plugins import entry_name
 from kbnitp_ros.study.results import check_memory, Results
 from kbnitp_ros.study.scenario import Scenario
-from kbnitp_ros.study.scenario_file import scenario_file, scenario_of
-from kbnitp_ros.study.trial import MissionResult, run_trial, Trial, trials_of
+from kbnitp_ros.study.scenario_file import parse_scenario, scenario_file
+from kbnitp_ros.study.trial import list_trials, MissionResult, run_trial, Trial
 from kbnitp_ros.study.workers import workers as worker_processes
 from tqdm import tqdm
 
@@ -46,9 +46,9 @@ def compare(
         for named in (paths, updates)
     ]
     with PLANNERS.including(own[0]), METHODS.including(own[1]):
-        study = scenario_of(content)
+        study = parse_scenario(content)
     check_memory(study)
-    trials = trials_of(study)
+    trials = list_trials(study)
     try:
         with worker_processes('loky', workers) as pool:
             done = pool.run(partial(run_own, own[0], own[1], study), trials)
@@ -80,7 +80,7 @@ def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
         raise TypeError(f'{kind}s is {given!r}: it must be a list, such as {kind}s=[{given!r}]')
     named: dict[str, str | Callable[..., Any]] = {}
     for each in given:
-        name = name_of(each).rpartition('.')[-1]
+        name = entry_name(each).rpartition('.')[-1]
         if name in named or not name.isidentifier():
             reason = 'it has no name' if name not in named else 'two have this name'
             raise ValueError(

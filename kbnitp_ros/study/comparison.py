@@ -34,27 +34,27 @@ from kbnitp_ros.study.questions import (
     equal_rows,
     lane_rows,
     log_loss_at_equal_losses,
-    MOST_CELLS,
     number_rows,
     ROBOTS,
+    SHARE_OF_AREA,
     team_rows,
 )
 from kbnitp_ros.study.results import (
     after_robots,
+    bootstrap_mean,
     Cell,
     json_row,
     lethality_cell,
     LOG_LOSS,
     Mean,
-    mean_of,
     means_after,
     Results,
     Row,
     Series,
     shown,
     summarise,
+    summary_table,
     Table,
-    table_of,
 )
 from kbnitp_ros.study.scenario import (
     asks_for,
@@ -110,14 +110,14 @@ class Comparison:
             + [
                 cell
                 for name, (_, form) in self.columns.items()
-                for cell in cells_of(row[name], form)
+                for cell in table_cells(row[name], form)
             ]
             for row in summary['rows']
         ]
         return Table(self.caption.format(**summary), heads, rows)
 
 
-def cells_of(value: Any, form: str | int) -> list[Cell]:
+def table_cells(value: Any, form: str | int) -> list[Cell]:
     """Return the table cells of a value."""
     if isinstance(form, str):
         return [Cell(value, form.format(value))]
@@ -179,12 +179,12 @@ def learns(scenario: Scenario) -> bool:
 
 def lost(series: Series, first: Strategy, team: Strategy) -> Mean:
     """Return the robots lost at the end."""
-    return mean_of(series('robots_lost')[:, -1])
+    return bootstrap_mean(series('robots_lost')[:, -1])
 
 
 def lost_more(series: Series, first: Strategy, team: Strategy) -> Mean:
     """Return how many more robots are lost at the end than with the first strategy."""
-    return mean_of((series('robots_lost') - series('robots_lost', team=first))[:, -1])
+    return bootstrap_mean((series('robots_lost') - series('robots_lost', team=first))[:, -1])
 
 
 def own(name: str) -> Stated:
@@ -192,12 +192,12 @@ def own(name: str) -> Stated:
     return lambda team, _: getattr(team, name)
 
 
-def planner_of(team: Strategy, scenario: Scenario) -> str:
+def team_planner(team: Strategy, scenario: Scenario) -> str:
     """Return the planner of a strategy."""
     return team.planner or scenario.planning.planner
 
 
-def objective_of(team: Strategy, _: Scenario) -> str:
+def team_objective(team: Strategy, _: Scenario) -> str:
     """Return the objective of a strategy."""
     return f'{team.sought}, loss cost {team.loss_cost:.4g}' if team.loss_cost else team.sought
 
@@ -299,7 +299,7 @@ BY_PLANNER = Comparison(
         'difference': ('', 1),
         **LOST_COLUMNS,
     },
-    **with_first({'planner': planner_of}, first=('first', planner_of), further=LOST),
+    **with_first({'planner': team_planner}, first=('first', team_planner), further=LOST),
 )
 
 BY_OBJECTIVE = Comparison(
@@ -319,8 +319,8 @@ BY_OBJECTIVE = Comparison(
         'log_loss_at_equal': ('log loss at equal losses', 1),
     },
     **with_first(
-        {'objective': objective_of},
-        first=('first', objective_of),
+        {'objective': team_objective},
+        first=('first', team_objective),
         further={
             **LOST,
             'lost_at_equal': at_equal_log_loss_more,
@@ -482,7 +482,7 @@ AREAS = Comparison(
     applies=lambda scenario: asks_for(scenario, 'area'),
     caption=(
         f'Cells are declared free at a probability of {DECLARED}. The share of worlds in which '
-        f'{MOST_CELLS:.0%} of the area are declared free, after how many robots (all '
+        f'{SHARE_OF_AREA:.0%} of the area are declared free, after how many robots (all '
         '{robots} if never), how many more these are than of the first strategy in the same '
         'worlds, and the robots lost by then; the part of the area that is declared free at the '
         'end, and the part of it that is so wrongly.'
@@ -519,7 +519,7 @@ COMPARISONS = (
 )
 
 
-def figures_of(results: Results) -> dict[str, Figure]:
+def study_figures(results: Results) -> dict[str, Figure]:
     """Return the figures of a study, by the names of their files."""
     means = partial(means_chart, results, across='deployment')
     charts: dict[str, Callable[[Results], Figure]] = {
@@ -543,14 +543,14 @@ def figures_of(results: Results) -> dict[str, Figure]:
 def sections(results: Results) -> Iterator[tuple[str, Row, Table]]:
     """Yield the name, the content and the table of each section of the summary."""
     summary = summarise(results)
-    yield 'summary', summary, table_of(summary)
+    yield 'summary', summary, summary_table(summary)
     for comparison in COMPARISONS:
         if comparison.applies(results.scenario):
             section = comparison.summarise(results)
             yield comparison.name, section, comparison.table(section)
 
 
-def tables_of(results: Results) -> dict[str, Table]:
+def study_tables(results: Results) -> dict[str, Table]:
     """Return the tables of a study."""
     return {name: table for name, _, table in sections(results)}
 
@@ -564,7 +564,7 @@ def write_report(results: Results, folder: Path) -> list[Path]:
         folder / name for name in ('table.parquet', 'summary.json', 'summary.md')
     )
     with naming(folder):
-        for name, figure in figures_of(results).items():
+        for name, figure in study_figures(results).items():
             pictures += save(figure, folder / name, *FORMATS)
         parquet.write_table(results.table(), table)
         as_json.write_text(json.dumps(summary, indent=1) + '\n')

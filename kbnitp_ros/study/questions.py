@@ -10,13 +10,13 @@ from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.study.results import (
     after_robots,
     after_rounds,
+    bootstrap_mean,
     HIGH,
     interval,
     LOG_LOSS,
     LOW,
     MEAN,
     Mean,
-    mean_of,
     means_after,
     of_number,
     resampled_means,
@@ -67,7 +67,7 @@ def team_rows(results: Results) -> Iterator[Row]:
             'early_robots_lost': after_rounds(lost, team.agents)[:, common],
         }
         row |= {**vars(team), 'label': labels[team], 'rounds': rounds}
-        yield row | {name: mean_of(values) for name, values in measured.items()}
+        yield row | {name: bootstrap_mean(values) for name, values in measured.items()}
 
 
 # Fields of a comparison at equal log loss.
@@ -131,7 +131,7 @@ def base_rows(results: Results) -> Iterator[Row]:
         equal = compare(*missions)
         yield row | {
             **vars(two),
-            'value': mean_of(missions[0][:, 1, -1] - missions[1][:, 1, -1]),
+            'value': bootstrap_mean(missions[0][:, 1, -1] - missions[1][:, 1, -1]),
             'log_loss': equal['log_loss'],
             'sent_from_one': equal['sent_at_least'],
             'sent': equal['sent'],
@@ -154,10 +154,10 @@ def number_rows(results: Results) -> Iterator[Row]:
         yield {
             'lethality': lethality,
             'number': name,
-            'sd_before': mean_of(first[:, SD]),
-            'sd': mean_of(last[:, SD]),
-            'error': mean_of(np.abs(last[:, MEAN] - truth[:, 0])),
-            'within': mean_of(is_within.astype(np.float64)),
+            'sd_before': bootstrap_mean(first[:, SD]),
+            'sd': bootstrap_mean(last[:, SD]),
+            'error': bootstrap_mean(np.abs(last[:, MEAN] - truth[:, 0])),
+            'within': bootstrap_mean(is_within.astype(np.float64)),
         }
 
 
@@ -179,7 +179,7 @@ DECIDED_AFTER = (10, 25, 50, 100)
 # Confidences at which missions may end.
 CONFIDENCES = (0.9, 0.95, 0.99)
 # Share of an area to be declared free.
-MOST_CELLS = 0.8
+SHARE_OF_AREA = 0.8
 
 
 def certifies(scenario: Scenario) -> bool:
@@ -196,10 +196,10 @@ def lane_rows(results: Results) -> Iterator[Row]:
             yield row | {
                 'label': labels[team],
                 'robots': robots,
-                'free': mean_of(free[:, robots]),
-                'believed': mean_of(series('p_free')[:, robots]),
-                'difference': mean_of((free - base)[:, robots]),
-                'lost': mean_of(series('robots_lost')[:, robots]),
+                'free': bootstrap_mean(free[:, robots]),
+                'believed': bootstrap_mean(series('p_free')[:, robots]),
+                'difference': bootstrap_mean((free - base)[:, robots]),
+                'lost': bootstrap_mean(series('robots_lost')[:, robots]),
             }
 
 
@@ -221,10 +221,10 @@ def certificate_rows(results: Results) -> Iterator[Row]:
         yield row | {
             'confidence': confidence,
             'stopped': int(stopped.sum()),
-            'sent': mean_of(at[:, 0].astype(np.float64)),
-            'stated': mean_of(stated),
-            'free': mean_of(true),
-            'difference': mean_of(true - stated),
+            'sent': bootstrap_mean(at[:, 0].astype(np.float64)),
+            'stated': bootstrap_mean(stated),
+            'free': bootstrap_mean(true),
+            'difference': bootstrap_mean(true - stated),
         }
 
 
@@ -236,18 +236,20 @@ def area_rows(results: Results) -> Iterator[Row]:
         robots = needed(declared)
         yield row | {
             'label': labels[team],
-            'reached': mean_of((declared.max(axis=1) >= MOST_CELLS).astype(np.float64)),
-            'needed': mean_of(robots),
-            'difference': mean_of(robots - needed(series('declared', team=scenario.teams[0]))),
-            'lost': mean_of(lost[np.arange(len(lost)), robots.astype(np.intp)]),
-            'declared': mean_of(declared[:, -1]),
-            'wrong': mean_of((declared - right)[:, -1]),
+            'reached': bootstrap_mean((declared.max(axis=1) >= SHARE_OF_AREA).astype(np.float64)),
+            'needed': bootstrap_mean(robots),
+            'difference': bootstrap_mean(
+                robots - needed(series('declared', team=scenario.teams[0]))
+            ),
+            'lost': bootstrap_mean(lost[np.arange(len(lost)), robots.astype(np.intp)]),
+            'declared': bootstrap_mean(declared[:, -1]),
+            'wrong': bootstrap_mean((declared - right)[:, -1]),
         }
 
 
 def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the number of robots until most cells are declared free, (trials,); all if never."""
-    is_most = declared >= MOST_CELLS
+    is_most = declared >= SHARE_OF_AREA
     is_most[:, -1] = True
     robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)
     return robots

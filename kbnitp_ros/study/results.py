@@ -20,7 +20,7 @@ from kbnitp_ros.study.scenario import (
     Strategy,
     team_labels,
 )
-from kbnitp_ros.study.trial import LEARNT, measures_of, MissionResult, Trial, trials_of
+from kbnitp_ros.study.trial import LEARNT, list_trials, measure_names, MissionResult, Trial
 import numpy as np
 from numpy.typing import NDArray
 import pandas
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 Series = Callable[..., NDArray[np.float64]]
 
 # Maximum bytes of a mission, held by each worker, and of all results.
-MOST_OF_A_MISSION = 1 << 30
-MOST_OF_ALL = 1 << 32
+MAX_MISSION_BYTES = 1 << 30
+MAX_BYTES = 1 << 32
 
 
 def check_memory(scenario: Scenario) -> None:
@@ -45,10 +45,10 @@ def check_memory(scenario: Scenario) -> None:
     missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials
     # The beliefs of a mission; and the last maps, the truth and the measures, in two tables.
     mission = 4 * number * cells * deployments
-    outcome = 2 * (number + 1) * cells + len(measures_of(scenario)) * number * deployments
+    outcome = 2 * (number + 1) * cells + len(measure_names(scenario)) * number * deployments
     for what, bytes_taken, most in (
-        ('a mission', mission, MOST_OF_A_MISSION),
-        (f'{missions} missions', 2 * missions * outcome, MOST_OF_ALL),
+        ('a mission', mission, MAX_MISSION_BYTES),
+        (f'{missions} missions', 2 * missions * outcome, MAX_BYTES),
     ):
         if bytes_taken > most:
             raise ValueError(
@@ -73,7 +73,7 @@ class Results:
 
     def table(self) -> pa.Table:
         """Return one row for each deployment of each trial."""
-        trials = trials_of(self.scenario)
+        trials = list_trials(self.scenario)
         rows = self.scenario.robots + 1
         measures = np.concatenate([self.outcomes[trial].measures for trial in trials])
         columns = {
@@ -85,7 +85,7 @@ class Results:
                 field.name: np.repeat([getattr(trial.team, field.name) for trial in trials], rows)
                 for field in fields(Strategy)
             },
-            **dict(zip(measures_of(self.scenario), measures.T)),
+            **dict(zip(measure_names(self.scenario), measures.T)),
         }
         columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())
         columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
@@ -99,8 +99,8 @@ class Results:
         self, lethality: float | None, method: str, *measures: str, team: Strategy = ALONE
     ) -> NDArray[np.float64]:
         """Return the sum of some measures, shape (trials, robots + 1)."""
-        places = [measures_of(self.scenario).index(measure) for measure in measures]
-        outcomes = self._of(lethality, method, team)
+        places = [measure_names(self.scenario).index(measure) for measure in measures]
+        outcomes = self._missions(lethality, method, team)
         return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
 
     def missions(
@@ -118,7 +118,7 @@ class Results:
         self, lethality: float | None, method: str, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return the last hazard and target maps and the truth, each shape (trials, 2, cells)."""
-        outcomes = self._of(lethality, method, team)
+        outcomes = self._missions(lethality, method, team)
         believed = np.stack([outcome.believed for outcome in outcomes])
         return believed, np.stack([outcome.truth for outcome in outcomes])
 
@@ -126,11 +126,13 @@ class Results:
         self, lethality: float | None, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the posteriors of a learning method, and the true numbers."""
-        outcomes = self._of(lethality, LEARNING, team)
+        outcomes = self._missions(lethality, LEARNING, team)
         known = np.stack([outcome.learnt for outcome in outcomes])
         return known, np.stack([outcome.numbers for outcome in outcomes])
 
-    def _of(self, lethality: float | None, method: str, team: Strategy) -> list[MissionResult]:
+    def _missions(
+        self, lethality: float | None, method: str, team: Strategy
+    ) -> list[MissionResult]:
         numbers = range(self.scenario.trials)
         return [self.outcomes[Trial(lethality, method, number, team)] for number in numbers]
 
@@ -207,7 +209,7 @@ class Mean(NamedTuple):
     high: NDArray[np.float64]
 
 
-def mean_of(samples: NDArray[np.float64]) -> Mean:
+def bootstrap_mean(samples: NDArray[np.float64]) -> Mean:
     """Return the mean over trials with its 95 % bootstrap interval."""
     return interval(samples.mean(axis=0), resampled_means(samples))
 
@@ -221,7 +223,7 @@ def means_after(
     series: NDArray[np.float64], robots: Sequence[int]
 ) -> list[dict[str, float | None]]:
     """Return the means of a series after so many robots, ready for JSON."""
-    return [as_json(mean_of(series[:, after])) for after in robots]
+    return [as_json(bootstrap_mean(series[:, after])) for after in robots]
 
 
 def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -250,13 +252,13 @@ def summarise(results: Results) -> dict[str, Any]:
         lethality, method = row.values()
         row |= {**vars(team), 'label': labels[team]}
         for name, measures in SUMMARISED.items():
-            row[name] = mean_of(series(*measures)[:, -1])
+            row[name] = bootstrap_mean(series(*measures)[:, -1])
         believed, truth = results.final_maps(lethality, method, team)
         hazard_alone = truth[:, 0] & ~truth[:, 1]
-        row['false_targets'] = mean_of((believed[:, 1] * hazard_alone).sum(axis=1))
+        row['false_targets'] = bootstrap_mean((believed[:, 1] * hazard_alone).sum(axis=1))
         if method != reference:
             nearest = results.series(lethality, reference, *LOG_LOSS, team=team)
-            row['difference'] = mean_of((nearest - series(*LOG_LOSS))[:, -1])
+            row['difference'] = bootstrap_mean((nearest - series(*LOG_LOSS))[:, -1])
         rows.append(json_row(row))
     return {
         'trials': scenario.trials,
@@ -281,7 +283,7 @@ def json_row(row: Row) -> Row:
     }
 
 
-def table_of(summary: dict[str, Any]) -> Table:
+def summary_table(summary: dict[str, Any]) -> Table:
     """Return a summary as a table."""
     columns = [*SUMMARISED, 'false_targets']
     caption = (

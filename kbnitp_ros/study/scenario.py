@@ -60,7 +60,7 @@ class Asked:
             raise ValueError('map is no decision: ask for a goal that has one')
         return goal
 
-    def goal_of(self, sent_for: str) -> Goal | None:
+    def goal_for(self, sent_for: str) -> Goal | None:
         """Return the goal of missions with some flights; None for a map."""
         if sent_for == 'map':
             return None
@@ -318,7 +318,7 @@ class Scenario:
         """Return the goal of a strategy's flights; None for a map."""
         if self.asked is None and strategy.goal != 'map':
             raise ValueError(f'robots are sent for {strategy.goal}, and nothing is asked for')
-        return self.asked.goal_of(strategy.goal) if self.asked is not None else None
+        return self.asked.goal_for(strategy.goal) if self.asked is not None else None
 
     def options(self, strategy: Strategy) -> SearchOptions:
         """Return the options of a strategy's search: its own, or the common ones."""

@@ -28,12 +28,12 @@ PRIORS: dict[type, dict[str, Any]] = {
 def read_scenario(path: Path) -> Scenario:
     """Read a scenario file."""
     try:
-        return scenario_of(read_yaml(path))
+        return parse_scenario(read_yaml(path))
     except ValueError as error:
         raise ValueError(f'scenario {path}: {error}') from error
 
 
-def scenario_of(content: Any) -> Scenario:
+def parse_scenario(content: Any) -> Scenario:
     """Return the scenario that YAML, or Python, says."""
     scenario: Scenario = _read(Scenario, content, '')
     for key, check in (

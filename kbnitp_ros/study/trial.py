@@ -36,7 +36,7 @@ REACH = 1.0
 ROW = 5
 
 
-def world_of(
+def draw_world(
     scenario: Scenario,
     grid: Grid,
     truth: Mapping[str, float],
@@ -126,7 +126,7 @@ class Trial(NamedTuple):
 class MissionResult(NamedTuple):
     """The saved result of a mission."""
 
-    # As `measures_of` says, before the first robot and after each; once a mission is over they
+    # As `measure_names` says, before the first robot and after each; once a mission is over they
     # stay. The information of the row before the first robot is NaN. Shape (robots + 1, measures).
     measures: NDArray[np.float64]
     # The hazard and the target map after the last robot, shape (2, cells).
@@ -140,12 +140,12 @@ class MissionResult(NamedTuple):
     numbers: NDArray[np.float64]
 
 
-def measures_of(scenario: Scenario) -> tuple[str, ...]:
+def measure_names(scenario: Scenario) -> tuple[str, ...]:
     """Return the names of a scenario's measures."""
     return MEASURES if scenario.asked is None else MEASURES + OF_GOALS
 
 
-def trials_of(scenario: Scenario) -> list[Trial]:
+def list_trials(scenario: Scenario) -> list[Trial]:
     """Return all missions of a scenario in the order of its table."""
     return [
         Trial(lethality, contender.method, number, contender.team)
@@ -160,7 +160,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
-    world = world_of(scenario, grid, truth, rng, trial.number)
+    world = draw_world(scenario, grid, truth, rng, trial.number)
     believed = dict(truth)
     if scenario.believed_lethality is not None:
         believed['lethality'] = scenario.believed_lethality
@@ -219,7 +219,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
             worlds,
         )
     return MissionResult(
-        carried([*zip(*(measured[name] for name in measures_of(scenario)))], scenario.robots),
+        carried([*zip(*(measured[name] for name in measure_names(scenario)))], scenario.robots),
         np.stack([hazard[-1], target[-1]]),
         np.stack([hazardous[-1], with_target[-1]]),
         carried(

@@ -18,7 +18,7 @@ from joblib import cpu_count, delayed, Parallel, parallel_config
 from kbnitp_ros.files import naming
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario
 from kbnitp_ros.study.scenario_file import read_scenario
-from kbnitp_ros.study.trial import LEARNT, measures_of, MissionResult, Trial, trials_of
+from kbnitp_ros.study.trial import LEARNT, list_trials, measure_names, MissionResult, Trial
 import numpy as np
 from threadpoolctl import threadpool_limits
 import yaml
@@ -61,7 +61,7 @@ class Folder:
     def outcomes(self) -> dict[Trial, MissionResult]:
         """Return the outcomes of all trials with readable files."""
         outcomes = {}
-        for trial in trials_of(self._scenario):
+        for trial in list_trials(self._scenario):
             try:
                 file = self._file(trial).open('rb')
             except FileNotFoundError:
@@ -76,7 +76,7 @@ class Folder:
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
         rows, numbers = self._scenario.robots + 1, len(NUMBERS)
-        measures = rows, len(measures_of(self._scenario))
+        measures = rows, len(measure_names(self._scenario))
         shapes = [measures, maps, maps, (rows, numbers, len(LEARNT)), (numbers,)]
         types = ['<f8', '<f8', '|b1', '<f8', '<f8']
         with np.load(file, allow_pickle=False) as arrays:
@@ -114,7 +114,7 @@ BACKENDS = {'loky': 'joblib', 'dask': 'distributed'}
 PATIENCE = 10
 
 # Maximum number of processes: few machines have as many cores.
-MOST_WORKERS = 1024
+MAX_WORKERS = 1024
 
 Item = TypeVar('Item')
 Result = TypeVar('Result')
@@ -158,8 +158,8 @@ def workers(
     package = BACKENDS[backend]
     if find_spec(package) is None:
         raise ValueError(f'backend {backend} needs a package: pip install {package}')
-    if count is not None and not 1 <= count <= MOST_WORKERS:
-        raise ValueError(f'workers is {count}: it must be from 1 to {MOST_WORKERS}')
+    if count is not None and not 1 <= count <= MAX_WORKERS:
+        raise ValueError(f'workers is {count}: it must be from 1 to {MAX_WORKERS}')
     if scheduler is not None and backend != 'dask':
         raise ValueError(f'scheduler is {scheduler}: the backend must be dask, not {backend}')
     if scheduler is not None and count is not None:

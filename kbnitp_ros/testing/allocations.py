@@ -84,18 +84,18 @@ def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
 
 def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
     """Check that the same belief gives the same paths, whatever was planned between."""
-    first = paths_of(allocation, given.robots)
+    first = allocated_paths(allocation, given.robots)
     allocation(given.after)
     belief = Belief(given.prior.joint.copy())
     again = {
         robot: replace(robot, objective=replace(robot.objective, belief=belief))
         for robot in given.robots
     }
-    second = paths_of(allocation, [again[robot] for robot in given.robots])
+    second = allocated_paths(allocation, [again[robot] for robot in given.robots])
     require(first == second, f'First it gives {first}, and then {second}')
 
 
-def paths_of(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:
+def allocated_paths(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:
     """Return the paths of an allocation."""
     return [np.asarray(path).tolist() for path in allocation(robots)]
 

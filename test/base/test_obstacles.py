@@ -16,7 +16,7 @@ from kbnitp_ros.base.obstacles import (
     Obstacle,
 )
 from kbnitp_ros.base.rounds import Rounds
-from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel, Unknowns
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_report
@@ -222,7 +222,7 @@ def test_proposals_and_searches_are_stated_with_their_agents():
 
 
 FIELD = Grid(9, 9)
-GIVEN = {name: each.default for name, each in parameters_of('planner').items()}
+GIVEN = {name: each.default for name, each in node_parameters('planner').items()}
 
 
 @for_each('changes', [{'robots': 4}, {'robots': 9}, {'beam_width': 8}, {'use_sim_time': 'odd'}])
@@ -303,7 +303,7 @@ def planned_on():
 @for_each('is_refused', [False, True])
 def test_the_rest_of_a_round_is_sent_as_planned(planner, recorded, is_refused):
     """Also if the recorded robots stay at the base."""
-    values = {name: each.default for name, each in parameters_of('planner').items()}
+    values = {name: each.default for name, each in node_parameters('planner').items()}
     values |= {'planner': planner, 'max_steps': 6, 'loss_cost': 0.0}
 
     def rounds():

@@ -3,9 +3,9 @@
 
 from dataclasses import replace
 
-from kbnitp_ros.configuration import goal_of, grid_of, TABLE
+from kbnitp_ros.configuration import make_goal, make_grid, TABLE
 from kbnitp_ros.configuration.field import read_world
-from kbnitp_ros.configuration.mission import check_goal, prior_of, search_options, stop_of
+from kbnitp_ros.configuration.mission import check_goal, make_prior, make_stop, search_options
 from kbnitp_ros.core import Area, Belief, Grid, Lane, Stop
 from laws import for_each
 from mission_log import GRID, Mission, mission, record
@@ -22,10 +22,10 @@ def checked(**given):
     """Return the goal of a planner with these parameters, after its check."""
     changed = {name.replace('__', '.'): value for name, value in given.items()}
     values = {parameter.name: parameter.default for parameter in TABLE} | SMALL | changed
-    grid = grid_of(values)
-    goal = goal_of(values, grid)
+    grid = make_grid(values)
+    goal = make_goal(values, grid)
     check_goal(values, grid, [search_options(values)])
-    return goal, stop_of(values)
+    return goal, make_stop(values)
 
 
 def mask(folder, occupied, resolution=0.5):
@@ -124,7 +124,7 @@ def log(tmp_path):
 
 
 def test_numbers_hold_for_all_cells():
-    prior = prior_of(VALUES, GRID)
+    prior = make_prior(VALUES, GRID)
     assert prior.joint.tobytes() == Belief.prior(GRID, 0.5, 0.45, 0.8).joint.tobytes()
 
 
@@ -145,7 +145,7 @@ def test_maps_hold_cell_by_cell_and_numbers_elsewhere(tmp_path):
     hazard = np.full(20, 0.3)
     hazard[[0, 1, 5, 6]] = 0.0
     hazard[[2, 3, 7, 8]] = 0.8
-    prior = prior_of(VALUES | given, GRID)
+    prior = make_prior(VALUES | given, GRID)
     expected = Belief.prior(GRID, hazard, target, 0.5)
     assert prior.joint == pytest.approx(expected.joint, abs=1e-7)
     assert prior.hazard[GRID.base] == 0.0
@@ -155,7 +155,7 @@ def test_maps_hold_cell_by_cell_and_numbers_elsewhere(tmp_path):
 def test_a_map_of_hazards_alone_leaves_kappa_and_the_targets_without_hazards(tmp_path):
     hazard = np.linspace(0.0, 0.99, 20)
     given = {'prior.hazard_map': write(tmp_path / 'hazard.npy', hazard.reshape(4, 5))}
-    prior = prior_of(VALUES | given, GRID)
+    prior = make_prior(VALUES | given, GRID)
     free = GRID.may_be_hazardous & (hazard > 0.0)
     assert prior.hazard[free] == pytest.approx(hazard[free])
     assert prior.kappa[free] == pytest.approx(0.8)
@@ -169,7 +169,7 @@ def test_an_array_of_another_shape_is_resampled_on_request(tmp_path):
         'prior.kappa_map': write(tmp_path / 'kappa.npy', np.full((8, 10), 0.7)),
         'prior.resample': True,
     }
-    assert prior_of(VALUES | given, GRID).kappa[0] == pytest.approx(0.7)
+    assert make_prior(VALUES | given, GRID).kappa[0] == pytest.approx(0.7)
 
 
 @for_each('name, values, told', [
@@ -183,14 +183,14 @@ def test_an_array_of_another_shape_is_resampled_on_request(tmp_path):
 def test_a_bad_prior_is_refused(tmp_path, name, values, told):
     given = {f'prior.{name}_map': write(tmp_path / 'prior.npy', values)}
     with pytest.raises(ValueError, match=told):
-        prior_of(VALUES | given, GRID)
+        make_prior(VALUES | given, GRID)
 
 
 def test_an_earlier_mission_is_a_prior(log):
     path, known = log
-    prior = prior_of(VALUES | {'prior.log': path}, GRID)
+    prior = make_prior(VALUES | {'prior.log': path}, GRID)
     assert prior.joint == pytest.approx(known.joint, abs=1e-15)
-    moved = prior_of(VALUES | {'prior.log': path}, replace(GRID, base=12))
+    moved = make_prior(VALUES | {'prior.log': path}, replace(GRID, base=12))
     assert moved.hazard[12] == 0.0
     assert moved.target[12] == pytest.approx(known.joint[12, 0, 1] / known.joint[12, 0].sum())
     others = np.arange(20) != 12
@@ -202,7 +202,7 @@ def test_an_earlier_mission_is_a_prior(log):
 )
 def test_a_mission_in_another_field_is_no_prior(log, change):
     with pytest.raises(ValueError, match=r'is of a mission on Grid\(.*: the parameters say Grid'):
-        prior_of(VALUES | {'prior.log': log[0]}, replace(GRID, **change))
+        make_prior(VALUES | {'prior.log': log[0]}, replace(GRID, **change))
 
 
 def test_logs_without_a_belief_are_refused(log, tmp_path):
@@ -213,9 +213,9 @@ def test_logs_without_a_belief_are_refused(log, tmp_path):
     silent = str(record(tmp_path / 'silent.mcap', bare.sent))
     for file, told in (('nowhere.mcap', 'nowhere.mcap'), (silent, 'no belief on record')):
         with pytest.raises((ValueError, OSError), match=told):
-            prior_of(VALUES | {'prior.log': file}, GRID)
+            make_prior(VALUES | {'prior.log': file}, GRID)
     with pytest.raises(ValueError, match='prior.log is given with a map'):
-        prior_of(VALUES | {'prior.log': path, 'prior.kappa_map': 'kappa.npy'}, GRID)
+        make_prior(VALUES | {'prior.log': path, 'prior.kappa_map': 'kappa.npy'}, GRID)
 
 
 # A hidden world, drawn as two images.

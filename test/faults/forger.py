@@ -11,7 +11,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
@@ -58,7 +58,7 @@ class Forger:
         self._namespace = namespace
         self._parameters = parameters
         self._robots = parameters['robots']
-        self._grid = grid_of(with_defaults(parameters))
+        self._grid = make_grid(with_defaults(parameters))
         self._rng = rng
         self._publishers = {}
         self._made = []

@@ -10,7 +10,7 @@ import signal
 import time
 
 from kbnitp_ros.cli.processes import Processes
-from kbnitp_ros.configuration import parameter_of
+from kbnitp_ros.configuration import find_parameter
 from kbnitp_ros.configuration.known import ROS_PARAMETERS
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
@@ -109,7 +109,7 @@ class Mission:
             }
             if name.startswith('agent'):
                 parameters |= true_values(parameters)
-            own = [*filter(partial(parameter_of, name), parameters), *ROS_PARAMETERS]
+            own = [*filter(partial(find_parameter, name), parameters), *ROS_PARAMETERS]
             with (self._folder / f'{name}.txt').open('ab') as output:
                 self.processes.start(
                     name,

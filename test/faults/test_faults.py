@@ -9,7 +9,7 @@ from extent import some
 from fickle_robot import CRASHED
 from forger import FORGERIES, run_forged
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import report_message
@@ -149,7 +149,7 @@ class Agent:
         mission, evidence = self._mission, self._mission.onlooker.evidence
         mission.until(lambda: len(evidence.paths) > number, f'path {number}')
         key, (positions,) = sorted(evidence.paths.items())[number]
-        cells = grid_of(with_defaults(self._parameters)).cells_at(positions)
+        cells = make_grid(with_defaults(self._parameters)).cells_at(positions)
         readings = self._rng.random(len(cells) - 1) < 0.3 if survived else None
         now = mission.node.get_clock().now().nanoseconds
         self._publisher.publish(report_message(key, Observation(cells, survived, readings), now))

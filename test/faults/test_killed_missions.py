@@ -7,7 +7,7 @@ from itertools import pairwise
 
 from extent import some
 from kbnitp_ros.base.mission_tracker import Resumption
-from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.configuration.mission import earlier_belief
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.files import LogError
@@ -89,7 +89,7 @@ def moves(deployments):
 
 def keeps_off_what_is_occupied(deployments, parameters):
     """Say by the pixels that no robot touched what is occupied or unknown."""
-    field, grid = read_map(parameters['map']), grid_of(with_defaults(parameters))
+    field, grid = read_map(parameters['map']), make_grid(with_defaults(parameters))
     for deployment in deployments:
         for start, end in pairwise(grid.centers(deployment.observation.path)):
             column, row = (
@@ -276,9 +276,9 @@ def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_oth
     assert not mission.findings()
     moved = with_defaults({**parameters, 'team.scout_1.base': 62, 'team.scout_2.base': 0})
     with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
-        Resumption(MissionLog(mission.log), grid_of(moved), moved, parameters['agents'])
+        Resumption(MissionLog(mission.log), make_grid(moved), moved, parameters['agents'])
     last = read_belief_maps(mission.onlooker.belief)
-    assert [last.base_of(agent) for agent in parameters['agents']] == [0, 62, 62]
+    assert [last.agent_base(agent) for agent in parameters['agents']] == [0, 62, 62]
     # What was a base stays free of hazards, and what becomes one is.
     prior = earlier_belief(str(mission.log), replace(last.grid, base=8, other_bases=(54,)))
     bases = [0, 8, 54, 62]

@@ -4,16 +4,16 @@
 from dataclasses import dataclass, replace
 from signal import SIGKILL, Signals, SIGSTOP
 
-from kbnitp_ros.configuration import estimator_of, goal_of, grid_of, TABLE
+from kbnitp_ros.configuration import make_estimator, make_goal, make_grid, TABLE
 from kbnitp_ros.configuration.agents import (
-    clustering_of,
-    dynamics_of,
-    execution_of,
-    robot_types_of,
-    sensor_model_of,
-    unknowns_of,
+    make_clustering,
+    make_dynamics,
+    make_execution,
+    make_robot_types,
+    make_sensor_model,
+    make_unknowns,
 )
-from kbnitp_ros.configuration.mission import search_options, stop_of
+from kbnitp_ros.configuration.mission import make_stop, search_options
 from kbnitp_ros.core import Learning, METHODS, Observation, run_mission, Team, Truth, World
 import numpy as np
 
@@ -68,8 +68,8 @@ def true_values(parameters):
 def core_mission(parameters):
     """Return the deployments that core makes with these parameters."""
     values = with_defaults(parameters)
-    grid = grid_of(values)
-    true_dynamics = dynamics_of({**values, **true_values(parameters), 'learn.numbers': ()})
+    grid = make_grid(values)
+    true_dynamics = make_dynamics({**values, **true_values(parameters), 'learn.numbers': ()})
     rng = np.random.default_rng(values['seed'])
     world = World.random(
         grid,
@@ -80,8 +80,8 @@ def core_mission(parameters):
     )
     return run_mission(
         grid,
-        estimator_of(values, grid_of(values)).prior,
-        sensor_model_of(values),
+        make_estimator(values, make_grid(values)).prior,
+        make_sensor_model(values),
         world,
         values['robots'],
         rng,
@@ -90,13 +90,13 @@ def core_mission(parameters):
         team=Team(
             len(values['agents']),
             values['allocation'],
-            tuple(robot_types_of(values, grid).values()),
+            tuple(make_robot_types(values, grid).values()),
         ),
-        truth=Truth(execution=execution_of(values), dynamics=true_dynamics),
-        learning=Learning(unknowns_of(values), values['seed'], clustering_of(values, grid)),
-        dynamics=dynamics_of(values),
-        goal=goal_of(values, grid),
-        stop=stop_of(values),
+        truth=Truth(execution=make_execution(values), dynamics=true_dynamics),
+        learning=Learning(make_unknowns(values), values['seed'], make_clustering(values, grid)),
+        dynamics=make_dynamics(values),
+        goal=make_goal(values, grid),
+        stop=make_stop(values),
     )
 
 
@@ -108,8 +108,8 @@ def says_more(report):
 def folded(parameters, evidence):
     """Return the belief that all deployments give, in their order; a return beats a loss."""
     values = with_defaults(parameters)
-    grid = grid_of(values)
-    estimator = estimator_of(values, grid_of(values))
+    grid = make_grid(values)
+    estimator = make_estimator(values, make_grid(values))
     for key in sorted(evidence.reports, key=lambda key: key.stamp):
         (path, *_) = evidence.paths[key]
         report = max(evidence.reports[key], key=says_more)
@@ -119,7 +119,7 @@ def folded(parameters, evidence):
             walk = [walk[0], *steps]
         known, lost_at = report.steps_survived, report.lost_at or None
         observation = Observation(walk, report.survived, readings, known, lost_at)
-        estimator.assimilate(observation, robot_types_of(values, grid)[key.agent])
+        estimator.assimilate(observation, make_robot_types(values, grid)[key.agent])
     return estimator.belief
 
 

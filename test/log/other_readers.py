@@ -9,7 +9,7 @@ import subprocess
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.read import read_part, read_recorded, RecordedMessage
 from kbnitp_ros.log.schema import describe
 from mcap.reader import make_reader
@@ -165,7 +165,7 @@ def check_same(read, written):
 
 def check_all_read(log):
     """Check that all libraries read all of a log: each file singly, and the folder as a bag."""
-    for part in parts_of(log):
+    for part in log_parts(log):
         for library in (with_mcap, with_node, with_rosbags):
             check_same(library(part), read_part(part))
     check_same(with_rosbags(log.parent), read_recorded(log))

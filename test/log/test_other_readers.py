@@ -6,7 +6,7 @@ import shutil
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose
-from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.mcap_file import repair
 from kbnitp_ros.log.read import read_log, read_recorded
 from kbnitp_ros.log.schema import qos_profiles_yaml
@@ -133,7 +133,7 @@ def test_the_bag_says_what_is_in_it(sent, tmp_path):
     assert counts == {
         topic: sum(each.topic == topic for each in sent) for topic in {each.topic for each in sent}
     }
-    assert [name for name, _ in files] == [part.name for part in parts_of(path)]
+    assert [name for name, _ in files] == [part.name for part in log_parts(path)]
     assert sum(messages for _, messages in files) == len(sent)
 
 
@@ -142,7 +142,7 @@ def test_each_file_says_what_is_in_it(sent, tmp_path):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)
-    for part in parts_of(path):
+    for part in log_parts(path):
         with part.open('rb') as file:
             reader = make_reader(file)
             count = reader.get_summary().statistics.message_count
@@ -183,7 +183,7 @@ def test_messages_are_numbered_by_topic_through_all_files(sent, tmp_path):
         record_to(log, sent)
     numbers = [
         each.sequence
-        for part in parts_of(path)
+        for part in log_parts(path)
         for each in with_mcap(part)
         if each.topic == '/belief'
     ]

@@ -47,7 +47,7 @@ class NoRos:
 sys.meta_path.insert(0, NoRos())
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.tables import mission_curves
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.folder import write_report
 for log in sys.argv[1:]:
@@ -55,7 +55,7 @@ for log in sys.argv[1:]:
     print(found.grade.name, found.compared.total(), len(read_history(log).observations))
     mission = read_mission(log)
     if mission.moments[-1].state.numbers:
-        write_report(Path(log).parent / 'report', mission, curves_of(mission))
+        write_report(Path(log).parent / 'report', mission, mission_curves(mission))
 """
 
 # The command, for one log after another; each answer ends with its exit code.

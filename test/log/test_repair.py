@@ -10,7 +10,7 @@ import sys
 
 from disk import room_for
 from kbnitp_ros.cli.replay import main
-from kbnitp_ros.log.files import LogError, parts_of
+from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.mcap_file import repair
 from kbnitp_ros.log.read import is_finished, read_log, read_metadata, read_part, RecordedMessage
 from kbnitp_ros.log.schema import BagFile, write_metadata
@@ -58,11 +58,11 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
     assert repaired.messages == len(whole_mission.sent)
     assert repaired.lost == [f'{folder / "mission_1.mcap"} is unfinished']
     assert is_finished(target)
-    assert content(target) == content(*parts_of(folder))
+    assert content(target) == content(*log_parts(folder))
     assert read_metadata(target)['run'] == {'seed': '8'}
     check_all_read(target)
     # A log that is named by its folder may be repaired into it.
-    parts = content(*parts_of(folder))
+    parts = content(*log_parts(folder))
     repair(folder, folder / 'whole.mcap')
     assert content(folder / 'whole.mcap') == parts
 
@@ -125,7 +125,7 @@ def test_what_comes_before_an_error_is_saved_of_each_part(folder, whole_mission,
     path.write_bytes(damaged)
     kept = len([each for each in read_part(path, []) if isinstance(each, RecordedMessage)])
     assert kept == 10
-    later = len(content(*parts_of(folder)[1:]))
+    later = len(content(*log_parts(folder)[1:]))
     repaired = repair(folder, tmp_path / 'repaired.mcap')
     assert repaired.messages == kept + later
     assert repaired.lost[0] == f'{folder / "mission_1.mcap"} is unfinished'
@@ -263,7 +263,7 @@ def test_nothing_is_repaired_into_a_log_that_is_being_written(tmp_path, whole_mi
     with LogWriter(tmp_path / 'log' / 'mission.mcap', max_file_size=1) as log:
         record_to(log, whole_mission.sent[:3], synced=True)
         before = file_contents(tmp_path / 'log')
-        for part in (*parts_of(log.path), log.path.with_name('mission_7.mcap')):
+        for part in (*log_parts(log.path), log.path.with_name('mission_7.mcap')):
             assert main([str(source), '--repair', str(part)]) == 2
             assert part.name in capsys.readouterr().err
         assert file_contents(tmp_path / 'log') == before

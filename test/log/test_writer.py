@@ -9,7 +9,7 @@ import shutil
 from ament_index_python import packages
 from ament_index_python.packages import get_package_share_directory
 from disk import room_for
-from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.mcap_file import MESSAGE_HEAD
 from kbnitp_ros.log.read import (
     is_finished,
@@ -161,10 +161,10 @@ def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compres
         log.add_metadata('run', {'seed': '7'})
         record_to(log, sent, synced=True)
         last = log.current_path
-    parts = parts_of(log.path)
+    parts = log_parts(log.path)
     assert [part.name for part in parts[:2]] == ['mission.mcap', 'mission_1.mcap']
     assert parts[-1] == last
-    assert parts_of(tmp_path) == parts
+    assert log_parts(tmp_path) == parts
     read = list(read_log(log.path))
     assert [each.data for each in read] == [each.data for each in sent]
     assert is_finished(log.path)
@@ -188,7 +188,7 @@ def test_what_a_file_begins_with_does_not_count(tmp_path):
         log.add_topic(TOPIC, TYPE, '[]')
         for time in range(1, 400):
             log.write(TOPIC, EMPTY_MAP, time, time)
-    assert 1 < len(parts_of(log.path)) <= 399 * (len(EMPTY_MAP) + MESSAGE_HEAD) // 4000 + 1
+    assert 1 < len(log_parts(log.path)) <= 399 * (len(EMPTY_MAP) + MESSAGE_HEAD) // 4000 + 1
     assert len(list(read_log(log.path))) == 399
 
 

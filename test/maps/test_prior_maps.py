@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
 from kbnitp_ros.maps import Datum, MapError, read_probabilities, read_site
-from kbnitp_ros.maps.files import MOST_SHOWN
+from kbnitp_ros.maps.files import MAX_PIXELS
 from laws import for_each, spoilt
 import numpy as np
 from PIL import Image
@@ -284,5 +284,5 @@ def test_a_site_has_the_rows_of_its_image_and_its_transparency(tmp_path):
 
 def test_a_large_image_is_made_smaller(tmp_path):
     site, picture = shown(tmp_path, np.full((1500, 3000), 254, np.uint8))
-    assert picture.shape[:2] == (MOST_SHOWN // 2, MOST_SHOWN)
+    assert picture.shape[:2] == (MAX_PIXELS // 2, MAX_PIXELS)
     assert (site.width, site.height) == pytest.approx((150.0, 75.0))

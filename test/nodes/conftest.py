@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import COVERED, ForkedProcesses
 from kbnitp_msgs.msg import AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration import parameter_of
+from kbnitp_ros.configuration import find_parameter
 from kbnitp_ros.configuration.known import ROS_PARAMETERS
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
@@ -48,7 +48,7 @@ class Field:
         given = {
             each: value
             for each, value in (parameters or {}).items()
-            if each in ROS_PARAMETERS or parameter_of(name, each)
+            if each in ROS_PARAMETERS or find_parameter(name, each)
         }
         full_name = f'{namespace.rstrip("/")}/{name}'
         self._outputs[full_name] = self.folder / f'{full_name.replace("/", ".")}.txt'

@@ -8,7 +8,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.configuration import NODES
-from kbnitp_ros.configuration.given import check_given, read_sections, sections_of, values_for
+from kbnitp_ros.configuration.given import check_given, check_sections, read_sections, values_for
 from kbnitp_ros.nodes.runtime.declared import declare
 from laws import for_each, spoilt
 import pytest
@@ -187,7 +187,7 @@ def test_what_ros2_param_dump_writes_is_read_again(tmp_path, name):
 
 def test_what_all_share_may_be_of_any_node():
     config = section('/**', robots=3, seed=4, file='a.mcap', use_sim_time=True)
-    assert sections_of(config, {}) == {
+    assert check_sections(config, {}) == {
         '/**': {'robots': 3, 'seed': 4, 'file': 'a.mcap', 'use_sim_time': True}
     }
 

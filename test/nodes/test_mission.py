@@ -6,7 +6,7 @@ import signal
 from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, Decision, DeploymentReport, Progress
 from kbnitp_ros.cli.parameters import asked_on_record
-from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Belief, Estimator, Ledger, Report, SensorModel
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
@@ -374,7 +374,7 @@ def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field)
     expected = core_mission(LANE)
     assert 0 < len(paths) == len(expected) < LANE['robots']
     field.until(lambda: decisions and decisions[-1].reached, 'decision')
-    grid = grid_of(with_defaults(LANE))
+    grid = make_grid(with_defaults(LANE))
     by_deployments = {message.deployments: message for message in decisions}
     assert by_deployments[len(expected)].reached
     for number, deployment in enumerate(expected, 1):

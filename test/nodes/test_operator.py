@@ -12,7 +12,7 @@ from documented import ROOT
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.messages.operator_actions import Action, MOST_TIMES
+from kbnitp_ros.messages.operator_actions import Action, MAX_TIMES
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.runtime.node import MissionNode
 import pytest
@@ -194,16 +194,16 @@ def test_a_pause_that_is_begun_and_ended_for_ever_stays_and_fills_no_log(field, 
     def call(data):
         return operator._on_pause(SetBool.Request(data=data), SetBool.Response())
 
-    for _ in range(MOST_TIMES):
+    for _ in range(MAX_TIMES):
         assert call(True).success
         assert call(False).success
     assert call(True).success
     for _ in range(10):
         told = call(False)
         assert not told.success
-        assert f'RESUME was taken {MOST_TIMES} times' in told.message
+        assert f'RESUME was taken {MAX_TIMES} times' in told.message
         assert operator.state.is_paused
-    assert len(operator.state.actions) == 2 * MOST_TIMES + 1
+    assert len(operator.state.actions) == 2 * MAX_TIMES + 1
     assert operator._on_end(Trigger.Request(), Trigger.Response()).success
     node.destroy_node()
 

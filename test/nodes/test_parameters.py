@@ -5,22 +5,22 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from kbnitp_ros.configuration import (
-    agents_of,
-    estimator_of,
-    grid_of,
+    agent_names,
+    find_parameter,
+    make_estimator,
+    make_grid,
+    node_parameters,
     NODES,
-    parameter_of,
-    parameters_of,
     TABLE,
     value_for,
 )
 from kbnitp_ros.configuration.agents import (
-    base_of,
+    make_robot_types,
+    make_sensor_model,
+    make_unknowns,
     most_distance,
     most_steps,
-    robot_types_of,
-    sensor_model_of,
-    unknowns_of,
+    own_base,
 )
 from kbnitp_ros.configuration.known import check_known, reference_page
 from kbnitp_ros.configuration.table import LEARN
@@ -60,13 +60,13 @@ def test_every_row_is_complete_and_its_default_is_allowed():
         assert set(parameter.nodes) <= set(NODES)
     for name in NODES:
         rows = [parameter for parameter in TABLE if name in parameter.nodes]
-        assert len(rows) == len(parameters_of(name))
+        assert len(rows) == len(node_parameters(name))
 
 
 @for_each('node', NODES)
 def test_no_name_begins_as_another_ends(node):
     """`ros2 param dump` makes a mapping of each dot: a name cannot have a value and parts."""
-    table = parameters_of(node).values()
+    table = node_parameters(node).values()
     names = [each.name for each in table]
     names += [f'team.scout_1.{each.of_agent}' for each in table if each.per_agent]
     assert [(a, b) for a in names for b in names if b.startswith(f'{a}.')] == []
@@ -76,7 +76,7 @@ def test_no_name_begins_as_another_ends(node):
 def test_nodes_declare_the_table(make_node, name):
     node = make_node()
     values = declare(node, name)
-    for parameter in parameters_of(name).values():
+    for parameter in node_parameters(name).values():
         assert values[parameter.name] == parameter.default
         descriptor = node.describe_parameter(parameter.name)
         assert descriptor.description == parameter.description
@@ -121,9 +121,9 @@ DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 
 def test_numbers_to_learn_have_intervals_or_distributions():
     given = {'learn.numbers': ('kappa', 'lethality'), 'learn.lethality': (0.2, 0.9)}
-    believed = unknowns_of(DEFAULTS | given)
+    believed = make_unknowns(DEFAULTS | given)
     assert believed == Unknowns(lethality=(0.2, 0.9), kappa=Beta(4.0, 1.5))
-    assert unknowns_of(DEFAULTS) == Unknowns()
+    assert make_unknowns(DEFAULTS) == Unknowns()
     assert list(LEARN) == [*(field.name for field in fields(Unknowns)), 'vanish', 'move']
 
 
@@ -140,28 +140,28 @@ def test_numbers_to_learn_have_intervals_or_distributions():
 ])  # fmt: skip
 def test_what_is_no_distribution_is_refused(learn, given, told):
     with pytest.raises(ValueError, match=told):
-        unknowns_of(DEFAULTS | {'learn.numbers': learn, 'learn.lethality': given})
+        make_unknowns(DEFAULTS | {'learn.numbers': learn, 'learn.lethality': given})
 
 
 @for_each('agents', [(), ('a', 'b', 'a')])
 def test_agents_have_names_of_their_own(agents):
     with pytest.raises(ValueError, match='no two alike'):
-        agents_of(DEFAULTS | {'agents': agents}, Grid(9, 9))
+        agent_names(DEFAULTS | {'agents': agents}, Grid(9, 9))
 
 
 def test_a_team_has_a_free_cell_for_each():
     small = Grid(3, 2, blocked=[4])
     five = tuple('abcde')
-    assert agents_of(DEFAULTS | {'agents': five}, small) == five
+    assert agent_names(DEFAULTS | {'agents': five}, small) == five
     with pytest.raises(ValueError, match='has 6 names.*5 free cells'):
-        agents_of(DEFAULTS | {'agents': (*five, 'f')}, small)
+        agent_names(DEFAULTS | {'agents': (*five, 'f')}, small)
 
 
 def test_whole_numbers_are_numbers(make_node):
     values = declare(make_node(**{'sensor.lethality': 1, 'grid.origin': [1, -2]}), 'estimator')
     assert values['sensor.lethality'] == 1.0
-    assert grid_of(values).origin == (1.0, -2.0)
-    assert sensor_model_of(values).lethality == 1.0
+    assert make_grid(values).origin == (1.0, -2.0)
+    assert make_sensor_model(values).lethality == 1.0
 
 
 def test_an_empty_list_from_a_file_is_a_list(make_node):
@@ -191,7 +191,7 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     assert most_distance(values, values['agents']) == 9.5
     assert most_distance(values | {'max_distance': 0.0}, values['agents']) == 0.0
     own = RobotType(max_steps=7, max_distance=5.0, loss_cost=2.0)
-    assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType(), 'scout_2': own}
+    assert make_robot_types(values, make_grid(values)) == {'scout_1': RobotType(), 'scout_2': own}
     (fixed, free) = node.set_parameters(
         [
             Parameter('team.scout_2.max_steps', value=9),
@@ -200,12 +200,12 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     )
     assert not fixed.successful
     assert free.successful
-    assert robot_types_of(values, grid_of(values))['scout_2'].loss_cost == 0.5
+    assert make_robot_types(values, make_grid(values))['scout_2'].loss_cost == 0.5
 
 
 def test_what_of_its_own_an_agent_has_for_other_nodes_is_passed_over(make_node):
     values = declare(make_node(**{'team.scout_1.loss_cost': 2.0}), 'estimator')
-    assert robot_types_of(values, grid_of(values)) == {'scout_1': RobotType()}
+    assert make_robot_types(values, make_grid(values)) == {'scout_1': RobotType()}
     sensors = make_node(**{'sensor.lethality': 1, 'team.scout_1.sensor.lethality': 0.5})
     assert not [name for name in declare(sensors, 'planner') if 'sensor' in name]
 
@@ -214,9 +214,9 @@ def test_what_no_robot_shares_cannot_be_learnt():
     own = {'team.scout_1.sensor.lethality': 0.3, 'learn.numbers': ('lethality',)}
     values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}
     with pytest.raises(ValueError, match='learn.numbers has lethality: the robots of every agent'):
-        estimator_of(values, grid_of(values))
+        make_estimator(values, make_grid(values))
     two = values | {'agents': ('scout_1', 'scout_2')}
-    assert estimator_of(two, grid_of(two)).unknowns.priors.keys() == {'lethality'}
+    assert make_estimator(two, make_grid(two)).unknowns.priors.keys() == {'lethality'}
 
 
 def test_values_follow_changes(make_node):
@@ -296,24 +296,24 @@ def test_a_map_gives_the_field(tmp_path):
     values = write_map(tmp_path, ['?.##', '....'])
     field = {'resolution': 0.5, 'origin': (1.0, 2.0)}
     clear = Grid(4, 2, blocked=(4, 6, 7), through_corners=False, **field)
-    assert grid_of(values) == clear
+    assert make_grid(values) == clear
     others = {'grid.width': 30, 'grid.height': 30, 'grid.blocked': (1,), 'grid.origin': (7.0, 7.0)}
-    assert grid_of(values | others) == clear
-    assert grid_of(values | {'grid.corners': 'cut'}) == replace(clear, through_corners=True)
-    assert grid_of(values | {'grid.connectivity': 4}) == replace(clear, connectivity=4)
-    assert grid_of(values | {'unknown_blocks': False}) == replace(clear, blocked=(6, 7))
-    assert grid_of(values | {'grid.base': 3}).base == 3
-    assert grid_of(values | {'grid.base': 6, 'grid.base_position': (2.2, 2.1)}).base == 2
-    coarse = grid_of(values | {'grid.resolution': 1.0, 'unknown_blocks': False})
+    assert make_grid(values | others) == clear
+    assert make_grid(values | {'grid.corners': 'cut'}) == replace(clear, through_corners=True)
+    assert make_grid(values | {'grid.connectivity': 4}) == replace(clear, connectivity=4)
+    assert make_grid(values | {'unknown_blocks': False}) == replace(clear, blocked=(6, 7))
+    assert make_grid(values | {'grid.base': 3}).base == 3
+    assert make_grid(values | {'grid.base': 6, 'grid.base_position': (2.2, 2.1)}).base == 2
+    coarse = make_grid(values | {'grid.resolution': 1.0, 'unknown_blocks': False})
     assert (coarse.width, coarse.height, coarse.resolution) == (2, 1, 1.0)
     assert coarse.blocked == {1}
 
 
 def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
-    grid = grid_of(DEFAULTS | {'grid.resolution': 0.5, 'grid.base_position': (4.4, 0.6)})
+    grid = make_grid(DEFAULTS | {'grid.resolution': 0.5, 'grid.base_position': (4.4, 0.6)})
     assert grid == Grid(9, 9, base=17, resolution=0.5)
-    assert grid_of(DEFAULTS) == Grid(9, 9)
-    assert grid_of(DEFAULTS | {'grid.corners': 'avoid'}) == Grid(9, 9, through_corners=False)
+    assert make_grid(DEFAULTS) == Grid(9, 9)
+    assert make_grid(DEFAULTS | {'grid.corners': 'avoid'}) == Grid(9, 9, through_corners=False)
 
 
 @for_each('given, told', [
@@ -330,7 +330,7 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
 ])  # fmt: skip
 def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
-        grid_of(write_map(tmp_path, ['.#..', '....']) | given)
+        make_grid(write_map(tmp_path, ['.#..', '....']) | given)
 
 
 def test_each_agent_may_have_a_base_of_its_own(tmp_path):
@@ -340,12 +340,12 @@ def test_each_agent_may_have_a_base_of_its_own(tmp_path):
         'team.scout_3.base_position': (2.2, 2.1),
     }
     values = write_map(tmp_path, ['....', '....']) | own
-    grid = grid_of(values)
-    bases = [base_of(values, agent, grid) for agent in own['agents']]
+    grid = make_grid(values)
+    bases = [own_base(values, agent, grid) for agent in own['agents']]
     assert bases == [None, 3, int(grid.cells_at([(2.2, 2.1)])[0])]
     assert grid.other_bases == set(bases[1:])
-    assert grid == replace(grid_of(write_map(tmp_path, ['....', '....'])), other_bases=bases[1:])
-    types = robot_types_of(values, grid)
+    assert grid == replace(make_grid(write_map(tmp_path, ['....', '....'])), other_bases=bases[1:])
+    types = make_robot_types(values, grid)
     assert [each.base for each in types.values()] == bases
     assert with_base('planner') == with_base('robot') == with_base('agent') == 3
     assert check_known('team.scout_2.base_position', ['estimator']) is None
@@ -354,7 +354,7 @@ def test_each_agent_may_have_a_base_of_its_own(tmp_path):
 
 
 def with_base(node):
-    return parameter_of(node, 'team.scout_2.base').check(3)
+    return find_parameter(node, 'team.scout_2.base').check(3)
 
 
 @for_each('given, told', [
@@ -370,16 +370,16 @@ def with_base(node):
 ])  # fmt: skip
 def test_bases_that_cannot_be_are_refused_by_name(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
-        grid_of(write_map(tmp_path, ['.#..', '.#..']) | given)
+        make_grid(write_map(tmp_path, ['.#..', '.#..']) | given)
 
 
 def test_a_map_of_too_many_cells_is_refused(tmp_path):
     values = write_map(tmp_path, ['.' * 1001], resolution=0.05)
     with pytest.raises(ValueError, match='grid of 1001 x 1 cells: at most 1000 a side'):
-        grid_of(values)
-    assert grid_of(values | {'grid.resolution': 0.1, 'unknown_blocks': False}).width == 501
+        make_grid(values)
+    assert make_grid(values | {'grid.resolution': 0.1, 'unknown_blocks': False}).width == 501
 
 
 def test_a_map_that_has_not_come_is_no_field():
     with pytest.raises(ValueError, match='no map has come'):
-        grid_of(DEFAULTS | {'map_topic': '/map'})
+        make_grid(DEFAULTS | {'map_topic': '/map'})

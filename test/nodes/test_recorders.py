@@ -9,8 +9,8 @@ from types import SimpleNamespace
 from base import Base
 from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
-from kbnitp_ros.configuration import parameters_of
-from kbnitp_ros.log.files import parts_of
+from kbnitp_ros.configuration import node_parameters
+from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.read import is_finished, read_log, read_metadata, read_parameters, RUN
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp
@@ -151,11 +151,11 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     field.until(lambda: told, 'word of the first path')
     for kills in range(KILLS):
         # A recorder that is killed before it has a file of its own has nothing to lose.
-        field.until(lambda kills=kills: len(parts_of(log)) > kills, 'file of the next recorder')
+        field.until(lambda kills=kills: len(log_parts(log)) > kills, 'file of the next recorder')
         load.send((DEPLOYMENTS - 100) // (2 * max(KILLS, 10)), rng.uniform(0.5, 2.5))
         recorder.kill()
         recorder.wait()
-        parts = parts_of(log)
+        parts = log_parts(log)
         if told:
             newest = from_stamp(told[-1].stamp)
             sent = {key(number).stamp for number in range(1, load.sent + 1)}
@@ -165,12 +165,12 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
         told.clear()
         recorder = field.start('recorder', {'resume': str(log), 'max_file_size': 0}, '/m')
     # Word from the one before may still come.
-    field.until(lambda: len(parts_of(log)) > KILLS, 'file of the last recorder')
+    field.until(lambda: len(log_parts(log)) > KILLS, 'file of the last recorder')
     last = key(load.sent).stamp
     field.until(lambda: told and from_stamp(told[-1].stamp) == last, 'word of the last path')
-    field.until(lambda: last in stamps(parts_of(log)[-1], REPORT), 'last report')
+    field.until(lambda: last in stamps(log_parts(log)[-1], REPORT), 'last report')
     field.processes.stop()
-    assert all(is_finished(part) for part in parts_of(log))
+    assert all(is_finished(part) for part in log_parts(log))
     missing = {key(number).stamp for number in range(1, load.sent + 1)} - stamps(log, REPORT)
     print(f'{KILLS} kills, {load.sent} deployments reported, {len(missing)} of them missing')
     assert not missing
@@ -204,9 +204,9 @@ def test_every_node_of_the_mission_is_asked(field, log):
     agent = until_known(field, log, '/m/agent', seed=2**40)
     assert agent['grid.blocked'] == [5, 6]
     assert (agent['sensor.lethality'], type(agent['sensor.lethality'])) == (1.0, float)
-    assert agent.keys() >= parameters_of('agent').keys()
+    assert agent.keys() >= node_parameters('agent').keys()
     recorder = until_known(field, log, '/m/recorder', file=str(log))
-    assert recorder.keys() >= parameters_of('recorder').keys()
+    assert recorder.keys() >= node_parameters('recorder').keys()
     assert read_parameters(log).keys() == {'/m/agent', '/m/recorder'}
     assert read_metadata(log)[RUN]['rmw_implementation'] == 'rmw_fastrtps_cpp'
 

@@ -3,7 +3,7 @@
 
 from extent import LONG
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.configuration.table import MOST_ROBOTS
+from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
 from kbnitp_ros.log.record import record
 from kbnitp_ros.log.replay import replay
@@ -118,7 +118,7 @@ def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(fiel
 @pytest.mark.parametrize('before, depth', [
     (30, 20),
     pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
-    pytest.param(MOST_ROBOTS - 10, qos.DEPTH, marks=LONG),
+    pytest.param(MAX_ROBOTS - 10, qos.DEPTH, marks=LONG),
 ])  # fmt: skip
 def test_deployments_survive_every_restart(field, before, depth):
     """Publishers keep the newest `depth`; the log has them all."""

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
-from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.grids import check_filter, KEEPOUT, SPEED_ABSOLUTE, SPEED_PERCENT
 from laws import for_each
@@ -162,7 +162,7 @@ def test_a_filter_that_starts_later_gets_the_hazards_back(field, example):
 
 
 def test_the_examples_are_of_parameters_and_filters_that_there_are():
-    table = parameters_of('estimator')
+    table = node_parameters('estimator')
     plugins = {KEEPOUT: 'KeepoutFilter', SPEED_PERCENT: 'SpeedFilter'}
     assert [of_filter['type'] for of_filter, _ in PRINTED] == list(plugins)
     for of_filter, costmap in PRINTED:

@@ -14,7 +14,7 @@ from extent import some
 from forked import ForkedProcess, run_node
 from kbnitp_msgs.msg import DeploymentReport, Progress
 from kbnitp_ros.cli.replay import lines
-from kbnitp_ros.configuration import NODES, parameters_of
+from kbnitp_ros.configuration import node_parameters, NODES
 from kbnitp_ros.configuration.given import check_given
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, Observation, plan, SensorModel
 from kbnitp_ros.files import counted
@@ -125,7 +125,7 @@ def test_help_tells_what_a_node_does_and_what_can_be_given(run):
         assert said.startswith(f'usage: {name}')
         assert '--ros-args -p NAME:=VALUE' in said
         told = ' '.join(said.split())
-        for parameter in parameters_of(name).values():
+        for parameter in node_parameters(name).values():
             assert f' {parameter.name} {parameter.summary}{parameter.changeable}' in told
         # The example can be typed.
         check_given(name, shlex.split(said.splitlines()[-1])[4:])

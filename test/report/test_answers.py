@@ -10,18 +10,18 @@ from kbnitp_ros.core import Decision, Dynamics, Grid, HazardDraws, Observation, 
 from kbnitp_ros.messages.progress import decision_message, read_decision
 from kbnitp_ros.report.answers import (
     advice,
-    cells_of,
-    findings_of,
-    losses_of,
+    answer_tiles,
+    classify_cells,
+    expected_losses,
+    expected_used_up,
+    list_findings,
     shares,
-    tiles_of,
     undecided,
     used_up_at,
-    used_up_of,
 )
 from kbnitp_ros.report.comparison import differences, given_differently, Pair, reservations
 from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.tables import mission_curves
 from laws import for_each
 from mission_log import GRID, MODEL, record
 from missions import sent_by_single, Shown, single
@@ -32,7 +32,7 @@ import pytest
 def answered(whole, folder):
     """Return the mission of what was sent, and its tiles by their questions."""
     mission = read_mission(record(folder / 'mission.mcap', whole.sent))
-    tiles = tiles_of(mission, curves_of(mission))
+    tiles = answer_tiles(mission, mission_curves(mission))
     return mission, {each.question: each for each in tiles}
 
 
@@ -43,7 +43,7 @@ def told(tmp_path_factory):
 
 def test_every_cell_is_counted_by_its_definition(told):
     mission, _ = told
-    hazard, cells = mission.moments[-1].belief.hazard, cells_of(mission)
+    hazard, cells = mission.moments[-1].belief.hazard, classify_cells(mission)
     for cell in range(mission.grid.cells):
         is_inside = cell not in mission.grid.blocked
         entered = any(cell in each.path for each in mission.ended)
@@ -58,20 +58,20 @@ def test_every_cell_is_counted_by_its_definition(told):
 def test_findings_are_what_is_probable_the_most_probable_first(told):
     mission, _ = told
     belief = mission.moments[-1].belief
-    found = {(each.kind, each.cell): each for each in findings_of(mission)}
+    found = {(each.kind, each.cell): each for each in list_findings(mission)}
     free = mission.grid.free
     assert {cell for kind, cell in found if kind == 'target'} == {
         *np.flatnonzero(free & (belief.target >= 0.5)).tolist()
     }
     assert {cell for kind, cell in found if kind == 'hazard'} == {
-        *np.flatnonzero(cells_of(mission).suspected).tolist()
+        *np.flatnonzero(classify_cells(mission).suspected).tolist()
     }
     for (kind, cell), each in found.items():
         assert each.probability == getattr(belief, kind)[cell]
         assert [each.x, each.y] == mission.grid.centers([cell])[0].tolist()
         looks = sum((seen.path[1:] == cell).sum() for seen in mission.ended if seen.survived)
         assert each.looks == looks
-    probable = [each.probability for each in findings_of(mission)]
+    probable = [each.probability for each in list_findings(mission)]
     assert probable == sorted(probable, reverse=True)
 
 
@@ -92,9 +92,9 @@ def test_a_loss_is_shared_as_all_its_endings_say(seed):
 def test_losses_add_up_to_the_robots_lost(told):
     mission, tiles = told
     lost = sum(not each.survived for each in mission.ended)
-    losses = losses_of(mission)
+    losses = expected_losses(mission)
     assert losses.sum() == pytest.approx(lost)
-    assert not losses[~cells_of(mission).entered].any()
+    assert not losses[~classify_cells(mission).entered].any()
     assert tiles['What did it cost?'].answer == f'{lost} of 20 robots lost'
 
 
@@ -114,7 +114,7 @@ def test_used_up_is_what_was_there_and_is_no_more(tmp_path):
         assert used_up == pytest.approx(was_there - moments[place].belief.hazard, abs=1e-12)
         assert used_up.sum() > 0.0
         total += used_up
-    assert used_up_of(mission) == pytest.approx(total)
+    assert expected_used_up(mission) == pytest.approx(total)
 
 
 def test_robots_in_flight_are_waited_for(tmp_path):
@@ -162,7 +162,7 @@ def test_a_decision_that_is_none_is_refused(name, value):
 
 def test_the_truth_tells_how_many_answers_are_right(told):
     mission, tiles = told
-    cells, hazard = cells_of(mission), mission.world.hazard
+    cells, hazard = classify_cells(mission), mission.world.hazard
     free, suspected = (np.flatnonzero(each) for each in (cells.free, cells.suspected))
     missed = sum(hazard[cell] for cell in free)
     assert (
@@ -183,7 +183,7 @@ def logs(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def pairs(logs):
-    return [Pair(each, curves_of(each)) for each in map(read_mission, logs)]
+    return [Pair(each, mission_curves(each)) for each in map(read_mission, logs)]
 
 
 def last(pair):

@@ -10,7 +10,7 @@ from kbnitp_ros.figures import COUNTS, DARK_MAPS, draw_map, MAPS, plot, save, SE
 from kbnitp_ros.report.figures import draw_number, maps_figure, progress_figure
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.plots import curve_plots
-from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.tables import mission_curves
 from kbnitp_ros.study.scenario import NUMBERS
 from laws import for_each
 from legible import as_seen, check_lines, check_texts, VISIONS
@@ -32,7 +32,7 @@ def mission(request, tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_missions_figures_are_legible(mission, tmp_path):
-    curves = curves_of(mission)
+    curves = mission_curves(mission)
     for figure in (maps_figure(mission), progress_figure(mission, curves)):
         check_texts(figure)
         check_lines(figure)
@@ -177,10 +177,10 @@ def test_a_learnt_number_of_any_name_is_drawn(tmp_path):
             message.message.name = names
     shown = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
     assert list(shown.moments[-1].state.numbers) == names
-    figure = progress_figure(shown, curves_of(shown))
+    figure = progress_figure(shown, mission_curves(shown))
     for file in save(figure, tmp_path / 'progress.png', 'png', 'svg'):
         assert file.stat().st_size > 1000
-    for _, drawn in curve_plots(shown, curves_of(shown), np.arange(len(shown.moments))):
+    for _, drawn in curve_plots(shown, mission_curves(shown), np.arange(len(shown.moments))):
         assert '<b>' not in json.dumps(json.loads(drawn)['layout'])
 
 
@@ -189,7 +189,7 @@ def test_a_learnt_number_has_a_panel(tmp_path):
         3, method='kappa_bnitp_sampled', unknowns=Unknowns(lethality=(0.0, 1.0))
     )
     learnt = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
-    figure = progress_figure(learnt, curves_of(learnt))
+    figure = progress_figure(learnt, mission_curves(learnt))
     assert 'lethality' in [axes.get_ylabel() for axes in figure.axes]
     check_texts(figure)
     check_lines(figure)

@@ -17,16 +17,16 @@ from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.report.answers import (
-    cells_of,
-    findings_of,
-    losses_of,
+    classify_cells,
+    expected_losses,
+    expected_used_up,
+    list_findings,
     used_up_at,
-    used_up_of,
 )
-from kbnitp_ros.report.comparison import comparison_of, Pair
+from kbnitp_ros.report.comparison import comparison_page, Pair
 from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.page import page_of
-from kbnitp_ros.report.tables import curves_of
+from kbnitp_ros.report.page import mission_page
+from kbnitp_ros.report.tables import mission_curves
 from laws import for_each
 from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
@@ -46,7 +46,7 @@ NAMES = ('hazard', 'target', 'kappa')
 def page_file(mission):
     """Write the page of a mission beside its log."""
     page = mission.log.with_name('report.html')
-    page.write_text(page_of(mission, curves_of(mission))[0])
+    page.write_text(mission_page(mission, mission_curves(mission))[0])
     return page
 
 
@@ -170,8 +170,8 @@ def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
             marked(page, 'free', GRID)
         )
     move(page, len(mission.moments) - 1)
-    assert marked(page, 'free', GRID) == np.flatnonzero(cells_of(mission).free).tolist()
-    found = [each for each in findings_of(mission) if each.kind == 'target']
+    assert marked(page, 'free', GRID) == np.flatnonzero(classify_cells(mission).free).tolist()
+    found = [each for each in list_findings(mission) if each.kind == 'target']
     for name, is_found in (('found', True), ('target', False)):
         cells = [each.cell for each in found if (each.probability >= 0.95) == is_found]
         assert marked(page, name, GRID) == sorted(cells)
@@ -238,9 +238,9 @@ def test_where_a_robot_was_lost_is_listed_marked_and_told_alike(opened, shown):
         assert share == sorted(share, reverse=True)
         assert sum(share) == pytest.approx(1.0, abs=0.01)
         total[listed] += share
-    assert total == pytest.approx(losses_of(mission), abs=0.001 * len(lost))
+    assert total == pytest.approx(expected_losses(mission), abs=0.001 * len(lost))
     assert coloured(page, 'robots-lost')[GRID.free] == pytest.approx(
-        losses_of(mission)[GRID.free], abs=1e-4
+        expected_losses(mission)[GRID.free], abs=1e-4
     )
     returned = next(each for each in mission.deployments if each.outcome.survived)
     move(page, returned.moment)
@@ -305,7 +305,7 @@ def test_hazards_believed_used_up_are_drawn_and_told(opened, shown, tmp_path):
         whole.deploy(whole.walk())
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
     page = opened(file=page_file(mission))
-    used_up = np.where(mission.grid.free, used_up_of(mission), np.nan)
+    used_up = np.where(mission.grid.free, expected_used_up(mission), np.nan)
     assert coloured(page, 'used-up') == pytest.approx(used_up, abs=1e-3, nan_ok=True)
     move(page, 3)
     facts = page.locator('#deployment').inner_text()
@@ -412,7 +412,7 @@ def test_what_was_found_is_told_on_the_earth(opened, surveyed):
     collection = json.loads(downloaded(page, 'GeoJSON', nth=1).read_text())
     # As RFC 7946 has it: the coordinates of WGS84 alone, and nothing of another frame.
     assert set(collection) == {'type', 'name', 'features'}
-    findings = findings_of(mission)
+    findings = list_findings(mission)
     assert len(findings) == len(collection['features']) == len(table) > 1
     latitude, longitude, heading = DATUM
     for each, feature, row in zip(findings, collection['features'], table):
@@ -606,7 +606,7 @@ def test_arrow_keys_move_without_a_focus_and_leave_other_fields_alone(opened, sh
 def test_safe_cells_are_listed_and_downloaded_as_polygons(opened, shown):
     mission, _ = shown
     page = opened(is_strict=True)
-    free = np.flatnonzero(cells_of(mission).free)
+    free = np.flatnonzero(classify_cells(mission).free)
     hazard = mission.moments[-1].belief.hazard[free]
     table = rows(downloaded(page, 'CSV', nth=1))
     assert [float(row['hazard']) for row in table] == sorted(hazard)
@@ -665,7 +665,7 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     page = opened(is_strict=True)
     page.locator('#findings th button').nth(1).click()
     table = rows(downloaded(page, 'CSV'))
-    findings = findings_of(mission)
+    findings = list_findings(mission)
     largest_first = sorted((each.x for each in findings), reverse=True)
     assert [float(row['x (m)']) for row in table] == largest_first
     features = json.loads(downloaded(page, 'GeoJSON', nth=1).read_text())['features']
@@ -756,7 +756,7 @@ def two(shown, tmp_path_factory):
     folder = tmp_path_factory.mktemp('two')
     missions = shown[0], read_mission(single(folder / 'mission.mcap', 12))
     page = folder / 'comparison.html'
-    page.write_text(comparison_of(*(Pair(each, curves_of(each)) for each in missions)))
+    page.write_text(comparison_page(*(Pair(each, mission_curves(each)) for each in missions)))
     return missions, page
 
 
@@ -781,7 +781,9 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
     page = opened(file=file, is_strict=True)
     page.locator('#findings th button').last.click()
     told = rows(downloaded(page, 'CSV'))
-    found = {(each.kind, each.x, each.y) for mission in missions for each in findings_of(mission)}
+    found = {
+        (each.kind, each.x, each.y) for mission in missions for each in list_findings(mission)
+    }
     assert {(row['what'], float(row['x (m)']), float(row['y (m)'])) for row in told} == found
     changes = [float(row['B less A']) for row in told]
     assert changes == sorted(changes, reverse=True)

@@ -11,15 +11,15 @@ import sys
 
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.report import main
-from kbnitp_ros.configuration import estimator_of, parameters_of
+from kbnitp_ros.configuration import make_estimator, node_parameters
 from kbnitp_ros.core import Belief, Grid, log_loss, Observation, path_information, Plan
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.maps import levels_of, read_probabilities
+from kbnitp_ros.maps import quantise_belief, read_probabilities
 from kbnitp_ros.report import page
 from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.tables import curves_of, rows
+from kbnitp_ros.report.tables import mission_curves, rows
 from laws import for_each
 from mission_log import GRID, Mission, MODEL, on, record, record_to, without
 from missions import sent_by_single, Shown, single, team
@@ -46,8 +46,8 @@ def report(log, out):
 def told(log):
     """Return the mission of a log, its curves, its page and its table, which need no pictures."""
     mission = read_mission(log)
-    curves = curves_of(mission)
-    html, left_out = page.page_of(mission, curves)
+    curves = mission_curves(mission)
+    html, left_out = page.mission_page(mission, curves)
     assert not left_out
     return mission, curves, html, rows(mission, curves)
 
@@ -116,10 +116,10 @@ def test_gaps_are_shown_of_plans_with_a_bound(tmp_path):
             whole.publish('progress', Progress(header=header, upper_bound=upper_bound))
         whole.deploy(whole.walk())
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
-    curves = curves_of(mission)
+    curves = mission_curves(mission)
     assert np.isnan(curves.gap[[0, 1, 3]]).all()
     assert np.array_equal(curves.gap[[2, 4]], 1.5 - curves.expected[[2, 4]])
-    costly = curves_of(replace(mission, parameters={'/planner': {'loss_cost': 2.0}}))
+    costly = mission_curves(replace(mission, parameters={'/planner': {'loss_cost': 2.0}}))
     plans = [
         Plan.along(mission.deployments[each - 1].path, mission.moments[each - 1].belief, MODEL)
         for each in (2, 4)
@@ -133,10 +133,10 @@ def test_gaps_are_shown_of_plans_with_a_bound(tmp_path):
 def test_the_last_belief_is_what_another_mission_can_begin_with(shown):
     log, out = shown
     mission = read_mission(log)
-    values = {name: each.default for name, each in parameters_of('estimator').items()}
+    values = {name: each.default for name, each in node_parameters('estimator').items()}
     values |= {f'prior.{name}_map': str(out / f'{name}.yaml') for name in NAMES}
     values['learn.numbers'] = ()
-    begun = estimator_of(values, mission.grid).belief
+    begun = make_estimator(values, mission.grid).belief
     for name in NAMES:
         believed = getattr(mission.moments[-1].belief, name)
         read = read_probabilities(out / f'{name}.yaml', mission.grid, 0.5)
@@ -154,7 +154,7 @@ def test_every_belief_has_maps_that_are_a_belief(seed, tmp_path):
     joint = rng.dirichlet([0.05] * 4, size=20_000)
     joint[:4] = np.eye(4)
     belief = Belief(joint.reshape(-1, 2, 2))
-    levels = levels_of(belief)
+    levels = quantise_belief(belief)
     for name, each in levels.items():
         assert np.abs(each / 255 - getattr(belief, name)).max() <= 1 / 255
     Belief.from_maps(*((1.0 - (255 - each) / 255) for each in levels.values()))
@@ -225,17 +225,17 @@ def test_a_thousand_deployments_in_900_cells(tmp_path):
 def test_a_page_that_would_be_too_large_says_what_it_leaves_out(tmp_path, monkeypatch):
     log = single(tmp_path / 'mission.mcap', 12)
     mission = read_mission(log)
-    curves = curves_of(mission)
-    whole, nothing = page.page_of(mission, curves)
+    curves = mission_curves(mission)
+    whole, nothing = page.mission_page(mission, curves)
     assert not nothing
     monkeypatch.setattr(page, 'MAX_BYTES', len(whole.encode()) - 2000)
-    less, left_out = page.page_of(mission, curves)
+    less, left_out = page.mission_page(mission, curves)
     assert len(less.encode()) <= page.MAX_BYTES
     assert left_out in less
     assert 'of 13 moments' in left_out
     monkeypatch.setattr(page, 'MAX_BYTES', 1000)
     with pytest.raises(ValueError, match='MB with two beliefs'):
-        page.page_of(mission, curves)
+        page.mission_page(mission, curves)
 
 
 def test_what_an_estimator_tells_again_is_shown_once(tmp_path):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
 from kbnitp_ros.robot.way import (
     Itinerary,
-    legs_of,
     shortest_way,
+    split_legs,
     steps_within,
     Walk,
     without_loops,
@@ -38,7 +38,7 @@ def home(grid, way):
 @given(data=st.data(), steps=st.integers(1, 20))
 def test_legs_make_the_orders_and_none_closes_or_crosses_itself(data, steps):
     orders = home(GRID, wander(data, GRID, steps))
-    legs = legs_of(orders)
+    legs = split_legs(orders)
     made = [orders[0]]
     for leg in legs:
         assert leg[0] == made[-1]
@@ -48,10 +48,10 @@ def test_legs_make_the_orders_and_none_closes_or_crosses_itself(data, steps):
 
 
 def test_legs_of_a_path_there_and_back_and_round():
-    assert legs_of([0, 1, 2, 1, 0]) == [(0, 1, 2), (2, 1, 0)]
-    assert legs_of([0, 1, 7, 6, 0]) == [(0, 1, 7, 6), (6, 0)]
-    assert legs_of([0, 0, 1, 1, 1, 0, 0]) == [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (0, 0)]
-    assert legs_of([0, 0]) == [(0, 0)]
+    assert split_legs([0, 1, 2, 1, 0]) == [(0, 1, 2), (2, 1, 0)]
+    assert split_legs([0, 1, 7, 6, 0]) == [(0, 1, 7, 6), (6, 0)]
+    assert split_legs([0, 0, 1, 1, 1, 0, 0]) == [(0, 0), (0, 1), (1, 1), (1, 1), (1, 0), (0, 0)]
+    assert split_legs([0, 0]) == [(0, 0)]
 
 
 @given(data=st.data(), steps=st.integers(0, 25))

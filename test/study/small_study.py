@@ -6,7 +6,7 @@ import json
 
 from kbnitp_ros.study.comparison import write_report
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.trial import run_trial, trials_of
+from kbnitp_ros.study.trial import list_trials, run_trial
 import yaml
 
 CONTENT = {
@@ -49,7 +49,9 @@ def write(path, content=CONTENT):
 
 def run(scenario):
     """Return the results of all trials."""
-    return Results(scenario, {trial: run_trial(scenario, trial) for trial in trials_of(scenario)})
+    return Results(
+        scenario, {trial: run_trial(scenario, trial) for trial in list_trials(scenario)}
+    )
 
 
 def compared_by(scenario, teams):

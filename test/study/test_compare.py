@@ -7,7 +7,7 @@ from threading import Lock
 
 from kbnitp_ros.core import METHODS, PLANNERS, World
 from kbnitp_ros.core.planning.planners import coverage
-from kbnitp_ros.study import benchmark, compare, figures_of, tables_of
+from kbnitp_ros.study import benchmark, compare, study_figures, study_tables
 from kbnitp_ros.study.scenario_file import read_scenario
 from laws import for_each
 import numpy as np
@@ -64,7 +64,7 @@ def test_other_processes_have_functions_without_a_module():
 
 
 def test_tables_and_figures_have_their_names(results):
-    tables = tables_of(results)
+    tables = study_tables(results)
     assert list(tables) == ['summary', 'planners']
     (first, second) = tables['planners'].to_dataframe().to_dict('records')
     assert (first['method'], second['method']) == ('Ignorant', 'kappa_bnitp')
@@ -74,11 +74,11 @@ def test_tables_and_figures_have_their_names(results):
     assert first['lost'] == means['sweep']
     assert first['more lost'] == means['sweep'] - means['random']
     assert first['lost low'] <= first['lost'] <= first['lost high']
-    assert 'log_loss' in figures_of(results)
+    assert 'log_loss' in study_figures(results)
 
 
 def test_a_table_in_latex_has_the_cells_of_that_in_markdown(results):
-    table = tables_of(results)['planners']
+    table = study_tables(results)['planners']
     latex = table.latex()
     assert latex.count('{') == latex.count('}')
     rows = latex.partition('\\midrule\n')[2].partition('\\bottomrule')[0].splitlines()
@@ -151,7 +151,7 @@ def test_the_benchmark_is_frozen(scenario):
 @for_each('planner', ['random', 'coverage', 'shortest_unvisited', 'relaxed'])
 def test_no_plan_is_worth_more_than_the_bound(scenario, planner):
     beliefs = benchmark.frozen()
-    ratio, _ = benchmark.worth_of(planner, scenario.field(), 18, beliefs)
+    ratio, _ = benchmark.plan_worths(planner, scenario.field(), 18, beliefs)
     assert ratio.shape == (len(beliefs),)
     assert (ratio > 0.0).all()
     assert (ratio <= 1.0 + 1e-9).all()

@@ -22,8 +22,8 @@ from kbnitp_ros.study.comparison import (
 from kbnitp_ros.study.questions import at_equal_log_loss, compare, differ_in_size, EQUAL
 from kbnitp_ros.study.results import after_rounds, Results, trade
 from kbnitp_ros.study.scenario import differ_only_in, Strategy, team_labels
-from kbnitp_ros.study.scenario_file import scenario_of
-from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+from kbnitp_ros.study.scenario_file import parse_scenario
+from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, Trial
 from kbnitp_ros.study.workers import Folder
 from laws import for_each
 import numpy as np
@@ -107,7 +107,7 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
     # Robots whose first step is their last have nothing to be heard of.
     teams = (*PLANNERS[1:], *CONTACTS[:2])
     few = replace(scenario, teams=teams, robots=30, trials=1, lethalities=(0.5,))
-    for trial in trials_of(replace(few, methods=('kappa_bnitp',))):
+    for trial in list_trials(replace(few, methods=('kappa_bnitp',))):
         run_trial(few, trial)
     assert used == [
         ('coverage', 0.0, False),
@@ -123,7 +123,7 @@ def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
         scenario, teams=OBJECTIVES, methods=('kappa_bnitp',), trials=1, lethalities=(0.9,)
     )
     folder = Folder(tmp_path, scenario)
-    for trial in trials_of(scenario):
+    for trial in list_trials(scenario):
         folder.save(trial, run_trial(scenario, trial))
     assert sorted(path.name for path in tmp_path.rglob('*.npz')) == [
         '0.9-kappa_bnitp-1-greedy-0.0-0.npz',
@@ -397,4 +397,4 @@ def test_a_second_base_of_one_robot_is_refused():
     for second, told in ((11, 'second_base is 11 of 1 robot'), (99, 'base is 99.*from 0 to')):
         agents = 1 if second == 11 else 2
         with pytest.raises(ValueError, match=told):
-            scenario_of({**CONTENT, 'teams': [{'agents': agents, 'second_base': second}]})
+            parse_scenario({**CONTENT, 'teams': [{'agents': agents, 'second_base': second}]})

@@ -19,17 +19,17 @@ from kbnitp_ros.study.comparison import (
 )
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Asked, Hazards, SafestLane, Strategy, team_labels
-from kbnitp_ros.study.scenario_file import read_scenario, scenario_file, scenario_of
+from kbnitp_ros.study.scenario_file import parse_scenario, read_scenario, scenario_file
 from kbnitp_ros.study.trial import (
     blobs,
     DECLARED,
-    measures_of,
+    draw_world,
+    list_trials,
+    measure_names,
     OF_GOALS,
     rows,
     run_trial,
     Trial,
-    trials_of,
-    world_of,
 )
 from laws import for_each
 import numpy as np
@@ -73,7 +73,7 @@ def series(results, name, team):
 def test_every_strategy_is_asked_for_the_same_decision(asked, lanes):
     for number, team in product(range(asked.trials), asked.teams):
         outcome = lanes.outcomes[Trial(0.5, METHOD, number, team)]
-        measured = dict(zip(measures_of(asked), outcome.measures.T))
+        measured = dict(zip(measure_names(asked), outcome.measures.T))
         hazard = outcome.truth[0]
         truth = asked.truth(0.5, number)
         prior = Estimator(asked.belief(truth), asked.model(truth), METHOD, seed=number)
@@ -142,7 +142,7 @@ def test_a_mission_that_stops_is_the_beginning_of_one_that_goes_on(asked, lanes,
         stopped, whole = (
             of.outcomes[Trial(0.5, METHOD, number, team)].measures for of in (certificates, lanes)
         )
-        place = measures_of(asked).index('sent')
+        place = measure_names(asked).index('sent')
         end = int(stopped[-1, place])
         np.testing.assert_array_equal(stopped[: end + 1], whole[: end + 1])
 
@@ -150,7 +150,7 @@ def test_a_mission_that_stops_is_the_beginning_of_one_that_goes_on(asked, lanes,
 @pytest.mark.slow
 def test_too_few_draws_certify_nothing(certificates):
     changed = {}
-    place = measures_of(certificates.scenario).index('independent_draws')
+    place = measure_names(certificates.scenario).index('independent_draws')
     for trial, outcome in certificates.outcomes.items():
         measures = outcome.measures.copy()
         measures[:, place] = FEWEST_LEFT_OUT / 0.07
@@ -165,7 +165,7 @@ def test_areas_are_told_by_how_many_robots_declare_most_of_them(asked):
     area = replace(
         asked, trials=2, teams=(Strategy(), Strategy(goal='area')), asked=Asked('area', (3, GOAL))
     )
-    names = measures_of(area)
+    names = measure_names(area)
     declared = {
         (LANE[0], 0): [0.0] * 4 + [0.8] * 4 + [0.5] * 5,
         (LANE[0], 1): [0.0] * 13,
@@ -173,7 +173,7 @@ def test_areas_are_told_by_how_many_robots_declare_most_of_them(asked):
         (Strategy(goal='area'), 1): [0.0] * 12 + [0.9],
     }
     outcomes = {}
-    for trial in trials_of(area):
+    for trial in list_trials(area):
         outcome = run_trial(area, trial)
         measures = outcome.measures.copy()
         measures[:, names.index('declared')] = declared[trial.team, trial.number]
@@ -226,7 +226,7 @@ def test_without_a_decision_nothing_of_it_is_measured(scenario, results):
 ])  # fmt: skip
 def test_what_does_not_fit_is_refused(changes, named):
     with pytest.raises(ValueError, match=named):
-        scenario_of({**CONTENT, **changes})
+        parse_scenario({**CONTENT, **changes})
 
 
 @pytest.mark.slow
@@ -337,7 +337,7 @@ def test_rows_are_called_by_what_is_believed(scenario):
 ])  # fmt: skip
 def test_what_no_method_takes_is_refused(key, value, told):
     with pytest.raises(ValueError, match=told):
-        scenario_of(changed(key, value))
+        parse_scenario(changed(key, value))
 
 
 @for_each('lay_out', [blobs, rows])
@@ -360,7 +360,7 @@ def test_a_layout_moves_hazards_and_nobody_elses_luck(scenario, layout):
     worlds, left = [], []
     for study in (scenario, laid_out):
         rng = np.random.default_rng(3)
-        worlds.append(world_of(study, study.field(), truth, rng, 0))
+        worlds.append(draw_world(study, study.field(), truth, rng, 0))
         left.append(rng.random())
     assert left[0] == left[1]
     worlds[1].check(laid_out.field())

@@ -13,7 +13,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.study.comparison import figures_of, OF_LEARNING, OF_NUMBERS, write_report
+from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS, study_figures, write_report
 from kbnitp_ros.study.results import LOG_LOSS
 from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, SAMPLED
 from kbnitp_ros.study.scenario_file import read_scenario
@@ -166,7 +166,7 @@ def test_what_learning_costs_is_paired(learnt):
 
 @for_each('kind', ['learnt', 'drawn'])
 def test_what_was_learnt_can_be_read(request, kind):
-    figures = figures_of(request.getfixturevalue(kind))
+    figures = study_figures(request.getfixturevalue(kind))
     assert 'numbers' in figures
     for figure in figures.values():
         check_texts(figure)

@@ -6,11 +6,11 @@ import json
 
 from disk import room_for
 from kbnitp_ros.figures import SERIES
-from kbnitp_ros.study.charts import columns_for, groups_of, labels_of, reliability
-from kbnitp_ros.study.comparison import figures_of, write_report
-from kbnitp_ros.study.results import LOG_LOSS, mean_of, Results, summarise, table_of
+from kbnitp_ros.study.charts import columns_for, contender_labels, group_contenders, reliability
+from kbnitp_ros.study.comparison import study_figures, write_report
+from kbnitp_ros.study.results import bootstrap_mean, LOG_LOSS, Results, summarise, summary_table
 from kbnitp_ros.study.scenario import Contender, Strategy
-from kbnitp_ros.study.trial import MEASURES, run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
@@ -72,7 +72,7 @@ def test_final_maps_are_those_of_all_trials(results):
 
 def test_the_interval_holds_the_true_mean_about_as_often_as_it_says():
     samples = np.random.default_rng(5).exponential(size=(25, 400))
-    mean, low, high = mean_of(samples)
+    mean, low, high = bootstrap_mean(samples)
     np.testing.assert_allclose(mean, samples.mean(axis=0))
     covered = ((low < 1.0) & (high > 1.0)).mean()
     assert 0.86 < covered < 0.97  # 25 skewed samples: a little less than 0.95
@@ -83,7 +83,7 @@ def test_the_interval_is_that_of_resampled_means():
     rng = np.random.default_rng(1)
     resampled = rng.choice(samples, (100_000, 4)).mean(axis=1)
     expected = np.quantile(resampled, (0.025, 0.975))
-    np.testing.assert_allclose(mean_of(samples)[1:], expected, atol=0.2)
+    np.testing.assert_allclose(bootstrap_mean(samples)[1:], expected, atol=0.2)
 
 
 def test_differences_are_paired(results):
@@ -98,7 +98,7 @@ def test_differences_are_paired(results):
     }
     row = rows[0.9, 'relaxed_bnitp']
     assert row['log_loss']['mean'] == pytest.approx(final['relaxed_bnitp'].mean(), abs=1e-6)
-    mean, low, high = mean_of(final['kappa_bnitp'] - final['relaxed_bnitp'])
+    mean, low, high = bootstrap_mean(final['kappa_bnitp'] - final['relaxed_bnitp'])
     assert row['difference'] == pytest.approx({'mean': mean, 'low': low, 'high': high}, abs=1e-6)
     believed, truth = results.final_maps(0.9, 'relaxed_bnitp')
     false = [b[1][t[0] & ~t[1]].sum() for b, t in zip(believed, truth)]
@@ -126,7 +126,7 @@ def test_teams_have_rows_of_their_own(scenario):
     assert row['difference']['mean'] == pytest.approx((reference - other).mean(), abs=1e-6)
     assert (
         '| `kappa_bnitp_published`, 2 independent, loss cost 0.25 |'
-        in table_of(summary).markdown()
+        in summary_table(summary).markdown()
     )
     table = results.table().to_pylist()
     assert len(table) == 9 * 2 * 5
@@ -140,12 +140,12 @@ def test_a_single_trial_has_no_interval(results):
     summary = summarise(Results(replace(results.scenario, trials=1), alone))
     assert summary['rows'][0]['entropy']['low'] is None
     json.dumps(summary, allow_nan=False)
-    assert '[' not in table_of(summary).markdown().split('|---|')[1]
+    assert '[' not in summary_table(summary).markdown().split('|---|')[1]
 
 
 def test_the_table_for_people_says_what_the_summary_says(results):
     summary = summarise(results)
-    lines = table_of(summary).markdown().splitlines()
+    lines = summary_table(summary).markdown().splitlines()
     cells = [line.strip('| ').split(' | ') for line in lines if line.startswith('| 0')]
     assert len(cells) == len(summary['rows'])
     for row, (lethality, method, log_loss, *_) in zip(summary['rows'], cells):
@@ -241,7 +241,7 @@ def changed(scenario, changes):
 @for_each('name', STUDIES, every=9)
 def test_figures_are_legible(scenario, name):
     scenario = changed(scenario, STUDIES[name])
-    figures = figures_of(run(scenario))
+    figures = study_figures(run(scenario))
     assert {'entropy', 'log_loss', 'reliability'} <= figures.keys()
     for figure in figures.values():
         check_texts(figure)
@@ -254,7 +254,7 @@ def test_figures_are_legible(scenario, name):
 @for_each('name', STUDIES)
 def test_every_contender_is_in_a_panel_of_few(scenario, name):
     contenders = changed(scenario, STUDIES[name]).contenders
-    groups = groups_of(contenders)
+    groups = group_contenders(contenders)
     assert all(1 < len(group) <= len(SERIES) for group in groups)
     assert {each for group in groups for each in group} == set(contenders)
     assert (len(groups) == 1) == (len(contenders) <= len(SERIES))
@@ -262,7 +262,7 @@ def test_every_contender_is_in_a_panel_of_few(scenario, name):
 
 @pytest.mark.slow
 def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
-    groups = groups_of(changed(scenario, STUDIES['allocations']).contenders)
+    groups = group_contenders(changed(scenario, STUDIES['allocations']).contenders)
     assert [[each.team for each in group] for group in groups] == [
         [Strategy(), *(Strategy(agents, how) for agents in (2, 4, 8))]
         for how in ('independent', 'voronoi', 'greedy')
@@ -271,7 +271,7 @@ def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
 
 @pytest.mark.slow
 def test_what_has_no_kinds_is_beside_the_first(scenario):
-    groups = groups_of(changed(scenario, STUDIES['surveys']).contenders)
+    groups = group_contenders(changed(scenario, STUDIES['surveys']).contenders)
     assert [[each.team for each in group] for group in groups] == [
         [Strategy(), *SURVEYS[1:4]],
         [Strategy(), *SURVEYS[4:]],
@@ -299,7 +299,7 @@ def test_what_has_no_kinds_is_beside_the_first(scenario):
 ])  # fmt: skip
 def test_contenders_are_called_what_tells_them_apart(scenario, methods, teams, expected):
     scenario = replace(scenario, methods=methods, teams=teams)
-    assert list(labels_of(scenario).values()) == expected
+    assert list(contender_labels(scenario).values()) == expected
 
 
 @pytest.mark.slow
@@ -311,10 +311,10 @@ def test_rows_of_panels_are_full_if_they_can_be():
 def test_lines_are_what_was_measured(scenario):
     """The log loss after each round is read back from the figure of the rounds."""
     scenario = changed(scenario, {**STUDIES['allocations'], 'lethalities': (0.1, 0.9)})
-    outcomes = {trial: run_trial(scenario, trial) for trial in trials_of(scenario)}
+    outcomes = {trial: run_trial(scenario, trial) for trial in list_trials(scenario)}
     results = Results(scenario, outcomes)
-    panels = iter(figures_of(results)['by_round'].axes)
-    for group in groups_of(scenario.contenders):
+    panels = iter(study_figures(results)['by_round'].axes)
+    for group in group_contenders(scenario.contenders):
         for lethality in scenario.lethalities:
             for (method, team), line in zip(group, next(panels).lines, strict=True):
                 log_loss = results.series(
@@ -322,4 +322,4 @@ def test_lines_are_what_was_measured(scenario):
                 ).mean(axis=0)
                 ends = [*range(0, 9, team.agents), 9]
                 np.testing.assert_allclose(line.get_ydata(), log_loss[ends])
-                assert line.get_label() == labels_of(scenario)[Contender(method, team)]
+                assert line.get_label() == contender_labels(scenario)[Contender(method, team)]

@@ -16,7 +16,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.trial import MEASURES, run_trial, surveyed, Trial, trials_of
+from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, surveyed, Trial
 from laws import for_each
 import numpy as np
 import pytest
@@ -121,7 +121,7 @@ def test_what_is_believed_of_the_lethality_may_be_wrong(scenario):
 
 
 def test_the_trials_are_all_combinations(scenario):
-    trials = trials_of(scenario)
+    trials = list_trials(scenario)
     assert len(set(trials)) == len(trials) == 2 * 3 * 3
     assert trials[:4] == [
         Trial(0.2, 'relaxed_bnitp', 0),

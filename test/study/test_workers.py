@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from kbnitp_ros.study import workers as module
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.trial import run_trial, Trial, trials_of
+from kbnitp_ros.study.trial import list_trials, run_trial, Trial
 from kbnitp_ros.study.workers import Folder, workers
 from laws import for_each, spoilt
 import numpy as np
@@ -59,7 +59,7 @@ def as_parquet(results):
 
 
 def check_same(scenario, results, pool):
-    outcomes = dict(pool.run(partial(run_trial, scenario), trials_of(scenario)))
+    outcomes = dict(pool.run(partial(run_trial, scenario), list_trials(scenario)))
     assert as_parquet(Results(scenario, outcomes)) == as_parquet(results)
 
 
@@ -90,7 +90,7 @@ def test_a_trial_that_fails_is_named(scenario):
     """Robots are lost where nothing is believed able to destroy them."""
     sensor = replace(scenario.sensor, malfunction=0.0)
     impossible = replace(scenario, believed_lethality=0.0, sensor=sensor)
-    trials = [trial for trial in trials_of(impossible) if trial.lethality == 0.9]
+    trials = [trial for trial in list_trials(impossible) if trial.lethality == 0.9]
     with (
         workers('loky', 1) as pool,
         pytest.raises(RuntimeError, match=r"Trial\(lethality=0.9, method='.*', .*impossible"),
@@ -150,7 +150,7 @@ def test_a_trial_is_named_whatever_it_fails_of(scenario, error, told):
     def fail(trial):
         raise error
 
-    trial = trials_of(scenario)[0]
+    trial = list_trials(scenario)[0]
     with pytest.raises(RuntimeError, match=rf'^Trial\(lethality=0\.2.*\) {told}'):
         module._run(fail, trial)
 

@@ -25,7 +25,7 @@ STEP_COST = 1e-4
 # Lower limit of the probability that a cell is free, for its logarithm.
 LEAST = -30.0
 # Maximum number of path costs in memory.
-MOST_TOGETHER = 1 << 25
+MAX_TOGETHER = 1 << 25
 # Values closer than this many decimals are ties, so rounding never decides.
 DECIMALS = 9
 
@@ -48,7 +48,7 @@ def cheapest_lanes(
     """Return a cheapest way for each of several costs, within each of several limits."""
     goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
     most = min(max(limits), grid.cells - 1)
-    together = max(1, MOST_TOGETHER // ((most + 1) * (grid.cells + 1)))
+    together = max(1, MAX_TOGETHER // ((most + 1) * (grid.cells + 1)))
     within: list[list[Path]] = [[] for _ in limits]
     for first in range(0, len(costs), together):
         some = slice(first, first + together)

@@ -28,7 +28,7 @@ from kbnitp_ros.core.decision.decision import (
 )
 from kbnitp_ros.core.decision.hazard_draws import Bools, cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.field.belief import Belief, binary_entropy
-from kbnitp_ros.core.field.check import each_of, whole_number
+from kbnitp_ros.core.field.check import check_several, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.planning.objective import Camera, Objective, positives
@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 # Maximum number of joint outcomes tracked for robots in flight: those of the last six.
-MOST_OUTCOMES = 64
+MAX_OUTCOMES = 64
 
 # Maximum number of cells, the most uncertain ones, with a direct flight as a candidate.
 DIRECT = 16
@@ -73,7 +73,7 @@ class Situation:
         """Return the situation after another robot of some model has left on a path."""
         survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
-        if len(outcomes) > MOST_OUTCOMES:
+        if len(outcomes) > MAX_OUTCOMES:
             # Sums out the outcome of the robot sent first, which alternates.
             outcomes = outcomes[0::2] + outcomes[1::2]
         return replace(self, outcomes=outcomes)
@@ -153,7 +153,7 @@ class Area:
 
     def __post_init__(self) -> None:
         cells = tuple(
-            sorted({whole_number('goal', cell, 0) for cell in each_of('cells', self.cells)})
+            sorted({whole_number('goal', cell, 0) for cell in check_several('cells', self.cells)})
         )
         if not cells:
             raise ValueError('goal is an area without cells: give at least one')

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 DRAWS = 2048
 
 # Maximum number of bytes of the draws.
-MOST_MEMORY = 1 << 30
+MAX_MEMORY = 1 << 30
 
 # Generators of draws are keyed by this, the seed of the estimator and the number of deployments.
 OWN_KEY = 0x44524157
@@ -63,10 +63,10 @@ class HazardDraws:
     @classmethod
     def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:
         """Draw from an estimator; the same evidence gives the same draws."""
-        if (estimate := count * estimator.belief.cells) > MOST_MEMORY:
+        if (estimate := count * estimator.belief.cells) > MAX_MEMORY:
             raise ValueError(
                 f'{count} draws of {estimator.belief.cells} cells take about '
-                f'{estimate / 1e9:.1f} GB, and {MOST_MEMORY / 1e9:.1f} GB are allowed: '
+                f'{estimate / 1e9:.1f} GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: '
                 'take a smaller field, or the goal map'
             )
         rng = np.random.default_rng([OWN_KEY, estimator.seed, deployments])

@@ -228,7 +228,7 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
         If the truth has another shape.
 
     """
-    return float(log_losses(probability, truth_of(probability, truth)))
+    return float(log_losses(probability, as_truth(probability, truth)))
 
 
 def log_losses(probability: NDArray[np.float64], truth: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -257,10 +257,10 @@ def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:
         If the truth has another shape.
 
     """
-    return float(((probability - truth_of(probability, truth)) ** 2).sum())
+    return float(((probability - as_truth(probability, truth)) ** 2).sum())
 
 
-def truth_of(probability: NDArray[np.float64], truth: ArrayLike) -> NDArray[np.bool_]:
+def as_truth(probability: NDArray[np.float64], truth: ArrayLike) -> NDArray[np.bool_]:
     """Return `truth` as booleans, checked against a map."""
     if not isinstance(probability, np.ndarray):
         raise TypeError(

@@ -105,7 +105,7 @@ def in_short(value: object) -> str:
     return words if len(words) <= 80 else f'{words[:76]} ...'
 
 
-def each_of(name: str, values: Iterable[Any]) -> Iterable[Any]:
+def check_several(name: str, values: Iterable[Any]) -> Iterable[Any]:
     """Check that `values` is a collection."""
     if not isinstance(values, Iterable):
         raise TypeError(f'{name} is {in_short(values)}: it must be a list')

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Fields up to so many cells across are summed exactly.
-MOST_ACROSS = 16
+MAX_ACROSS = 16
 # Wider ones are combined from strips of so many columns.
 STRIP = 12
 
@@ -26,12 +26,12 @@ def log_partition(
         free = free.T
     rows, columns = free.shape
     holes = np.argwhere(~free)
-    if columns <= STRIP or (columns <= MOST_ACROSS and len(holes) > 1):
+    if columns <= STRIP or (columns <= MAX_ACROSS and len(holes) > 1):
         return _sums(free, fields, coupling)
     if len(holes) > 1:
         raise ValueError(
             f'a field of {columns} x {rows} cells with {len(holes)} cells that cannot have a '
-            f'hazard is too wide for clustered hazards: with obstacles, at most {MOST_ACROSS} '
+            f'hazard is too wide for clustered hazards: with obstacles, at most {MAX_ACROSS} '
             'cells across'
         )
     # The hole is as far from the nearer edge as in the field.
@@ -62,7 +62,7 @@ STRONGEST = 1.7
 COUPLINGS = 17
 # Tolerance of the log odds of the density, and maximum number of steps of the search.
 PRECISION = 1e-10
-MOST_STEPS = 100
+MAX_SECANTS = 100
 
 LEARNT_COUPLING = 'learn'
 
@@ -144,13 +144,13 @@ class Clustering:
         fields, log_zs = [], []
         for coupling in self.bins.values:
             # Each search starts from the field found before.
-            field, log_z = _field_of(free, coupling, sought, field)
+            field, log_z = _solve_field(free, coupling, sought, field)
             fields.append(field)
             log_zs.append(log_z)
         return np.stack(fields), np.stack(log_zs)
 
 
-def _field_of(
+def _solve_field(
     free: NDArray[np.bool_],
     coupling: float,
     sought: NDArray[np.float64],
@@ -160,7 +160,7 @@ def _field_of(
     cells = np.count_nonzero(free)
     slope, off = np.ones_like(field), np.zeros_like(field)
     step = np.zeros_like(field)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_SECANTS):
         log_z, count = log_partition(free, field, coupling)
         before, off = off, np.log(count) - np.log(cells - count) - sought
         if np.abs(off).max() < PRECISION:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import cos, isfinite, sin, sqrt
 
-from kbnitp_ros.core.field.check import each_of, whole_number
+from kbnitp_ros.core.field.check import check_several, whole_number
 from kbnitp_ros.core.field.observation import as_path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,11 +94,11 @@ class Grid:
         last = width * height - 1
         blocked = frozenset(
             whole_number('blocked cell', cell, 0, last)
-            for cell in each_of('blocked', self.blocked)
+            for cell in check_several('blocked', self.blocked)
         )
         base, *others = (
             whole_number('base', cell, 0, last)
-            for cell in (self.base, *each_of('other_bases', self.other_bases))
+            for cell in (self.base, *check_several('other_bases', self.other_bases))
         )
         for cell in (base, *others):
             if cell in blocked:

@@ -258,7 +258,7 @@ class Dynamics:
             raise ValueError(f'dynamics is {self.kind!r}: it must be one of {", ".join(HAZARDS)}')
         for kind, names in HAZARD_RATES.items():
             for name in names:
-                rate = rate_of(name, getattr(self, name))
+                rate = as_rate(name, getattr(self, name))
                 if self.kind == 'learn' and name != 'appear' and not rate:
                     rate = ANY_RATE
                 if rate and self.kind not in (kind, 'learn'):
@@ -305,7 +305,7 @@ class Dynamics:
         return {name: getattr(self, name) for name in ('appear', 'vanish', 'move')}
 
 
-def rate_of(name: str, given: Rate) -> float | Beta:
+def as_rate(name: str, given: Rate) -> float | Beta:
     """Return a rate, or its prior if it is unknown."""
     if isinstance(given, Beta):
         return given

@@ -26,8 +26,14 @@ from kbnitp_ros.core.field.unknowns import (
     STATIC,
     Unknowns,
 )
-from kbnitp_ros.core.inference.filters import change_of, check_cells, IMPOSSIBLE, log_of, RATES
-from kbnitp_ros.core.inference.hypotheses import expit, joint_of, MAPS, offsets, prior_maps
+from kbnitp_ros.core.inference.filters import (
+    check_cells,
+    hazard_change,
+    IMPOSSIBLE,
+    RATES,
+    safe_log,
+)
+from kbnitp_ros.core.inference.hypotheses import expit, make_joint, MAPS, offsets, prior_maps
 from kbnitp_ros.core.inference.particle_filter import (
     assimilated,
     Evidence,
@@ -226,7 +232,7 @@ class Bank:
             else self._maps[name][0][:, None]
             for name in MAPS
         )
-        return joint_of(*np.broadcast_arrays(hazard, kappa, background))
+        return make_joint(*np.broadcast_arrays(hazard, kappa, background))
 
     def _fold(
         self,
@@ -243,7 +249,7 @@ class Bank:
         if 'vanish' in rates and not self._dynamics.appear:
             density = learnt.get('hazard_density', prior_density(self._prior))
             rates['appear'] = appearance(rates['vanish'], density)
-        change = change_of(self._prior, self._dynamics, rates)
+        change = hazard_change(self._prior, self._dynamics, rates)
         steps: dict[RobotType, Steps] = {}
         for evidence in deployments:
             if has_begun:
@@ -327,7 +333,7 @@ def log_sum(logs: Floats) -> Floats:
     """Return the log of the sum of exponentials along the last axis."""
     peak = logs.max(axis=-1, keepdims=True)
     peak = np.where(np.isfinite(peak), peak, 0.0)
-    total: Floats = peak[..., 0] + log_of(np.exp(logs - peak).sum(axis=-1))
+    total: Floats = peak[..., 0] + safe_log(np.exp(logs - peak).sum(axis=-1))
     return total
 
 

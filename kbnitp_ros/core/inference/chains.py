@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Bins, Learnt
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
-from kbnitp_ros.core.inference.filters import log_of
+from kbnitp_ros.core.inference.filters import safe_log
 from kbnitp_ros.core.inference.hypotheses import (
     CERTAIN_HAZARD,
     CERTAIN_TARGET,
@@ -325,7 +325,7 @@ class Chains:
                 factors.step_spared.T[None],
                 likelihood,
             )
-            log_likelihood = log_of(likelihood)
+            log_likelihood = safe_log(likelihood)
             for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
                 if robot_type.lethality is None:
                     exposed = (self._hazardous[:, self._returned] * survived[self._returned]).sum(
@@ -347,7 +347,7 @@ class Chains:
                 factors.step_spared[lethality][:, :, None],
                 likelihood,
             )
-            log_likelihood = log_of(likelihood)
+            log_likelihood = safe_log(likelihood)
             for robot_type, rates, survived in zip(tally.robot_types, self._rates, tally.survived):
                 if robot_type.malfunction is None:
                     log_likelihood = log_likelihood + survived.sum() * rates.log_endured

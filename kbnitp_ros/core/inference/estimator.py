@@ -31,14 +31,14 @@ from kbnitp_ros.core.inference.filters import OnePass
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,
-    dynamics_of,
     Inference,
     KNOWN,
     METHODS,
+    supported_dynamics,
 )
 from kbnitp_ros.core.inference.model_check import Checker, ModelCheck
 from kbnitp_ros.core.inference.record import deployment_order, DeploymentKey, MissionRecord, Report
-from kbnitp_ros.plugins import name_of, PluginError
+from kbnitp_ros.plugins import entry_name, PluginError
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,12 +95,12 @@ class Estimator:
         dynamics: Dynamics = STATIC,
         clustering: Clustering | None = None,
     ) -> None:
-        start, name = METHODS.find(method), name_of(method)
+        start, name = METHODS.find(method), entry_name(method)
         if dynamics.effect != 'static':
             what = 'of a kind to be learnt' if dynamics.kind == 'learn' else dynamics.effect
             check_able(
                 method,
-                lambda each: dynamics.effect in dynamics_of(each),
+                lambda each: dynamics.effect in supported_dynamics(each),
                 f'{name} does not take hazards that are {what}',
             )
         if unknown := {**unknowns.priors, **dynamics.unknown_rates}:
@@ -147,7 +147,7 @@ class Estimator:
             raise ValueError(str(error)) from error
 
     def __repr__(self) -> str:
-        return f'Estimator({name_of(self.method)}, {self.belief!r})'
+        return f'Estimator({entry_name(self.method)}, {self.belief!r})'
 
     @property
     def belief(self) -> Belief:
@@ -197,7 +197,7 @@ class Estimator:
         hardly show in returns: the check may not see them.
         """
         if self._make_checker is None:
-            name = name_of(self.method)
+            name = entry_name(self.method)
             return ModelCheck(False, {}, f'{name} is not checked: kappa_bnitp and relaxed_itp are')
         if self._checker is None:
             self._checker = self._make_checker()
@@ -249,7 +249,7 @@ class Estimator:
             check_able(
                 self.method,
                 lambda each: getattr(each, 'takes_lost_at', False),
-                f'lost_at is given, and {name_of(self.method)} does not use it',
+                f'lost_at is given, and {entry_name(self.method)} does not use it',
             )
         inference = self._inference.copy()
         with METHODS.blamed(self.method):

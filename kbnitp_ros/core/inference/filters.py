@@ -45,7 +45,7 @@ IMPOSSIBLE = (
 )
 
 
-def log_of(chance: Floats) -> Floats:
+def safe_log(chance: Floats) -> Floats:
     """Return the logarithm, -inf for 0."""
     log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
     return log
@@ -107,7 +107,7 @@ def condition(
     return posterior
 
 
-def change_of(
+def hazard_change(
     prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """Return the change of joints, (cells, 2, 2, ...), between deployments, at rates by case."""
@@ -467,7 +467,7 @@ class OnePassEstimate(KnownModel):
         super().__init__(belief, model)
         self._method = method
         changes = dynamics.effect in ('changing', 'moving')
-        self._change = change_of(belief, dynamics) if changes else None
+        self._change = hazard_change(belief, dynamics) if changes else None
         self._has_begun = False
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:

@@ -148,7 +148,7 @@ def prior_maps(
     return maps
 
 
-def joint_of(
+def make_joint(
     hazard: NDArray[np.float64], kappa: NDArray[np.float64], background: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the joints, (cells, 2, 2, ...), of `MAPS`, each (cells, ...)."""
@@ -216,7 +216,7 @@ class Hypotheses:
         self.belief = belief
         if not is_expected:
             means = [self.maps[name].mean(self.bins[name].log_prior) for name in MAPS]
-            self.belief = self.belief_of(joint_of(*means))
+            self.belief = self.make_belief(make_joint(*means))
 
     def _cluster(self, belief: Belief, clustering: Clustering) -> None:
         """Set up clustered hazards."""
@@ -269,7 +269,7 @@ class Hypotheses:
                 false_positive=values['false_positive'],
             )
 
-    def belief_of(self, joint: NDArray[np.float64]) -> Belief:
+    def make_belief(self, joint: NDArray[np.float64]) -> Belief:
         """Return the belief with these joints, without states that the prior excludes."""
         joint = np.where(self._prior.joint > 0.0, joint, 0.0)
         return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))

@@ -74,7 +74,7 @@ class Method(Protocol):
 def as_method(given: object) -> Method:
     """Return a method for the registry."""
     takes(given, ('belief', 'model', 'unknowns', 'seed'))
-    if dynamics := dynamics_of(given):
+    if dynamics := supported_dynamics(given):
         others = [kind for kind in dynamics if kind not in HAZARDS]
         if others:
             raise TypeError(
@@ -92,7 +92,7 @@ def as_method(given: object) -> Method:
     return cast(Method, given)
 
 
-def dynamics_of(method: object) -> tuple[str, ...]:
+def supported_dynamics(method: object) -> tuple[str, ...]:
     """Return the kinds of `Dynamics` that a method supports besides static hazards."""
     return tuple(getattr(method, 'dynamics', ()))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from kbnitp_ros.core.field.observation import Observation, Visits
 from kbnitp_ros.core.field.sensor import RobotType
-from kbnitp_ros.core.inference.filters import log_of, loss_weights, RATES, ratio
+from kbnitp_ros.core.inference.filters import loss_weights, RATES, ratio, safe_log
 import numpy as np
 from numpy.typing import NDArray
 
@@ -113,7 +113,7 @@ def assimilated(
             for shift in READING_SHIFTS
         ]
         chances = np.stack([moved.sum(axis=(1, 2)), target.sum(axis=1), *shifted])
-        return normalised(moved, joint), log_of(chances).sum(axis=1)
+        return normalised(moved, joint), safe_log(chances).sum(axis=1)
     # Of cells with so many visits before, (n, visits, particles): these survived, and then lost.
     spared = np.stack(
         [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
@@ -131,8 +131,8 @@ def assimilated(
     for count, power in enumerate(powers):
         after += elsewhere[:, count, None, None] * power
         after += inside[:, count, None, None] * then(power, steps.lose)
-    log_return = log_of(alive[np.arange(counts.size), counts]).sum(axis=0)
-    log_chances = np.stack([log_of(lost.sum(axis=0)), *[log_return] * (1 + len(READING_SHIFTS))])
+    log_return = safe_log(alive[np.arange(counts.size), counts]).sum(axis=0)
+    log_chances = np.stack([safe_log(lost.sum(axis=0)), *[log_return] * (1 + len(READING_SHIFTS))])
     return normalised(moved_by(after, joint), joint), log_chances
 
 

@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 Self = TypeVar('Self', bound='MissionRecord')
 
 # Bytes: maximum of pending reports, what a cut leaves of them, a report, a reading.
-MOST_PENDING = 50_000_000
+MAX_PENDING = 50_000_000
 LEFT_PENDING = 45_000_000
 REPORT, READING = 1000, 100
 
 # Maximum ratio of the steps of a robot's walk to those of its orders.
-LONGEST_WALK = 10
+MAX_WALK = 10
 
 
 class DeploymentKey(NamedTuple):
@@ -153,7 +153,7 @@ class MissionRecord:
         grid = self.grid.at(self.robot_type(key).base)
         return grid.check_path(path, self.most_steps(key))
 
-    def copy_pending_of(self, other: MissionRecord) -> None:
+    def copy_pending(self, other: MissionRecord) -> None:
         """Copy the pending reports of another record."""
         self._pending = {key: reports.copy() for key, reports in other._pending.items()}
         self.pending, self._pending_bytes = other.pending, other._pending_bytes
@@ -164,7 +164,7 @@ class MissionRecord:
         other.paths, other.outcomes = self.paths.copy(), self.outcomes.copy()
         other.path_contents = self.path_contents.copy()
         other.contradicted = self.contradicted.copy()
-        other.copy_pending_of(self)
+        other.copy_pending(self)
         return other
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
@@ -195,13 +195,15 @@ class MissionRecord:
             return False
         outcome = self._outcome(key, report)
         known = self.outcomes.get(key)
-        differs = known is not None and known != outcome and ending_of(known) == ending_of(outcome)
+        differs = (
+            known is not None and known != outcome and ending_key(known) == ending_key(outcome)
+        )
         if differs:
             self.contradicted[key] = (
                 f'reports of deployment {key} differ: that with more readings counts '
                 f'(do two robots have the name {key.agent}?)'
             )
-        if known is not None and rank_of(outcome) <= rank_of(known):
+        if known is not None and outcome_rank(outcome) <= outcome_rank(known):
             if differs:
                 raise ValueError(self.contradicted[key])
             self.duplicates += 1
@@ -221,8 +223,8 @@ class MissionRecord:
             return
         pending[report] = None
         self.pending += 1
-        self._pending_bytes += size_of(report)
-        if self._pending_bytes <= MOST_PENDING:
+        self._pending_bytes += report_size(report)
+        if self._pending_bytes <= MAX_PENDING:
             return
         before = self.pending
         # The sort is stable: earlier reports stay first.
@@ -233,14 +235,14 @@ class MissionRecord:
                 break
         raise ValueError(
             f'{before - self.pending} reports of deployments whose paths are not known, '
-            f'such as {by_distance[0]}: at most {MOST_PENDING // 10**6} MB of them are kept'
+            f'such as {by_distance[0]}: at most {MAX_PENDING // 10**6} MB of them are kept'
         )
 
     def _take_pending(self, key: DeploymentKey) -> list[Report]:
         """Return and remove the pending reports of a deployment."""
         reports = list(self._pending.pop(key, ()))
         self.pending -= len(reports)
-        self._pending_bytes -= sum(map(size_of, reports))
+        self._pending_bytes -= sum(map(report_size, reports))
         return reports
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
@@ -251,10 +253,10 @@ class MissionRecord:
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
         """Return the outcome of a report; raise ValueError if no robot can have made it."""
-        return observation_of(report, key, self.paths[key], self.grid, self.most_steps(key))
+        return make_observation(report, key, self.paths[key], self.grid, self.most_steps(key))
 
 
-def ending_of(outcome: Observation) -> tuple[bool, int, float, list[float]]:
+def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
     """Return how a deployment ended; the greater of two endings says more."""
     lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
     # The largest value is 1, so a smaller sum locates the loss more closely; without, all are
@@ -263,29 +265,29 @@ def ending_of(outcome: Observation) -> tuple[bool, int, float, list[float]]:
     return outcome.survived, outcome.steps_survived, located, lost_at
 
 
-def rank_of(outcome: Observation) -> tuple[Any, ...]:
+def outcome_rank(outcome: Observation) -> tuple[Any, ...]:
     """Return the rank of an outcome among those of a deployment; the greatest counts."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
     read = sum(each >= 0 for each in readings)
-    return ending_of(outcome), read, readings, outcome.path.tolist()
+    return ending_key(outcome), read, readings, outcome.path.tolist()
 
 
-def size_of(report: Report) -> int:
+def report_size(report: Report) -> int:
     """Return the approximate bytes of a report in memory."""
     return REPORT + READING * (len(report.readings) + len(report.lost_at))
 
 
-def observation_of(
+def make_observation(
     report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
 ) -> Observation:
     """Return the observation of a report on a path; ValueError if no robot can have made it."""
     read = [reading for _, reading in report.readings]
     walk = path
     if report.survived:
-        if len(read) > LONGEST_WALK * max_steps:
+        if len(read) > MAX_WALK * max_steps:
             raise ValueError(
                 f'readings of deployment {key} has {len(read)} values: at most '
-                f'{LONGEST_WALK} * max_steps = {LONGEST_WALK * max_steps} may be'
+                f'{MAX_WALK} * max_steps = {MAX_WALK * max_steps} may be'
             )
         try:
             base = int(path[0])

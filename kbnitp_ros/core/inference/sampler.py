@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 # Number of sweeps between two tests of convergence, and maximum for a deployment.
 SWEEPS = 4
-MOST_SWEEPS = 32
+MAX_SWEEPS = 32
 
 # Number of sweeps that take the chains into a clustered prior, and number averaged for its belief.
 PRIOR_SWEEPS = 64
@@ -47,7 +47,7 @@ CONVERGED_CLUSTERING = 1e-2
 TOLD_APART = 0.01
 
 # Maximum bytes of the chains, and bytes of a chain for each cell.
-MOST_MEMORY = 1 << 31
+MAX_MEMORY = 1 << 31
 BYTES = 48
 
 # Seeds are shared with the worlds of simulations, whose generators are keyed by seed and number.
@@ -77,10 +77,10 @@ class Sampler:
         clustering: Clustering | None = None,
     ) -> None:
         estimate = BYTES * CHAINS * belief.cells
-        if estimate > MOST_MEMORY:
+        if estimate > MAX_MEMORY:
             raise ValueError(
                 f'sampling {belief.cells} cells takes about {estimate / 1e9:.1f} GB, and '
-                f'{MOST_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
+                f'{MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
             )
         self._hypotheses = Hypotheses(belief, model, unknowns, clustering)
         self._seed = seed
@@ -112,7 +112,7 @@ class Sampler:
         for _ in range(PRIOR_SWEEPS):
             chains.sweep()
         joint, self.sampling_error = chains.joint()
-        self.belief, self._state = self._hypotheses.belief_of(joint), chains.state
+        self.belief, self._state = self._hypotheses.make_belief(joint), chains.state
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Assimilate one more deployment."""
@@ -127,7 +127,7 @@ class Sampler:
         converged = CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
         if 'coupling' in self._hypotheses.unknown:
             converged = CONVERGED_CLUSTERING
-        for _ in range(MOST_SWEEPS // SWEEPS):
+        for _ in range(MAX_SWEEPS // SWEEPS):
             for _ in range(SWEEPS):
                 chains.sweep()
             joint, error = chains.joint()
@@ -136,7 +136,7 @@ class Sampler:
         self._tally, self._state = tally, chains.state
         if self._hypotheses.prior_is_known:
             joint[~held] = self._hypotheses.belief.joint[~held]
-        self.belief = self._hypotheses.belief_of(joint)
+        self.belief = self._hypotheses.make_belief(joint)
         self.sampling_error, self.is_converged = error, error <= converged
         self.parameters = chains.learnt()
         self.model = chains.model()

@@ -26,8 +26,8 @@ from kbnitp_ros.core.planning.bound_kernels import (
 )
 from kbnitp_ros.core.planning.information import Candidate
 from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
-from kbnitp_ros.core.planning.labels import MAX_MEMORY, reach_of
-from kbnitp_ros.core.planning.objective import new_information, Objective, readings_of
+from kbnitp_ros.core.planning.labels import find_reach, MAX_MEMORY
+from kbnitp_ros.core.planning.objective import new_information, Objective, possible_readings
 from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 
@@ -72,7 +72,7 @@ def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: 
     log_safe = float(objective.model.log_survival[0])
     if exp(log_safe) == 0.0:
         return value + slack
-    reach, max_steps = reach_of(grid, options.max_steps, options.max_distance), options.max_steps
+    reach, max_steps = find_reach(grid, options.max_steps, options.max_distance), options.max_steps
     visits = min(options.max_visits, max_steps)
     added, survivable = visit_sums(objective.belief, objective.model, reach.cells, visits)
     counts = np.bincount(path[1:], minlength=grid.cells)[reach.cells]
@@ -138,7 +138,7 @@ def visit_sums(
     p_log_p = times_log(np.exp(log_power), log_power)
     spread = (1.0 - hazard) * p_log_p[:, 0] + hazard * p_log_p[:, 1]
     w = np.divide(spread, np.exp(log_mean), out=np.zeros_like(spread), where=alive)
-    readings = readings_of(model, max_visits, ())
+    readings = possible_readings(model, max_visits, ())
     nothing_read = np.ones((cells.size, 1))
     w[:, 1:] += new_information(readings, belief.joint[cells], nothing_read)
     added = np.stack([w, -log_mean, -log_square], axis=-1)

@@ -182,7 +182,7 @@ def parabola(q: float, p0: float) -> Any:
 
 
 @compiled
-def entropy_of(p: float) -> float:
+def coin_entropy(p: float) -> float:
     """Return h(p)."""
     return surprisal(p) + surprisal(1.0 - p)
 
@@ -193,7 +193,7 @@ def value_at(region: Region, survival: float, ratio: float) -> float:
     square = power(survival, ratio)
     c0, c1, c2 = parabola(region.safest, touching_point(region, survival, square))
     linear = greatest_sum(region, survival, ratio) + c1 + region.loss_cost
-    value: float = entropy_of(survival) + survival * linear + c0 + c2 * square
+    value: float = coin_entropy(survival) + survival * linear + c0 + c2 * square
     return value - region.loss_cost
 
 
@@ -204,7 +204,7 @@ def next_cut(region: Region, survival: float, ratio: float, total: float, value:
     c0, c1, c2 = parabola(region.safest, touching_point(region, survival, square))
     of_r = log((1.0 - survival) / survival) + total + c1 + region.loss_cost
     of_r2 = c2 * square / survival
-    rest = entropy_of(survival) + c0 + c2 * square - region.loss_cost
+    rest = coin_entropy(survival) + c0 + c2 * square - region.loss_cost
     return of_r, of_r2, (value - rest) / survival - c1 - region.loss_cost
 
 

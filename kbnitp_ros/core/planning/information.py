@@ -18,9 +18,9 @@ from kbnitp_ros.core.planning.objective import (
     new_information,
     nobody_deployed,
     Objective,
-    readings_of,
+    possible_readings,
 )
-from kbnitp_ros.core.planning.options import beta_of, SHANNON
+from kbnitp_ros.core.planning.options import prelec_beta, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -148,7 +148,7 @@ def information_and_survival(
     hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
     log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
     survival = np.exp(log_survival.sum(axis=1))
-    readings = readings_of(model, int(visits.counts.max()), outcomes.most_readings)
+    readings = possible_readings(model, int(visits.counts.max()), outcomes.most_readings)
     exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
     added = new_information(readings, joint, earlier, alpha)
     added = added[:, np.arange(visits.cells.size), visits.counts - 1]
@@ -158,7 +158,7 @@ def information_and_survival(
         outcome, open_outcome = binary_entropy(survival), left_open(exposures)
     else:
         outcome = behavioral_entropy(survival, alpha)
-        open_outcome = outcome_left_open(exposures, alpha, beta_of(alpha))
+        open_outcome = outcome_left_open(exposures, alpha, prelec_beta(alpha))
     of_each = outcome + survival * added.sum(axis=1) - open_outcome
     return float((outcomes.probability * of_each).sum()), survival
 

@@ -26,8 +26,8 @@ from kbnitp_ros.core.planning.objective import (
     EXPONENTS,
     new_information,
     Objective,
+    possible_readings,
     powers_weights,
-    readings_of,
 )
 from kbnitp_ros.core.planning.options import SearchOptions, SHANNON
 import numpy as np
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 # A mission plans for one or a few bases all the time.
 @lru_cache(maxsize=8)
-def reach_of(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
+def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     """Return the reach of paths within `max_steps` and `max_distance`."""
     cells = np.flatnonzero(grid.in_reach(max_steps, max_distance))
     distance = grid.steps_to_base[cells]
@@ -63,19 +63,19 @@ def reach_of(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     )
 
 
-def gains_of(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
+def visit_gains(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
     """Return the gains of visits in `cells`, shape (n,)."""
     model, outcomes, alpha = objective.model, objective.outcomes, objective.alpha
     visits = np.arange(max_visits + 1)
     belief, hazard = objective.belief, objective.belief.hazard[cells]
     log_survival = log_predicted_survival(hazard[:, None], visits, model.log_survival)
     log_survival = log_survival[None].repeat(outcomes.probability.size, 0)
-    readings = readings_of(model, max_visits, outcomes.most_readings)
+    readings = possible_readings(model, max_visits, outcomes.most_readings)
     nothing_read = np.zeros((cells.size, outcomes.states))
     nothing_read[:, 0] = 1.0
     read = np.zeros(log_survival.shape)
     read[..., 1:] = new_information(readings, belief.joint[cells], nothing_read, alpha)
-    here, there = outcomes.places_of(cells)
+    here, there = outcomes.find_places(cells)
     if here.size:
         joint = outcomes.joint[:, there]
         log_survival[:, here] = log_predicted_survival(
@@ -153,7 +153,7 @@ class LabelSearch:
         max_visits = min(options.max_visits, max_steps)
         self._objective, self._width = objective, max(1, width // 4)
         outcomes = objective.outcomes.probability
-        self.reach = reach_of(grid, max_steps, options.max_distance)
+        self.reach = find_reach(grid, max_steps, options.max_distance)
         earlier = objective.outcomes.states
         # States of readings with the visits of one more robot.
         own = dict(objective.outcomes.most_readings).get(Camera.of(objective.model), 0) + 1
@@ -161,7 +161,7 @@ class LabelSearch:
         weights = powers_weights(objective.alpha, outcomes)
         powers = weights.size
         check_memory(self.reach, options, width, outcomes.size, earlier, further, powers)
-        gains = gains_of(objective, self.reach.cells, max_visits)
+        gains = visit_gains(objective, self.reach.cells, max_visits)
         self.problem = LabelProblem(
             self.reach,
             scattered(self.reach.cells.size, 62 - max_steps.bit_length()),

@@ -14,7 +14,7 @@ from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
 from kbnitp_ros.core.inference.filters import condition, lost_likelihood
 from kbnitp_ros.core.planning.information_kernels import coin, new_readings, Readings
-from kbnitp_ros.core.planning.options import beta_of, SearchOptions, SHANNON
+from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -40,8 +40,8 @@ ERROR = 1.95e-5
 # Maximum number of different cameras planned for together, and of ways in which readings may be
 # shared among them. With different cameras, further readings of a cell by one of them count as the
 # last one that is counted, which loses next to nothing.
-MOST_CAMERAS = 6
-MOST_WAYS = 1024
+MAX_CAMERAS = 6
+MAX_WAYS = 1024
 
 
 class Camera(NamedTuple):
@@ -62,20 +62,20 @@ Most = tuple[tuple[Camera, int], ...]
 
 def most_counted(cameras: int) -> int | None:
     """Return how many readings of a cell by each camera are counted; None for all."""
-    return None if cameras < 2 else int(MOST_WAYS ** (1.0 / cameras)) - 1
+    return None if cameras < 2 else int(MAX_WAYS ** (1.0 / cameras)) - 1
 
 
 def check_cameras(cameras: int) -> None:
     """Check that so many different cameras can be planned for."""
-    if cameras > MOST_CAMERAS:
+    if cameras > MAX_CAMERAS:
         raise ValueError(
             f'the robots have {cameras} different cameras: paths can be planned for at most '
-            f'{MOST_CAMERAS}, by true_positive and false_positive, at a time'
+            f'{MAX_CAMERAS}, by true_positive and false_positive, at a time'
         )
 
 
 @lru_cache(maxsize=8)
-def readings_of(model: SensorModel, visits: int, earlier: Most) -> Readings:
+def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Readings:
     """Return the possible outcomes of up to `visits` readings and those of others before."""
     own = Camera.of(model)
     most = dict(earlier)
@@ -118,7 +118,7 @@ def new_information(
         np.ascontiguousarray(joint).reshape(-1, 2, 2),
         np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
         alpha,
-        beta_of(alpha),
+        prelec_beta(alpha),
         found.reshape(-1, found.shape[-1]),
     )
     return found
@@ -138,7 +138,7 @@ def positives(camera: Camera, most: int) -> NDArray[np.float64]:
 
 # Maximum number of joint outcomes tracked, each robot doubling them; the least probable are
 # merged.
-MOST_OUTCOMES = 16
+MAX_OUTCOMES = 16
 
 # Minimum probability of a joint outcome: less decides nothing, and runs out of digits.
 NEGLIGIBLE = 1e-15
@@ -181,12 +181,12 @@ class JointOutcomes:
         readings[:, :, 0] = 1.0
         if not self.cells.size:
             return joint, readings
-        here, there = self.places_of(cells)
+        here, there = self.find_places(cells)
         joint[:, here] = self.joint[:, there]
         readings[:, here] = self.readings[:, there].reshape(outcomes, there.size, self.states)
         return joint, readings
 
-    def places_of(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def find_places(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the positions of common cells, in `cells`, shape (k,), and in its own."""
         there = np.searchsorted(self.cells, cells)
         here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
@@ -261,10 +261,10 @@ def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.floa
 
 
 def _merged(outcomes: JointOutcomes) -> JointOutcomes:
-    """Return at most `MOST_OUTCOMES`, averaging the last ones (:eq:`merged-outcomes`)."""
-    if outcomes.probability.size <= MOST_OUTCOMES:
+    """Return at most `MAX_OUTCOMES`, averaging the last ones (:eq:`merged-outcomes`)."""
+    if outcomes.probability.size <= MAX_OUTCOMES:
         return outcomes
-    alone = MOST_OUTCOMES - 1
+    alone = MAX_OUTCOMES - 1
     weights = outcomes.probability[alone:]
     joint, readings = (
         np.concatenate([each[:alone], np.average(each[alone:], axis=0, weights=weights)[None]])
@@ -282,12 +282,12 @@ BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float64]:
     """Return the behavioral entropy of a coin (:eq:`behavioral-entropy`)."""
     p = np.asarray(probability, dtype=np.float64)
-    beta = beta_of(alpha)
+    beta = prelec_beta(alpha)
     entropy = [coin(each, 1.0 - each, alpha, beta) for each in p.ravel().tolist()]
     return np.array(entropy, dtype=np.float64).reshape(p.shape)
 
 
-def powers_of(alpha: float, outcomes: int) -> int:
+def count_powers(alpha: float, outcomes: int) -> int:
     """Return the number of powers in the labels of a search with so many outcomes."""
     return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
 
@@ -296,12 +296,12 @@ def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.floa
     """Return the weights of a label's powers in the entropy of its outcome."""
     if alpha == SHANNON:
         return WEIGHTS
-    entropy, rest = weights_of(alpha)
+    entropy, rest = fit_weights(alpha)
     return np.concatenate([entropy, *(-each * rest for each in chance)])
 
 
 @lru_cache(maxsize=16)
-def weights_of(alpha: float) -> NDArray[np.float64]:
+def fit_weights(alpha: float) -> NDArray[np.float64]:
     """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
     # The first exponents sum to h(p), the others to h(p) + (1 - p) ln(1 - p), which a label search
     # does not add by itself.

@@ -30,7 +30,7 @@ SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
 
 
-def beta_of(alpha: float) -> float:
+def prelec_beta(alpha: float) -> float:
     """Return the beta of a Prelec weight that keeps 1/2 (:eq:`behavioral-entropy`)."""
     return float(log(2.0) ** (1.0 - alpha))
 

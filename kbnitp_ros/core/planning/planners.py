@@ -18,13 +18,13 @@ from kbnitp_ros.core.field.check import in_short, typed_fields, Value
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.planning.information import Candidate
 from kbnitp_ros.core.planning.label_kernels import Reach
-from kbnitp_ros.core.planning.labels import best_paths, check_memory, reach_of
+from kbnitp_ros.core.planning.labels import best_paths, check_memory, find_reach
 from kbnitp_ros.core.planning.objective import (
     check_cameras,
+    count_powers,
+    MAX_OUTCOMES,
     most_counted,
-    MOST_OUTCOMES,
     Objective,
-    powers_of,
 )
 from kbnitp_ros.core.planning.options import PLANNERS, SearchOptions
 import numpy as np
@@ -86,7 +86,7 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
 ATTEMPTS = 100
 
 # Maximum bytes for counting the ways home.
-MOST_MEMORY = 1 << 30
+MAX_MEMORY = 1 << 30
 
 
 def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -133,10 +133,10 @@ def one_walk(
 def check_walk_memory(reach: Reach) -> None:
     """Check that the ways home fit in memory."""
     estimate = 8 * reach.within.size * reach.cells.size
-    if estimate > MOST_MEMORY:
+    if estimate > MAX_MEMORY:
         raise ValueError(
             f'random walks of max_steps = {reach.within.size - 1} take about {estimate / 1e9:.1f} '
-            f'GB, and {MOST_MEMORY / 1e9:.1f} GB are allowed: lower it'
+            f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: lower it'
         )
 
 
@@ -252,21 +252,21 @@ class PathFinder(Value):
         check_cameras(cameras)
         options = self.options
         if options.planner == 'random':
-            check_walk_memory(reach_of(self.grid, options.max_steps, options.max_distance))
+            check_walk_memory(find_reach(self.grid, options.max_steps, options.max_distance))
         if width := LABELS.get(options.planner):
             before = robots - 1
             # Limited, to avoid huge powers of two.
-            outcomes = 2 ** min(before, MOST_OUTCOMES.bit_length() - 1)
+            outcomes = 2 ** min(before, MAX_OUTCOMES.bit_length() - 1)
             visits = min(options.max_visits, options.max_steps)
             counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
             check_memory(
-                reach_of(self.grid, options.max_steps, options.max_distance),
+                find_reach(self.grid, options.max_steps, options.max_distance),
                 options,
                 width(options),
                 outcomes,
                 earlier=counts**cameras,
                 further=counts ** (cameras - 1) * (counts + visits),
-                powers=powers_of(options.alpha, outcomes),
+                powers=count_powers(options.alpha, outcomes),
             )
 
 
@@ -304,7 +304,7 @@ def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk, the same for the same belief and earlier visits."""
-    reach = reach_of(finder.grid, finder.options.max_steps, finder.options.max_distance)
+    reach = find_reach(finder.grid, finder.options.max_steps, finder.options.max_distance)
     check_walk_memory(reach)
     known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
     rng = np.random.default_rng(np.frombuffer(known, dtype='<u4'))

@@ -18,7 +18,7 @@ from kbnitp_ros.core.planning.information import (
     information_and_survival,
     team_information,
 )
-from kbnitp_ros.core.planning.labels import reach_of
+from kbnitp_ros.core.planning.labels import find_reach
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     Camera,
@@ -155,7 +155,7 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
             f'planner is {options.planner}, which seeks no information, so its plans have no '
             'bound: choose the planner beam or relaxed, or plan without a bound'
         )
-    check_bound(reach_of(grid, options.max_steps, options.max_distance), options, robots)
+    check_bound(find_reach(grid, options.max_steps, options.max_distance), options, robots)
 
 
 @dataclass(frozen=True, eq=False)

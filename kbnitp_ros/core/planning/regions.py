@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def regions_of(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
+def nested_regions(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
     """Return the region of a path, and smaller ones in its place."""
     cells = np.unique(np.asarray(path, dtype=np.intp))
     steps = grid.at(int(np.asarray(path)[0])).steps_to_base
@@ -60,7 +60,7 @@ def keepout_cells(
     for paths in rounds:
         sizes = [
             np.unique(np.concatenate(each))
-            for each in zip(*(regions_of(grid, path) for path in paths))
+            for each in zip(*(nested_regions(grid, path) for path in paths))
         ]
         for cells in (*(np.union1d(kept, size) for size in sizes), *sizes, kept[:0]):
             *of_each, of_all = left(cells).tolist()

@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.files import installed
 
 WIDTH = 90
@@ -72,7 +72,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
 
 def node_parser(name: str, description: str) -> argparse.ArgumentParser:
     """Return the parser of a node, whose help lists its parameters."""
-    table = parameters_of(name).values()
+    table = node_parameters(name).values()
     parser = command_parser(
         name,
         description,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kbnitp_ros.configuration import NODES, Parameter, parameter_of, parameters_of
+from kbnitp_ros.configuration import find_parameter, node_parameters, NODES, Parameter
 from kbnitp_ros.configuration.known import check_known, check_own
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -25,11 +25,11 @@ CLOCK = 'use_sim_time'
 
 def declare(node: Node, name: str) -> dict[str, Any]:
     """Declare the parameters of the node called `name` and return their values."""
-    mine = parameters_of(name)
+    mine = node_parameters(name)
     values = {parameter.name: parameter.default for parameter in mine.values()}
     # rclpy has no other way to list given parameters that are not declared.
     for given, override in node._parameter_overrides.items():
-        if parameter := parameter_of(name, given):
+        if parameter := find_parameter(name, given):
             mine[given] = parameter
             values[given] = parameter.check(override.value)
         elif given != TOPICS:
@@ -42,7 +42,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         node.declare_parameter(
             parameter.name,
             value if parameter.element is None else list(value),
-            descriptor_of(parameter),
+            parameter_descriptor(parameter),
             ignore_override=True,
         )
 
@@ -85,7 +85,7 @@ def state(node: Node, names: Mapping[str, str]) -> None:
     node.declare_parameter(TOPICS, stated, descriptor, ignore_override=True)
 
 
-def descriptor_of(parameter: Parameter) -> ParameterDescriptor:
+def parameter_descriptor(parameter: Parameter) -> ParameterDescriptor:
     """Return the descriptor that `ros2 param describe` shows."""
     is_in_range = parameter.limits is not None and parameter.off is None
     descriptor = ParameterDescriptor(

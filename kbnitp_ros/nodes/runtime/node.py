@@ -11,7 +11,7 @@ import traceback
 from typing import Any, TypeVar
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
-from kbnitp_ros.configuration import grid_of
+from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import Roles
@@ -43,7 +43,7 @@ POLL = 0.05
 # Seconds that a message waits for another one that it refers to, and the maximum number of waiting
 # messages: DDS keeps the order within one topic alone.
 PATIENCE = 2.0
-MOST_EARLY = 20
+MAX_EARLY = 20
 
 # After a look at the graph, the node pauses looking for so many times as long as it took.
 REST = 4.0
@@ -324,7 +324,7 @@ class FieldNode(MissionNode):
             self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
             self.spin_until(lambda: self._grid is not None)
         else:
-            self._grid = grid_of(self.values)
+            self._grid = make_grid(self.values)
 
     @property
     def grid(self) -> Grid:
@@ -339,7 +339,7 @@ class FieldNode(MissionNode):
 
     def _on_map(self, message: OccupancyGrid) -> None:
         try:
-            grid = grid_of(self.values, Map(*read_map_message(message)))
+            grid = make_grid(self.values, Map(*read_map_message(message)))
             if self._grid not in (None, grid):
                 raise ValueError(
                     'the map has changed: this mission goes on with the one that it began with; '
@@ -364,7 +364,7 @@ class Early:
         """Keep a message; return False if its time is over, or if too many wait."""
         now = time.monotonic()
         deadline = now + PATIENCE if deadline is None else deadline
-        is_kept = now < deadline and len(self._waiting) < MOST_EARLY
+        is_kept = now < deadline and len(self._waiting) < MAX_EARLY
         if is_kept:
             self._waiting.append((*message, deadline))
         return is_kept

@@ -193,7 +193,7 @@ def test_cheapest_ways_cost_least_of_all_ways(seed):
             least = min(cost[list(each[1:])].sum() for each in all_ways)
             assert cost[way[1:]].sum() == pytest.approx(least)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lanes, 'MOST_TOGETHER', 1)
+        patch.setattr(lanes, 'MAX_TOGETHER', 1)
         one_by_one = lanes.cheapest_lanes(Grid(3, 3), costs, 0, to, limits)
     assert [[*map(tuple, each)] for each in one_by_one] == [[*map(tuple, each)] for each in found]
 

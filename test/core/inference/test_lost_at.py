@@ -146,7 +146,7 @@ def test_sampling_takes_missions_in(seed):
 @pytest.mark.slow
 @for_each('seed', [63, 291, 267, 53], every=4)
 def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
-    monkeypatch.setattr(sampler, 'MOST_SWEEPS', 512)
+    monkeypatch.setattr(sampler, 'MAX_SWEEPS', 512)
     monkeypatch.setattr(sampler, 'CONVERGED', 0.0)
     assert divergence_of_sampling(*mission(seed)) < 1e-4
 

@@ -10,7 +10,7 @@ from itertools import product
 import brute_force
 from documented import ROOT
 from extent import FULL
-from kbnitp_ros.configuration import parameters_of
+from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.configuration.mission import search_options
 from kbnitp_ros.core import (
     Belief,
@@ -209,7 +209,7 @@ def test_a_plan_cannot_be_changed():
 
 OPTIONS = {field.name: field for field in fields(SearchOptions)}
 NAMES = {name: 'beam_width' if name == 'width' else name for name in OPTIONS}
-ROWS = {option: parameters_of('planner')[name] for option, name in NAMES.items()}
+ROWS = {option: node_parameters('planner')[name] for option, name in NAMES.items()}
 
 
 def restated(source):

@@ -6,9 +6,9 @@ from itertools import pairwise, product
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import Belief, Grid, ORDINARY, plan, SensorModel
-from kbnitp_ros.core.planning.labels import reach_of
+from kbnitp_ros.core.planning.labels import find_reach
 from kbnitp_ros.core.planning.planners import count_visits, random_walk
-from kbnitp_ros.core.planning.regions import keepout_cells, regions_of, without
+from kbnitp_ros.core.planning.regions import keepout_cells, nested_regions, without
 from laws import for_each
 import numpy as np
 import pytest
@@ -25,9 +25,9 @@ def test_a_region_is_the_far_half_of_a_path_or_a_part_of_it():
     line = Grid(9, 1)
     regions = [[4, 5, 6, 7], [4, 5, 6], [5, 6, 7], [6]]
     there = [0, 1, 2, 3, 4, 5, 6]
-    assert [each.tolist() for each in regions_of(line, [*there, *there[-2::-1]])] == regions
+    assert [each.tolist() for each in nested_regions(line, [*there, *there[-2::-1]])] == regions
     # A robot that stays at the base is sent nowhere.
-    assert [each.tolist() for each in regions_of(line, [0, 0])] == [[], [], [1], []]
+    assert [each.tolist() for each in nested_regions(line, [0, 0])] == [[], [], [1], []]
 
 
 @settings(deadline=None, max_examples=50)
@@ -40,7 +40,7 @@ def test_the_near_half_stays_open(data):
         cells.append(int(data.draw(st.sampled_from(sorted(grid.neighbors(cells[-1]))))))
     steps = grid.steps_to_base
     farthest = steps[cells].max()
-    regions = [set(each.tolist()) for each in regions_of(grid, [*cells, *cells[-2::-1]])]
+    regions = [set(each.tolist()) for each in nested_regions(grid, [*cells, *cells[-2::-1]])]
     assert all(2 * steps[cell] > farthest for region in regions for cell in region)
     whole, half, end, cell = regions
     assert half == {each for each in cells if each and 2 * steps[each] > farthest}
@@ -139,7 +139,7 @@ def test_random_walks_are_uniform():
         if all(b in grid.neighbors(a) for a, b in pairwise((1, *walk, 1)))
     ]
     rng = np.random.default_rng(1)
-    reach, draws = reach_of(grid, 4), 100 * len(walks)
+    reach, draws = find_reach(grid, 4), 100 * len(walks)
     drawn = [tuple(random_walk(reach, 4, rng)[1:-1].tolist()) for _ in range(draws)]
     counts = np.array([drawn.count(walk) for walk in walks])
     assert counts.sum() == draws
@@ -150,7 +150,7 @@ def test_random_walks_are_uniform():
 
 @for_each('max_visits', [1, 2])
 def test_random_walks_enter_no_cell_too_often(max_visits):
-    reach = reach_of(WALLED, 12)
+    reach = find_reach(WALLED, 12)
     rng = np.random.default_rng(2)
     for _ in range(20):
         walk = WALLED.check_path(random_walk(reach, max_visits, rng), 12)

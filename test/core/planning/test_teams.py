@@ -112,7 +112,7 @@ def test_what_may_have_happened_averages_to_what_is_believed(seed):
     for _ in range(7):
         path = brute_force.random_path(rng, 6, 5, 8, 6)
         after = joint_outcomes.after_deployment(after, model, path)
-    assert after.probability.size <= joint_outcomes.MOST_OUTCOMES
+    assert after.probability.size <= joint_outcomes.MAX_OUTCOMES
     assert after.probability.sum() == pytest.approx(1, abs=1e-9)
     joint, _ = after.of_cells(np.arange(belief.cells))
     hazard = after.probability @ joint[:, :, 1].sum(axis=-1)
@@ -124,7 +124,7 @@ def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
     belief = random_belief(seed)
     paths = [p.path for p in plan_round(GRID, belief, MODEL, 8, 7, 'voronoi', 'relaxed')]
     merged = team_information(belief, MODEL, paths)
-    monkeypatch.setattr(joint_outcomes, 'MOST_OUTCOMES', 256)
+    monkeypatch.setattr(joint_outcomes, 'MAX_OUTCOMES', 256)
     assert merged == pytest.approx(team_information(belief, MODEL, paths), rel=0.03)
 
 
@@ -360,7 +360,7 @@ def test_many_readings_by_cameras_that_differ_count_up_to_a_number(monkeypatch):
     belief, kinds = random_belief(1), [RobotType(), KEEN] * 4
     paths = [each.path for each in plan_round(GRID, belief, MODEL, 6, 8)]
     all_counted = team_information(belief, MODEL, paths, robot_types=kinds)
-    monkeypatch.setattr(readings, 'MOST_WAYS', 5**2)
+    monkeypatch.setattr(readings, 'MAX_WAYS', 5**2)
     after = nobody_deployed(belief)
     for path, kind in zip(paths, kinds):
         after = after_deployment(after, kind.model(MODEL), path)

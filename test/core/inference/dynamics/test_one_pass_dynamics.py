@@ -18,7 +18,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.unknowns import joint_after_moves, neighbors_to_move_to
-from kbnitp_ros.core.inference.methods import dynamics_of
+from kbnitp_ros.core.inference.methods import supported_dynamics
 from laws import for_each
 import numpy as np
 import pytest
@@ -110,7 +110,9 @@ def test_no_rates_are_static_hazards(method):
 def test_a_method_refuses_dynamics_that_it_does_not_support(method):
     prior = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     for dynamics in (Dynamics('changing', 0.1, 0.1), Dynamics('used_up')):
-        able = [name for name, each in METHODS.items() if dynamics.kind in dynamics_of(each)]
+        able = [
+            name for name, each in METHODS.items() if dynamics.kind in supported_dynamics(each)
+        ]
         if method in able:
             Estimator(prior, SensorModel(0.5), method, dynamics=dynamics)
             continue

@@ -120,7 +120,7 @@ def converge_at(monkeypatch, error, most):
     """Set the error at which sampling stops, and its maximum number of sweeps."""
     monkeypatch.setattr(sampler, 'CONVERGED', error)
     monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', error)
-    monkeypatch.setattr(sampler, 'MOST_SWEEPS', most)
+    monkeypatch.setattr(sampler, 'MAX_SWEEPS', most)
 
 
 @pytest.mark.slow

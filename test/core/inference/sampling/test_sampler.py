@@ -151,7 +151,7 @@ def test_a_number_is_learnt_as_by_enumeration(name, cells, seed, monkeypatch):
     unknowns = Unknowns(**{name: EVERYTHING[name]})
     estimator = Estimator(Belief(joint), model, METHOD, unknowns)
     for number, deployment in enumerate(seen, 1):
-        monkeypatch.setattr(sampler, 'MOST_SWEEPS', 400 if number == len(seen) else 4)
+        monkeypatch.setattr(sampler, 'MAX_SWEEPS', 400 if number == len(seen) else 4)
         estimator.assimilate(observed(*deployment))
     learnt = estimator.parameters[name]
     weights, after = posterior(joint, model, seen, name, learnt.bins)
@@ -253,9 +253,9 @@ def test_more_sweeps_converge_to_the_exact_posterior(monkeypatch):
         away, said = [], []
         # The estimate varies as much as its error, so a comparison takes many missions.
         for seed in range(20 if FULL else 12):
-            monkeypatch.setattr(sampler, 'MOST_SWEEPS', 4)
+            monkeypatch.setattr(sampler, 'MAX_SWEEPS', 4)
             estimator = assimilated(ENTROPIC, model, observations[:-1], seed=seed)
-            monkeypatch.setattr(sampler, 'MOST_SWEEPS', sweeps)
+            monkeypatch.setattr(sampler, 'MAX_SWEEPS', sweeps)
             estimator.assimilate(observations[-1])
             away.append(divergence(exact, estimator.belief.joint))
             said.append(estimator.sampling_error)
@@ -374,7 +374,7 @@ from hashlib import sha256
 from kbnitp_ros.core import Belief, Estimator, Grid, Observation, SensorModel, Unknowns
 from kbnitp_ros.core.inference import sampler
 
-sampler.MOST_SWEEPS = 4
+sampler.MAX_SWEEPS = 4
 everything = {name: (0.1, 0.9) for name in Unknowns.__dataclass_fields__}
 digest = sha256()
 for unknowns in (Unknowns(), Unknowns(**everything)):
