@@ -137,11 +137,11 @@ def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
     """Check that no argument of this file is misspelt; a file that includes it has its own."""
     known = context.get_locals_as_dict()
     ours = Path(known['current_launch_file_path']).resolve()
-    for each in getattr(known['event'], 'launch_description', LaunchDescription()).entities:
-        if not isinstance(each, IncludeLaunchDescription):
+    for entity in getattr(known['event'], 'launch_description', LaunchDescription()).entities:
+        if not isinstance(entity, IncludeLaunchDescription):
             continue
-        is_ours = Path(each.launch_description_source.location).resolve() == ours
-        for name in (str(name) for name, _ in each.launch_arguments if is_ours):
+        is_ours = Path(entity.launch_description_source.location).resolve() == ours
+        for name in (str(name) for name, _ in entity.launch_arguments if is_ours):
             if name not in names and (meant := nearest(name, names)):
                 raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
 

@@ -62,8 +62,8 @@ def main() -> None:
         left: set[Future[None]] = {processes.submit(each) for each in CALLS}
         while left:
             done, left = wait(left, timeout=1.0)
-            for each in done:
-                each.result()
+            for job in done:
+                job.result()
             compiled = len([*cache_folder().rglob('*.nbi')])
             print(f'compiling {min(compiled, kernels)} of {kernels} kernels', flush=True)
 

@@ -82,9 +82,9 @@ def set_parameter(
     nodes = [node] if of_one else [*parameters]
     try:
         check_known(name, nodes)
-        for each in nodes:
-            if parameter := find_parameter(each, name):
-                parameters[each][name] = parameter.read(text)
+        for owner in nodes:
+            if parameter := find_parameter(owner, name):
+                parameters[owner][name] = parameter.read(text)
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
 

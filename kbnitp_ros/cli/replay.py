@@ -141,8 +141,8 @@ def lines(report: ReplayReport) -> Iterator[str]:
 
 def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Iterator[str]:
     """Yield the first findings, and a line that counts the others."""
-    for each in found[:most]:
-        yield f'{what}: {each}'
+    for finding in found[:most]:
+        yield f'{what}: {finding}'
     if len(found) > most:
         yield f'{what}: {len(found) - most} more'
 

@@ -65,8 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         complain('report', error)
         return 2
     corrupt = [found for mission in missions for found in mission.corrupt]
-    for each in corrupt:
-        complain('report', each)
+    for broken in corrupt:
+        complain('report', broken)
     return 2 if corrupt else 0
 
 
@@ -77,9 +77,9 @@ def report(log: Path, folder: Path, note: str = '', namespace: str | None = None
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
         left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
     say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
-    for each in (*mission.notes, left_out):
-        if each:
-            say(each)
+    for note in (*mission.notes, left_out):
+        if note:
+            say(note)
     return mission
 
 

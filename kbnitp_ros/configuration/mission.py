@@ -87,8 +87,8 @@ def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOp
     """Check that the goal can be reached, and that the stops can end the mission."""
     goal = make_goal(values, grid)
     make_stop(values).check(goal, values['robots'])
-    for each in options:
-        check_sought(goal, each, values['bound'])
+    for search in options:
+        check_sought(goal, search, values['bound'])
     if goal is not None:
         goal.check(grid, values['max_steps'])
 
@@ -115,8 +115,8 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
     check_goal(values, grid, [options.of_type(each) for each in types])
     check_team(PathFinder(grid, options), types)
     if values['bound']:
-        for each in types:
-            check_bounded(grid.at(each.base), options.of_type(each), len(types))
+        for robot_type in types:
+            check_bounded(grid.at(robot_type.base), options.of_type(robot_type), len(types))
 
 
 MAPS = ('hazard', 'target', 'kappa')

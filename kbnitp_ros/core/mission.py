@@ -111,7 +111,7 @@ class Truth:
 @dataclass(frozen=True)
 class Learning:
     """
-    What a mission learns besides the maps: numbers and kinds of hazards.
+    The unknowns that a mission learns besides the maps: numbers and kinds of hazards.
 
     Attributes
     ----------

@@ -269,20 +269,22 @@ def copy(recorded: Iterable[Recorded], target: Path, name: str, compression: str
     part.contents.name = name
     metadata: dict[str, dict[str, str]] = {}
     try:
-        for each in recorded:
-            if isinstance(each, RecordedMessage):
-                schema = each.schema
+        for record in recorded:
+            if isinstance(record, RecordedMessage):
+                schema = record.schema
                 channel = part.add_channel(
-                    each.channel.topic,
-                    each.channel.message_encoding,
+                    record.channel.topic,
+                    record.channel.message_encoding,
                     Definition(schema.name, schema.encoding, schema.data),
-                    each.channel.metadata,
+                    record.channel.metadata,
                 )
-                part.write(channel, each.data, each.log_time, each.publish_time, each.sequence)
-            elif each.name != BAG_RECORD and metadata.get(each.name) != each.values:
+                part.write(
+                    channel, record.data, record.log_time, record.publish_time, record.sequence
+                )
+            elif record.name != BAG_RECORD and metadata.get(record.name) != record.values:
                 # Each part has all of them.
-                metadata[each.name] = each.values
-                part.add_metadata(each.name, each.values)
+                metadata[record.name] = record.values
+                part.add_metadata(record.name, record.values)
         part.finish()
     except BaseException:
         part.abandon()

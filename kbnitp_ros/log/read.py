@@ -28,7 +28,7 @@ from mcap_ros2.decoder import DecoderFactory
 # Bytes of a record.
 MAX_RECORD = 2**30
 
-# What other files than MCAP start with, and what to do with them.
+# First bytes of other files than MCAP, and what to do with them.
 SQLITE_MAGIC = b'SQLite format 3\0'
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 REMEDIES = {
@@ -52,7 +52,7 @@ NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
 RUN = 'run'
 PARAMETERS = 'parameters'
 
-# Parameters of 0.3.0 by the start of their names, and how they are called now.
+# New names of parameters of 0.3.0, by the start of the old ones.
 RENAMED = {r'goal$': 'goal.kind', r'learn$': 'learn.numbers', r'robots\.(?=\w+\.)': 'team.'}
 
 
@@ -65,12 +65,12 @@ class RecordedMessage(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
-    # Where its record ends, bytes.
+    # End of its record, bytes.
     position: int
 
 
 class RecordedMetadata(NamedTuple):
-    """A record of named values."""
+    """A metadata record."""
 
     name: str
     values: dict[str, str]
@@ -86,20 +86,20 @@ class LoggedMessage:
 
     # Full name.
     topic: str
-    # Which of the topic's messages it is, from 0.
+    # Index of the message in its topic.
     index: int
     # As 'nav_msgs/msg/Path'.
     type_name: str
     # Times of receiving and sending.
     log_time: int
     publish_time: int
-    # Where its record ends in the log, bytes, earlier parts counted.
+    # End of its record in the log, bytes, with earlier parts.
     position: int
     # The CDR bytes.
     data: bytes
-    # Has the fields of its type, as the file defines it.
+    # An object with the fields of its type, as the file defines it.
     message: Any
-    # What it says, where that was read by the role of its topic.
+    # Its content, converted by the role of its topic.
     said: Any = None
 
 
@@ -110,7 +110,7 @@ def read_log(
     topics: Collection[str] | None = None,
 ) -> Iterator[LoggedMessage]:
     """
-    Yield the messages of these types and topics in the order in which they were written.
+    Yield the messages of these types and topics in recorded order.
 
     A cut part yields what is before the cut, a corrupt one what is before its first error. That is
     raised as a LogError, or added to `corrupt` if that is given.
@@ -154,7 +154,7 @@ def metadata_of_part(
 
 
 def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
-    """Yield in words which parameters of some nodes changed in a run, and from what to what."""
+    """Yield the changed parameters of some nodes, with old and new values, in words."""
     known: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         for record in metadata_of_part(part, []):
@@ -173,7 +173,7 @@ def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[
 def read_parameters(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Return the parameters that the nodes of a run had at its end."""
+    """Return the last parameters of a run's nodes."""
     parameters = {}
     for name, record in read_metadata(path, corrupt).items():
         if name.startswith(f'{PARAMETERS}/'):
@@ -186,25 +186,25 @@ def read_parameters(
 
 
 def current_name(name: str) -> str:
-    """Return how a parameter is called now; what is not renamed keeps its name."""
+    """Return the present name of a parameter."""
     for before, now in RENAMED.items():
         name = re.sub(f'^{before}', now, name)
     return name
 
 
 def is_finished(path: str | Path) -> bool:
-    """Return whether each part of a log ends as its writer ends it."""
+    """Return whether each part of a log was finished by its writer."""
     return all(map(is_finished_part, log_parts(path)))
 
 
 def is_finished_part(part: Path) -> bool:
-    """Return whether a file ends as its writer ends it."""
+    """Return whether a file was finished by its writer."""
     with readable(part), part.open('rb') as file:
         return ends_finished(file, check_start(file, part))
 
 
 def ends_finished(file: BinaryIO, size: int) -> bool:
-    """Return whether an open file of this size ends as its writer ends it."""
+    """Return whether an open file of this size was finished by its writer."""
     file.seek(max(len(MCAP0_MAGIC), size - len(MCAP0_MAGIC)))
     return file.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
@@ -273,7 +273,7 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
 
 
 def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
-    """Yield the records of the first bytes of a file, and where they end; raise any Exception."""
+    """Yield the records of the first bytes of a file, with their ends; raises any Exception."""
     ends = list(record_ends(file, size))
     file.seek(0)
     records = StreamReader(
@@ -346,7 +346,7 @@ def check_start(file: BinaryIO, part: Path) -> int:
 
 @contextmanager
 def readable(part: Path) -> Iterator[None]:
-    """Raise a LogError where a file cannot be read."""
+    """Raise a LogError if a file cannot be read."""
     try:
         yield
     except OSError as error:
@@ -361,7 +361,7 @@ class Decoders:
         self._decoders: dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None] = {}
 
     def __call__(self, recorded: RecordedMessage) -> Any:
-        """Return a message's fields."""
+        """Decode a message."""
         channel, schema = recorded.channel, recorded.schema
         encoding = channel.message_encoding
         key = encoding, schema.encoding, schema.name, schema.data

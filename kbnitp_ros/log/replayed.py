@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay finds in a log: the views, models and decisions on record, compared."""
+"""Findings of a replay: recorded views, models and decisions compared with computed ones."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from kbnitp_ros.messages.progress import decision_fields, model_fields, NOT_KNOW
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# The array fields that are maps, and how many values they have for each cell.
+# Array fields that are maps, and their number of values for each cell.
 VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A field that is not as computed."""
+    """A field that differs from the computed one."""
 
-    # Which one, such as 'info.width'.
+    # Name, such as 'info.width'.
     field: str
-    # How it differs.
+    # The difference in words.
     text: str
-    # Largest absolute difference of its numbers; NaN if there is none to be taken.
+    # Largest absolute difference of its numbers; NaN without numbers.
     largest: float = nan
-    # Whether it is not larger than another processor's rounding makes it.
+    # Whether it is within the rounding of other processors.
     is_rounding: bool = False
-    # Where in a map that is.
+    # Its place in a map.
     cell: int | None = None
 
     def __str__(self) -> str:
@@ -48,13 +48,13 @@ class Difference:
 def differences(
     recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
 ) -> Iterator[Difference]:
-    """Yield where a recorded message differs in the fields that were computed."""
+    """Yield the differences of a recorded message in the computed fields."""
     for name, ours in vars(computed).items():
         # Logs of earlier versions lack fields that were added.
         if not hasattr(recorded, name):
             continue
         theirs = getattr(recorded, name)
-        # A number that is learnt; kappa is the name of a map as well.
+        # A learnt number; kappa is also the name of a map.
         if name in rounded and np.ndim(ours) == 0:
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
         else:
@@ -93,7 +93,7 @@ def _differences_of_field(
 def _array_differences(
     name: str, theirs: ArrayLike, ours: NDArray[Any], tolerance: float
 ) -> Iterator[Difference]:
-    """Yield the worst difference of two arrays, if there is any."""
+    """Yield the largest difference of two arrays, if there is any."""
     recorded = np.asarray(theirs, dtype=ours.dtype)
     if recorded.size != ours.size:
         yield Difference(name, f'has {recorded.size} values, computed are {ours.size}')
@@ -104,7 +104,7 @@ def _array_differences(
         return
     gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
     is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
-    # A difference that is no number is the worst.
+    # A difference that is NaN is the largest.
     worst = int(np.argmax(np.where(differ, np.where(np.isnan(gap), np.inf, gap), -1.0)))
     cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None
     place = f'value {worst}' if cell is None else f'cell {cell}'
@@ -118,8 +118,8 @@ def _array_differences(
     )
 
 
-# How far numbers may be from those computed by another processor or another version of numpy,
-# which round otherwise; of numbers above 1, relative to them.
+# Tolerance for other processors and versions of numpy, which round differently; relative for
+# numbers above 1.
 TOLERANCE = 1e-9
 
 
@@ -133,17 +133,17 @@ class Grade(IntEnum):
 
 @dataclass(frozen=True)
 class BeliefFinding:
-    """What is to be said of a recorded belief, or of a view of one."""
+    """A finding on a recorded belief, or on a view of one."""
 
-    # Where it was published.
+    # Its topic.
     topic: str
-    # Which of the topic's messages it is, from 0.
+    # Index of the message in its topic.
     index: int
-    # The one that it assimilated last; None for a prior.
+    # The deployment that it assimilated last; None for a prior.
     deployment: DeploymentKey | None
-    # How it differs from what was computed.
+    # Its differences from the computed belief.
     differences: tuple[Difference, ...] = ()
-    # Why nothing could be compared, if so.
+    # Why it could not be compared; empty otherwise.
     reason: str = ''
 
     def __str__(self) -> str:
@@ -154,105 +154,105 @@ class BeliefFinding:
 
 @dataclass
 class ReplayReport:
-    """What a replay found."""
+    """The result of a replay."""
 
-    # The deployments on record.
+    # The recorded deployments.
     evidence: RecordedMission
-    # How the mission stood last, as far as that is on record.
+    # The last recorded state of the mission.
     standing: Standing = NOT_KNOWN
-    # Which parameters of nodes changed, in words.
+    # Changes of parameters, in words.
     changes: list[str] = field(default_factory=list)
-    # Probability of each kind of hazard in the end, and the check of the model.
+    # Final probability of each kind of hazard, and the check of the model.
     kinds: Mapping[str, float] = field(default_factory=dict)
     check: ModelCheck | None = None
-    # How many messages were compared, by topic: the beliefs and their views.
+    # Number of messages compared, by topic: beliefs and their views.
     compared: Counter[str] = field(default_factory=Counter)
-    # Those that are different, and those that are equal to `TOLERANCE` but not identical.
+    # Those that differ, and those that equal to `TOLERANCE` but not to the bit.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
-    # Beliefs that the log lacks something for, and those that are on record twice.
+    # Beliefs that lack evidence in the log, and beliefs recorded twice.
     not_compared: list[BeliefFinding] = field(default_factory=list)
     repeated: list[BeliefFinding] = field(default_factory=list)
-    # Deployments that no belief holds, though later ones are held: lost evidence.
+    # Deployments that no belief holds although later ones are held: lost evidence.
     passed_over: list[DeploymentKey] = field(default_factory=list)
-    # Deployments after the last one that is known to be held.
+    # Deployments after the last one known to be held.
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
-    # Whether the log ends as its writer ends it.
+    # Whether the log was finished by its writer.
     finished: bool = False
-    # Where files are corrupt: what comes after is not read.
+    # Corrupt places, after which a file is not read.
     corrupt: list[LogError] = field(default_factory=list)
 
     def add(self, finding: BeliefFinding) -> None:
-        """Note a message that is not identical."""
+        """Add a message that is not identical."""
         is_equal = all(each.is_rounding for each in finding.differences)
         (self.roundings if is_equal else self.mismatches).append(finding)
 
     @property
     def method(self) -> str:
-        """Return the method of the estimator; empty if no prior is on record."""
+        """Return the inference method; empty without a recorded prior."""
         return '' if self.evidence.prior is None else self.evidence.prior.method
 
     @property
     def grade(self) -> Grade:
-        """How well the deployments on record give the beliefs on record that were compared."""
+        """Return how well the compared beliefs are reproduced."""
         if self.mismatches or self.passed_over:
             return Grade.DIFFERENT
         return Grade.EQUAL if self.roundings else Grade.IDENTICAL
 
     @property
     def reproduced(self) -> bool:
-        """Whether they give them bit for bit."""
+        """Return whether all are reproduced to the bit."""
         return self.grade == Grade.IDENTICAL
 
     @property
     def largest_rounding(self) -> float:
-        """Return the largest difference of numbers that are equal to `TOLERANCE`."""
+        """Return the largest difference of numbers within `TOLERANCE`."""
         gaps = (each.largest for found in self.roundings for each in found.differences)
         return max((gap for gap in gaps if not isnan(gap)), default=0.0)
 
 
-# Which fields a grid has.
+# Fields of a grid.
 ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
 
-# The belief that a view is of, and the fields of a model or the digest of a grid.
+# The belief that a view belongs to, and the fields of a model or the digest of a grid.
 Expected = tuple['DeploymentKey | None', Any]
 
 
 class ReplayedViews:
-    """The views on record, and those of the beliefs that were computed."""
+    """The recorded views, and those of the computed beliefs."""
 
     def __init__(self) -> None:
-        # The index, stamp and content of each, by its role and topic.
+        # Index, stamp and content of each, by role and topic.
         self._recorded: dict[tuple[str, str], list[tuple[int, int, Any]]] = defaultdict(list)
         # By role and stamp; beliefs may share one.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
-        # How many beliefs of a stamp are on record and were not computed.
+        # Number of recorded beliefs of a stamp that were not computed.
         self._unknown: Counter[int] = Counter()
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
-        """Keep a view until all beliefs are computed; of a grid what identifies its content."""
+        """Keep a view until all beliefs are computed; of a grid only a digest."""
         message = logged.message
         kept = message if role.name == 'model' else grid_digest(message)
         view = logged.index, from_stamp(message.header.stamp), kept
         self._recorded[role.name, logged.topic].append(view)
 
     def expect(self, ledger: Ledger, seen: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Take note of the views of a ledger's belief, whose maps are those of `seen`."""
+        """Compute the views of a ledger's belief, with the maps of `seen`."""
         for name in VIEWS:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
         if ledger.estimator.parameters or ledger.estimator.check.alternatives:
             fields = model_fields(ledger, stamp)
-            # A sentence that rounds numbers, which another processor may round otherwise.
+            # This sentence rounds numbers, and other processors round differently.
             del fields.reason
             self._expected['model', stamp].append((newest, fields))
 
     def pass_over(self, stamp: int) -> None:
-        """Take note of a belief on record that was not computed: its views are not known."""
+        """Record a belief that was not computed, so that its views are unknown."""
         self._unknown[stamp] += 1
 
     def compare(self, report: ReplayReport) -> None:
-        """Compare each view with those of the beliefs of its time; some may be missing."""
+        """Compare each view with the beliefs of its stamp; some may be missing."""
         for (role, topic), views in self._recorded.items():
             by_stamp: dict[int, list[tuple[int, Any]]] = defaultdict(list)
             for index, stamp, view in views:
@@ -275,7 +275,7 @@ class ReplayedViews:
 
 
 def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
-    """Return how a view differs from that of a belief; of grids only the digests are known."""
+    """Return the difference of a view from that of a belief; grids by their digests."""
     if not isinstance(view, bytes):
         return tuple(differences(view, computed, TOLERANCE))
     return () if view == computed else (Difference('data', 'is not that of the belief'),)
@@ -286,36 +286,35 @@ def grid_digest(view: Any) -> bytes:
     return blake2b(repr(list(_leaves(view, ANY_GRID))).encode(), digest_size=16).digest()
 
 
-# Numbers that another processor may round otherwise.
+# Numbers that other processors may round differently.
 ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
 
 
 @dataclass(frozen=True)
 class RecordedGoal:
-    """What a mission was to make sure of."""
+    """The goal of a recorded mission."""
 
     goal: Goal
-    # The most steps of a lane.
+    # Maximum number of steps of a lane.
     max_steps: int
 
 
 class ReplayedDecisions:
-    """The decisions on record that were not compared yet."""
+    """The recorded decisions that are not compared yet."""
 
     def __init__(self, asked: RecordedGoal | None) -> None:
         self._asked = asked
-        # The index and the message of each, by its topic, the stamp of its belief and the
-        # deployments in that.
+        # Index and message of each, by topic, and stamp and deployments of its belief.
         self._recorded: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
 
     def note(self, logged: LoggedMessage) -> None:
-        """Keep a decision until the belief that it is made with is computed."""
+        """Keep a decision until its belief is computed."""
         message = logged.message
         key = from_stamp(message.header.stamp), message.deployments
         self._recorded[key].append((logged.topic, logged.index, message))
 
     def compare(self, ledger: Ledger, stamp: int, report: ReplayReport) -> None:
-        """Compare the decisions that were made with the belief of a ledger, of this stamp."""
+        """Compare the decisions on a ledger's belief of this stamp."""
         key = stamp, len(ledger.deployments)
         if self._asked is None or key not in self._recorded:
             return
@@ -336,7 +335,7 @@ class ReplayedDecisions:
                 report.add(BeliefFinding(topic, index, ledger.newest, found))
 
     def finish(self, report: ReplayReport) -> None:
-        """Take note of the decisions that are left."""
+        """Report the decisions that are left over."""
         reason = (
             'the goal is not on record'
             if self._asked is None

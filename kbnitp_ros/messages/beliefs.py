@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What the belief message means.
+The belief message, and the rules of its estimator.
 
 Its joint is the belief, bit for bit; the hazard, target and kappa maps are views for those who do
 not want to derive them. With the grid, the rules, the method and the sensor model in it, every

@@ -119,10 +119,10 @@ class Recorders:
         alive = []
         if heard := self.instances.alive:
             publishers = self.publishers
-            for each in heard:
-                if publishers[each.name]:
-                    publishers[each.name] -= 1
-                    alive.append(each)
+            for recorder in heard:
+                if publishers[recorder.name]:
+                    publishers[recorder.name] -= 1
+                    alive.append(recorder)
         return alive
 
     def begin(self, log: object) -> None:

@@ -143,8 +143,9 @@ class Mission:
     def visited(self) -> NDArray[np.bool_]:
         """Return the cells that a robot was sent into or came from, shape (cells,)."""
         visited = np.zeros(self.grid.cells, dtype=bool)
-        for each in self.deployments:
-            visited[each.path if each.outcome is None else each.outcome.path] = True
+        for deployment in self.deployments:
+            ended = deployment.outcome
+            visited[deployment.path if ended is None else ended.path] = True
         return visited
 
 

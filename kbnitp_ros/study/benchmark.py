@@ -134,8 +134,8 @@ def time_method(method: str, scenario: Scenario) -> float:
     for _ in range(2):
         estimator = Estimator(prior, model, method)
         begun = process_time()
-        for each in mission:
-            estimator.assimilate(each.observation)
+        for deployment in mission:
+            estimator.assimilate(deployment.observation)
         seconds = (process_time() - begun) / len(mission)
     return seconds
 

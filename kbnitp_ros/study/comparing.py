@@ -79,12 +79,12 @@ def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
     if isinstance(given, str) or not isinstance(given, Iterable):
         raise TypeError(f'{kind}s is {given!r}: it must be a list, such as {kind}s=[{given!r}]')
     named: dict[str, str | Callable[..., Any]] = {}
-    for each in given:
-        name = entry_name(each).rpartition('.')[-1]
+    for entry in given:
+        name = entry_name(entry).rpartition('.')[-1]
         if name in named or not name.isidentifier():
             reason = 'it has no name' if name not in named else 'two have this name'
             raise ValueError(
                 f'{kind} {name!r}: {reason}; name them, as in {kind}s={{"mine": ...}}'
             )
-        named[name] = each
+        named[name] = entry
     return named

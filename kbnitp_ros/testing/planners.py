@@ -62,12 +62,15 @@ def finds_paths(planner: Planner, search: SearchCase) -> None:
     for objective in (search.objective, search.after):
         found = planner(search.finder, objective)
         require(len(found) > 0, 'It finds none')
-        for each in found:
-            require(isinstance(each, Candidate), f'It returns {each!r}, which is no Candidate')
+        for candidate in found:
+            require(
+                isinstance(candidate, Candidate),
+                f'It returns {candidate!r}, which is no Candidate',
+            )
             try:
-                search.finder.check_path(each.path)
+                search.finder.check_path(candidate.path)
             except ValueError as error:
-                raise AssertionError(f'Of {list(each.path)}: {error}') from error
+                raise AssertionError(f'Of {list(candidate.path)}: {error}') from error
 
 
 def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
@@ -103,8 +106,8 @@ def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> 
     grid = Grid(3, 1, base=1, blocked=(0, 2))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
-    for each in planner(finder, Objective.alone(grid, belief, search.model, finder.options)):
-        require(set(each.path) == {1}, f'It goes {list(each.path)}')
+    for candidate in planner(finder, Objective.alone(grid, belief, search.model, finder.options)):
+        require(set(candidate.path) == {1}, f'It goes {list(candidate.path)}')
 
 
 def leaves_what_it_is_given(planner: Planner, search: SearchCase) -> None:

@@ -224,8 +224,8 @@ class Decision:
             reason = too_few_draws(confidence, draws.independent)
         path = np.empty(0, dtype=np.intp) if lane is None else lane.path
         asked = np.unique(cells)
-        for each in (path, asked):
-            frozen(each)
+        for cells in (path, asked):
+            frozen(cells)
         return cls(
             goal=goal,
             p_free=p_free,

@@ -209,13 +209,13 @@ def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floa
         return left
 
     gain = np.zeros(len(survival))
-    for each in outcomes:
-        all_hazards = each @ here
-        before = entropies(each.sum(keepdims=True), all_hazards[None])
-        back = survival * each
+    for outcome in outcomes:
+        all_hazards = outcome @ here
+        before = entropies(outcome.sum(keepdims=True), all_hazards[None])
+        back = survival * outcome
         chance, hazards = back.sum(axis=1), back @ here
         gain += before - entropies(chance, hazards)
-        gain -= entropies(each.sum() - chance, all_hazards - hazards)
+        gain -= entropies(outcome.sum() - chance, all_hazards - hazards)
     return gain
 
 
@@ -388,9 +388,9 @@ def information_on(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
         return chance * entropy
 
     gain = np.zeros(len(survival))
-    for each in outcomes:
-        known, chance = each * free, each.sum()
-        returned, returned_free = survival @ each, survival @ known
+    for outcome in outcomes:
+        known, chance = outcome * free, outcome.sum()
+        returned, returned_free = survival @ outcome, survival @ known
         gain += left(np.array(chance), np.array(known.sum())) - left(returned, returned_free)
         gain -= left(chance - returned, known.sum() - returned_free)
     return np.maximum(gain, 0.0)
@@ -436,8 +436,8 @@ def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Pa
 def expected_best(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
     """Return the expected rise of P(the best lane is free), (flights,) (:eq:`lane-value`)."""
     gain = np.zeros(len(survival))
-    for each in outcomes:
-        known = free * each
+    for outcome in outcomes:
+        known = free * outcome
         before = known.sum(axis=1)
         returned = known @ survival.T
         gain += returned.max(axis=0) + (before[:, None] - returned).max(axis=0) - before.max()

@@ -274,7 +274,7 @@ class Estimator:
 
     @property
     def draws_are_exact(self) -> bool:
-        """Whether `draws` come from the joint posterior, and not from an approximation."""
+        """Return whether `draws` come from the joint posterior, and not an approximation."""
         return bool(getattr(self._inference, 'draws_are_exact', False))
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:

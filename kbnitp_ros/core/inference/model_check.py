@@ -90,10 +90,10 @@ class Checker:
         self._believed = WORDS.get(dynamics.kind, 'any kind of hazards')
         self._alternatives: dict[str, Bank | Kinds | None] = {}
         if dynamics.kind != 'learn':
-            for each in Dynamics('learn').kinds:
-                can_move = each.kind != 'moving' or belief.grid is not None
-                if each.kind != dynamics.effect and can_move:
-                    self._alternatives[each.kind] = bank(unknowns, each)
+            for other in Dynamics('learn').kinds:
+                can_move = other.kind != 'moving' or belief.grid is not None
+                if other.kind != dynamics.effect and can_move:
+                    self._alternatives[other.kind] = bank(unknowns, other)
         for name, most in (('malfunction', 0.5), ('lethality', 1.0)):
             makes_a_difference = name == 'malfunction' or model.false_negative < 1.0
             if getattr(unknowns, name) is None and makes_a_difference:

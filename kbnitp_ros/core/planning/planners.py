@@ -239,9 +239,11 @@ class PathFinder(Value):
             raise PLANNERS.fault(planner, f'returns {in_short(found)}: it must be {A_LIST}')
         if not found:
             raise PLANNERS.fault(planner, 'returns no path')
-        for each in found:
-            if not isinstance(each, Candidate):
-                raise PLANNERS.fault(planner, f'finds {in_short(each)}: it must return {A_LIST}')
+        for candidate in found:
+            if not isinstance(candidate, Candidate):
+                raise PLANNERS.fault(
+                    planner, f'finds {in_short(candidate)}: it must return {A_LIST}'
+                )
         try:
             return [Candidate(each.value, self.check_path(each.path)) for each in found]
         except ValueError as error:

@@ -135,9 +135,9 @@ def listening_roles(node: Node, topics: Iterable[str]) -> dict[str, set[str]]:
     listening: dict[str, set[str]] = {}
     for topic in topics:
         listening[topic] = set()
-        for each in node.get_subscriptions_info_by_topic(topic):
-            if (name := (each.node_name, each.node_namespace)) != own:
+        for endpoint in node.get_subscriptions_info_by_topic(topic):
+            if (name := (endpoint.node_name, endpoint.node_namespace)) != own:
                 types = types_published(*name)
                 listening[topic] |= {role for role, kind in PUBLISHED.items() if kind in types}
-                listening[topic].add(each.node_name)
+                listening[topic].add(endpoint.node_name)
     return listening
