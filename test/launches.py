@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch files as processes."""
+"""Launch files and commands as processes."""
 
 from contextlib import suppress
+import fcntl
 import os
 from pathlib import Path
+import pty
 import re
 import signal
+import struct
 import subprocess
 import sys
+import termios
 
 from kbnitp_ros.cli.processes import environment
 from kbnitp_ros.log.read import LogError, read_log
@@ -78,3 +82,17 @@ def reports_in(log):
         return len({from_stamp(logged.message.deployment) for logged in read_log(log, [REPORT])})
     except LogError:
         return 0
+
+
+def run_on_terminal(command):
+    """Return the exit code of a command, and what it shows on a terminal as standard error."""
+    terminal, screen = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack('4H', 24, 140, 0, 0))
+    with subprocess.Popen(command, stderr=screen) as process:
+        os.close(screen)
+        shown = b''
+        with suppress(OSError):  # a terminal's end
+            while chunk := os.read(terminal, 4096):
+                shown += chunk
+    os.close(terminal)
+    return process.returncode, shown.decode()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from itertools import pairwise
 from math import inf
 import os
@@ -34,7 +35,7 @@ from kbnitp_ros.cli.parameters import (
     set_parameter,
 )
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
-from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.cli.replay import lines, with_progress
 from kbnitp_ros.cli.report import report
 from kbnitp_ros.cli.watch import HOST, serving
 from kbnitp_ros.configuration import (
@@ -60,7 +61,7 @@ from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.core import Belief, DeploymentKey, METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
-from kbnitp_ros.log.read import read_parameters
+from kbnitp_ros.log.read import log_size, read_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
@@ -338,7 +339,11 @@ class Observer(Node):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
-                if self._belief is not None:
+                if self._belief is None:
+                    present = self.get_node_names()
+                    absent = [name for name in NODES if name not in present]
+                    bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
+                else:
                     bar.set_description('deploying', refresh=False)
                     entropy = f'{self._belief.entropy():.1f} nats'
                     lost = len(self._survived) - sum(self._survived.values())
@@ -353,7 +358,8 @@ class Observer(Node):
 def conclude(log: Path, note: str) -> int:
     """Replay the log, report it, say what became known; return the exit code."""
     say('computing every belief of the log again, and writing the report')
-    reproduction = replay(recorded := MissionLog(log), asked=asked_on_record(recorded))
+    recorded, progress = MissionLog(log), partial(with_progress, log_size(log))
+    reproduction = replay(recorded, progress, asked_on_record(recorded))
     folder = report_folder(log)
     # A mission that is gone on with may have ended before.
     shutil.rmtree(folder, ignore_errors=True)

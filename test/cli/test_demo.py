@@ -34,7 +34,7 @@ from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
-from launches import nodes_of_demo, reports_in
+from launches import nodes_of_demo, reports_in, run_on_terminal
 from laws import for_each
 import numpy as np
 import pytest
@@ -111,6 +111,17 @@ def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
 
     assert main(['--robots', '1', '--out', str(out)]) == 2
     assert str(out) in capsys.readouterr().err
+
+
+@pytest.mark.processes
+@pytest.mark.full
+def test_the_bar_names_what_is_awaited(tmp_path):
+    options = ['--robots', '2', '--size', '3', '--max-steps', '4', '--out', str(tmp_path)]
+    code, shown = run_on_terminal([*DEMO, *options])
+    assert code == 0
+    assert re.search('starting: .*waiting for .*planner', shown)
+    assert re.search(r'starting: .*waiting for the first belief.*deploying: .* 2/2 ', shown, re.S)
+    assert re.search('reading: 100%.*writing: 100%', shown, re.S)
 
 
 @pytest.mark.processes

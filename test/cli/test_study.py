@@ -2,24 +2,21 @@
 """The study command: complete, interrupted and refused studies."""
 
 import contextlib
-import fcntl
 import json
 import os
 from pathlib import Path
-import pty
 import random
 import re
 import shutil
 import signal
-import struct
 import subprocess
 import sys
-import termios
 import time
 
 from extent import FULL, some
 from kbnitp_ros.cli.study import parse, study
 from kbnitp_ros.study.scenario import ALONE, INDEPENDENT, NUMBERS
+from launches import run_on_terminal
 from laws import for_each
 from pyarrow import parquet
 import pytest
@@ -209,17 +206,9 @@ def test_the_bar_shows_finished_trials_and_the_time_left(scenario, whole, tmp_pa
     shutil.copytree(whole, out)
     for file in sorted(out.glob('trials/*-kappa_bnitp-*')):
         file.unlink()
-    terminal, screen = pty.openpty()
-    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack('4H', 24, 99, 0, 0))
-    with subprocess.Popen(command(scenario, out, '--workers', 1), stderr=screen) as process:
-        os.close(screen)
-        shown = b''
-        with contextlib.suppress(OSError):  # Erases to the end of the terminal's line.
-            while chunk := os.read(terminal, 4096):
-                shown += chunk
-    os.close(terminal)
-    assert process.returncode == 0
-    bars = re.findall(r'(\d+)/40 \[\d\d:\d\d<(\d\d:\d\d|\?)', shown.decode())
+    code, shown = run_on_terminal(command(scenario, out, '--workers', 1))
+    assert code == 0
+    bars = re.findall(r'(\d+)/40 \[\d\d:\d\d<(\d\d:\d\d|\?)', shown)
     assert bars[0][0] == '20'
     assert bars[-1] == ('40', '00:00')
     assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
