@@ -23,6 +23,7 @@ from typing import Any
 from cases import Benchmark
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
+from kbnitp_ros.configuration.known import parameters_of
 from kbnitp_ros.nodes.runtime import qos
 import numpy as np
 import rclpy
@@ -79,9 +80,9 @@ def main() -> None:
     print(f'same messages round {bare:.1f} times a second.')
 
 
-def run_nodes(deployments: int) -> list[Sample]:
+def run_nodes(deployments: int, **common: Any) -> list[Sample]:
     """
-    Run a mission of 9x9 cells and look at its nodes.
+    Run a mission of 9x9 cells, or with other parameters in common, and look at its nodes.
 
     Raises
     ------
@@ -104,6 +105,7 @@ def run_nodes(deployments: int) -> list[Sample]:
         }
         for name, awaited in AWAITED.items():
             given = {'await_nodes': awaited} if awaited else {}
+            given |= {each: common[each] for each in common.keys() & parameters_of(name).keys()}
             processes.start(name, parameters[name] | given)
         os.environ |= environment(domain)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
