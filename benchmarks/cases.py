@@ -64,4 +64,5 @@ def in_words(seconds: float) -> str:
 def write(name: str, text: str, page: Path = PAGE) -> None:
     """Replace what a page has between the marks of a name."""
     marked = re.compile(rf'(?<=<!-- table {name} -->\n)(.*?)(?=<!-- end -->)', re.DOTALL)
-    page.write_text(marked.sub(lambda old: f'{text}\n', page.read_text()), encoding='utf-8')
+    # Once: after an empty match the same place would match again.
+    page.write_text(marked.sub(lambda old: f'{text}\n', page.read_text(), 1), encoding='utf-8')

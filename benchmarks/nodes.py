@@ -23,7 +23,7 @@ from typing import Any
 from cases import Benchmark
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration.known import parameters_of
+from kbnitp_ros.configuration.known import node_parameters
 from kbnitp_ros.nodes.runtime import qos
 import numpy as np
 import rclpy
@@ -105,7 +105,7 @@ def run_nodes(deployments: int, **common: Any) -> list[Sample]:
         }
         for name, awaited in AWAITED.items():
             given = {'await_nodes': awaited} if awaited else {}
-            given |= {each: common[each] for each in common.keys() & parameters_of(name).keys()}
+            given |= {each: common[each] for each in common.keys() & node_parameters(name).keys()}
             processes.start(name, parameters[name] | given)
         os.environ |= environment(domain)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

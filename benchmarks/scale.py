@@ -4,7 +4,7 @@ Draw the memory and the time of long missions in the library and over ROS.
 
     python3 benchmarks/scale.py
 
-Writes docs/images/scale.png and a table into docs/performance.md.
+Writes docs/images/benchmark_scale.png and a table into docs/performance.md.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def main() -> None:
         for panel, label in zip(panels, ('memory (MiB)', 'time of a deployment (ms)')):
             panel.set(xscale='log', yscale='log', xlabel='deployments', ylabel=label)
         figure.legend(*panels[0].get_legend_handles_labels(), loc='outside lower center', ncols=2)
-        save(figure, PAGE.parent / 'images' / 'scale.png', 'png')
+        save(figure, PAGE.parent / 'images' / 'benchmark_scale.png', 'png')
     write('scale', '\n'.join(lines))
 
 
