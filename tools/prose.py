@@ -67,13 +67,15 @@ def comments(path: Path) -> Iterator[Text]:
 def console(path: Path, tree: ast.Module) -> Iterator[Text]:
     """Yield texts of at least six words that are no docstrings, with {} for what is inserted."""
     known = {text for _, _, text in docstrings(path, tree)}
+    joined = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)]
+    parts = {id(part) for node in joined for part in node.values}
     for node in ast.walk(tree):
         text = ''
         if isinstance(node, ast.JoinedStr):
             values = [getattr(part, 'value', None) for part in node.values]
             text = ''.join(value if isinstance(value, str) else '{}' for value in values)
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            text = node.value
+        elif isinstance(node, ast.Constant) and id(node) not in parts:
+            text = str(node.value)
         if len(text.split()) >= 6 and '\n' not in text and text not in known:
             yield path, node.lineno, text
 

@@ -108,7 +108,7 @@ TABLE = (
     Parameter(
         'grid.connectivity',
         8,
-        'To how many of the cells around one a step may lead: 8, or the 4 that share a side.',
+        'Number of neighbours that a step may lead to: 8, or the 4 that share a side.',
         GRID,
         limits=(4, 8),
     ),
@@ -179,9 +179,9 @@ TABLE = (
     Parameter(
         'hazards.dynamics',
         'static',
-        'What becomes of hazards: they stay, come and go from one deployment to the next, move to '
-        'cells around, or are used up when they strike. That of the agent is the truth, that of '
-        'the estimator what estimator and planner believe; learn for one of these that the '
+        'Dynamics of hazards: they stay, come and go from one deployment to the next, move to '
+        'neighbouring cells, or are used up when they strike. The value of the agent is the truth, '
+        'that of the estimator the belief of estimator and planner; learn for a kind that the '
         'evidence tells.',
         SENSING,
         choices=HAZARDS,
@@ -250,9 +250,8 @@ TABLE = (
     Parameter(
         'prior.clustering',
         0.0,
-        'How strongly a hazard makes those in the cells that share a side with its cell likely: '
-        'the coupling of a Markov random field, by kappa_bnitp_sampled; 0 for hazards that are '
-        'independent, learn for a coupling that is not known.',
+        'Coupling of hazards in cells that share a side (a Markov random field), for '
+        'kappa_bnitp_sampled; 0 for independent hazards, learn for an unknown coupling.',
         ('estimator',),
         limits=(0.0, STRONGEST),
         word=LEARNT_COUPLING,
@@ -267,7 +266,7 @@ TABLE = (
     Parameter(
         'method',
         'kappa_bnitp',
-        'How a deployment is turned into belief.',
+        'Inference method of the belief.',
         ('estimator',),
         choices=METHODS,
     ),
@@ -309,8 +308,8 @@ TABLE = (
         Parameter(
             f'learn.{name}',
             interval,
-            f'What is believed of {meaning} at first, if it is learnt: low and high, and if not '
-            'all between is equally likely a and b of a Beta distribution.',
+            f'Prior of {meaning}, if it is learnt: low and high, and unless uniform a and b of a '
+            'Beta distribution.',
             ('estimator',),
             element=float,
         )
@@ -386,9 +385,9 @@ TABLE = (
     Parameter(
         'objective',
         'information',
-        'What paths are sought for: the information expected, with behavioral a fall of '
-        'behavioral entropies, or with information_per_loss the most information for each robot '
-        'that is expected to be lost; the last two for the planners beam and relaxed.',
+        'Objective of paths: the expected information, with behavioral the fall of behavioral '
+        'entropies, or with information_per_loss the most information for each robot expected to '
+        'be lost; the last two for the planners beam and relaxed.',
         ('planner',),
         choices=OBJECTIVES,
         read_only=False,
@@ -673,7 +672,7 @@ TABLE = (
     Parameter(
         'position',
         'tf',
-        'What tells where the robot is: tf for TF, or fix for sensor_msgs/NavSatFix on fix, which '
+        'Source of the robot position: tf for TF, or fix for sensor_msgs/NavSatFix on fix, which '
         'takes a datum.',
         ('robot',),
         choices=('tf', 'fix'),
