@@ -180,9 +180,9 @@ TABLE = (
         'hazards.dynamics',
         'static',
         'Dynamics of hazards: they stay, come and go from one deployment to the next, move to '
-        'neighbouring cells, or are used up when they strike. The value of the agent is the truth, '
-        'that of the estimator the belief of estimator and planner; learn for a kind that the '
-        'evidence tells.',
+        'neighbouring cells, or are used up when they strike. Of the agent it is the truth, of '
+        'the estimator the belief of estimator and planner; learn for a kind that the evidence '
+        'tells.',
         SENSING,
         choices=HAZARDS,
     ),
