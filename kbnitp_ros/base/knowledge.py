@@ -108,6 +108,11 @@ class Knowledge:
         drawn = self._drawn
         return drawn[1] if drawn and is_same(drawn[0], known.belief) else None
 
+    @property
+    def are_joint(self) -> bool:
+        """Return whether draws are of all cells jointly, and not of each by itself."""
+        return self._ledger is not None and self._ledger.estimator.draws_are_exact
+
     def decision(self, known: Snapshot) -> Decision | None:
         """Return the decision by a belief; None if its evidence is not known."""
         goal, draws = self.goal, None

@@ -13,6 +13,7 @@ from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path
 from kbnitp_ros.core.decision.decision import SafestPath
+from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import path_message
@@ -128,9 +129,11 @@ class Decisions:
         )
         self._publisher.publish(message)
         self._lane.publish(message.path)
+        taken = '' if self.knowledge.are_joint else '; cells are taken as independent'
         self._node.get_logger().info(
             f'{decision.goal} free of hazards with probability {decision.p_free:.3f}, '
-            f'{decision.hazards_mean:.2f} hazards expected, after {newest.deployments} deployments'
+            f'{decision.hazards_mean:.2f} hazards expected, after '
+            f'{counted(newest.deployments, "deployment")}{taken}'
         )
 
     def _on_safest_path(

@@ -315,12 +315,15 @@ def lane(mission: Mission) -> Tile:
             'set goal.kind to lane or area to have robots sent for it',
             'map-title',
         )
+    method = mission.moments[-1].snapshot.method
+    taken = '' if method == 'kappa_bnitp_sampled' else f' {method} takes cells as independent.'
     question = 'Is the lane safe?' if decision.goal == 'lane' else f'Is the {decision.goal} safe?'
     return Tile(
         question,
         f'{100.0 * decision.p_free:.1f} % free of hazards',
         f'{survived(decision)}{decision.hazards_mean:.2f} hazards expected. '
-        + ('The goal is reached.' if decision.reached else 'The goal is not reached.'),
+        + ('The goal is reached.' if decision.reached else 'The goal is not reached.')
+        + taken,
         'map-title',
     )
 
