@@ -194,8 +194,8 @@ def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
 
 
 # The best path may leave too little for the next robot, so several teams grow side by side: as
-# many as make this number of robots, and at least one.
-ROBOTS_SIDE_BY_SIDE = 16
+# many as make this number of robots, at least one, and at most so many.
+ROBOTS_SIDE_BY_SIDE, MAX_TEAMS = 16, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +233,7 @@ def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     """Return paths, each planned given that those before it are taken, returned or lost."""
     if len(robots) == 1:
         return [robots[0].finder.candidates(robots[0].objective)[0].path]
-    side_by_side = max(1, ROBOTS_SIDE_BY_SIDE // len(robots))
+    side_by_side = max(1, min(MAX_TEAMS, ROBOTS_SIDE_BY_SIDE // len(robots)))
     teams = [Assigned()]
     for robot in robots:
         grown = [longer for team in teams for longer in team.grown(robot)]
