@@ -53,7 +53,7 @@ class AgentPresence(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class PlannerState:
     """The state that decides whether robots leave."""
 
     # The planner's parameters by name.
@@ -201,7 +201,7 @@ class FullNames(NamedTuple):
         return some(self.of_topic(f'{agent}/{name}') for agent in agents)
 
 
-def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) -> str:
+def describe_obstacle(now: PlannerState, obstacle: Obstacle, names: FullNames) -> str:
     """Return what the planner waits for, or how the mission ended."""
     match obstacle:
         case Obstacle.ACTION_UNRECORDED:
@@ -246,7 +246,7 @@ def describe_obstacle(now: Circumstances, obstacle: Obstacle, names: FullNames) 
             return f'{deployed(now)}: {now.why_over()}'
 
 
-def deployed(now: Circumstances) -> str:
+def deployed(now: PlannerState) -> str:
     """Return the number of deployments of a mission that is over."""
     by_operator = ', ended by the operator' * now.operator.is_ended
     return f'{now.newest or 0} of {now.values["robots"]} robots deployed{by_operator}'
@@ -260,7 +260,7 @@ def not_heard_again(kept: int) -> str:
     )
 
 
-def first_belief(now: Circumstances, names: FullNames) -> str:
+def first_belief(now: PlannerState, names: FullNames) -> str:
     """Describe the wait for the first belief."""
     wait = f'the belief on {belief_topic(now, names)}'
     if not now.estimators:
@@ -268,7 +268,7 @@ def first_belief(now: Circumstances, names: FullNames) -> str:
     return f'{wait}: its estimator waits for the nodes in its parameter await_nodes'
 
 
-def next_belief(now: Circumstances, names: FullNames) -> str:
+def next_belief(now: PlannerState, names: FullNames) -> str:
     """Describe the wait for the next belief."""
     wait = f'a belief that holds {counted(now.reported, "deployment")}'
     if now.last_heard < now.reported and now.in_flight.forgotten:
@@ -278,13 +278,13 @@ def next_belief(now: Circumstances, names: FullNames) -> str:
     return f'{wait} on {belief_topic(now, names)}{refusal}'
 
 
-def belief_topic(now: Circumstances, names: FullNames) -> str:
+def belief_topic(now: PlannerState, names: FullNames) -> str:
     """Return the topic of beliefs, and whether it has a publisher."""
     name = names.of_topic('belief')
     return name if now.estimators else f'{name}, which nobody publishes'
 
 
-def report(now: Circumstances, names: FullNames) -> str:
+def report(now: PlannerState, names: FullNames) -> str:
     """Describe the first report awaited, and its deadline."""
     key = min(now.unreported, key=deployment_order)
     agent = names.of_topic(key.agent)
@@ -302,7 +302,7 @@ def report(now: Circumstances, names: FullNames) -> str:
     return f'{wait}, however long that takes (parameter silent_loss is false)'
 
 
-def free_agent(now: Circumstances, names: FullNames) -> str:
+def free_agent(now: PlannerState, names: FullNames) -> str:
     """Explain why no agent is free."""
     absent, mute, left_alone = now.absent, now.mute, now.left_alone
     reasons = [

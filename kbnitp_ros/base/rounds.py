@@ -11,7 +11,7 @@ from threading import Thread
 import time
 from typing import Any, NamedTuple, TypeVar
 
-from kbnitp_ros.base.knowledge import Knowledge
+from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import search_options, type_to_plan
@@ -99,7 +99,7 @@ class Rounds:
         grid: Grid,
         values: Mapping[str, Any],
         warn: Callable[[str], object],
-        knowledge: Knowledge,
+        knowledge: MissionEvidence,
     ) -> None:
         self._knowledge = knowledge
         self._grid = grid

@@ -22,7 +22,7 @@ from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search, make_stop, search_options, type_to_plan
 from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Team
-from kbnitp_ros.core.forecast import Course, PossibleWorld, Share
+from kbnitp_ros.core.forecast import ForecastMission, PossibleWorld, Share
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
@@ -202,8 +202,8 @@ def planning_arguments(
 
 
 def run(
-    pool: Workers, fly: Callable[[PossibleWorld], Course], drawn: Iterable[PossibleWorld]
-) -> list[Course]:
+    pool: Workers, fly: Callable[[PossibleWorld], ForecastMission], drawn: Iterable[PossibleWorld]
+) -> list[ForecastMission]:
     """Run missions in worker processes with a progress bar; return them in order."""
     worlds, courses = [*drawn], {}
     with tqdm(total=len(worlds), unit='mission', disable=None) as bar:

@@ -49,7 +49,7 @@ class PossibleWorld(NamedTuple):
         return f'the mission in world {self.number}'
 
 
-class Course(NamedTuple):
+class ForecastMission(NamedTuple):
     """The result of one mission."""
 
     # Number of robots sent.
@@ -99,9 +99,9 @@ class Forecast:
     sent : ndarray, shape (worlds,)
         How many robots each of the missions sent.
     lost, entropy, p_free, reached : ndarray, shape (worlds, robots + 1)
-        As of `Course`.
+        As of `ForecastMission`.
     free : ndarray, shape (worlds,)
-        As of `Course`.
+        As of `ForecastMission`.
 
     """
 
@@ -134,7 +134,8 @@ def forecast(
     goal: Goal | None = None,
     stop: Stop | None = None,
     run: Callable[
-        [Callable[[PossibleWorld], Course], Iterable[PossibleWorld]], Iterable[Course]
+        [Callable[[PossibleWorld], ForecastMission], Iterable[PossibleWorld]],
+        Iterable[ForecastMission],
     ] = map,
 ) -> Forecast:
     """
@@ -192,7 +193,7 @@ def course(
     belief: Belief,
     begin: Decision | None,
     possible: PossibleWorld,
-) -> Course:
+) -> ForecastMission:
     """Run one mission."""
     made = go_on(world=possible.world, rng=possible.rng, truth=Truth(possible.model))
     decisions = [begin, *(each.decision for each in made)]
@@ -205,7 +206,7 @@ def course(
         series = np.array([*values], dtype=np.float64)
         return np.pad(series, (0, robots + 1 - series.size), 'edge')
 
-    return Course(
+    return ForecastMission(
         len(made),
         carried(lost),
         carried(belief.entropy() for belief in beliefs),

@@ -208,7 +208,7 @@ def parsed_qos(text: str) -> object:
 
 
 @dataclass(frozen=True)
-class Repaired:
+class RepairResult:
     """The result of a repair."""
 
     messages: int
@@ -220,7 +220,7 @@ def repair(
     path: str | Path,
     target: Path,
     progress: Callable[[Iterator[Recorded]], Iterable[Recorded]] = iter,
-) -> Repaired:
+) -> RepairResult:
     """Write the readable part of a log to a new finished file; none is left after an error."""
     check_is_new(target)
     lost = [f'{part} is unfinished' for part in log_parts(path) if not is_finished_part(part)]
@@ -233,7 +233,7 @@ def repair(
     except (LogError, OSError):
         target.unlink()
         raise
-    return Repaired(contents.messages, lost + [str(each) for each in corrupt])
+    return RepairResult(contents.messages, lost + [str(each) for each in corrupt])
 
 
 def finished(part: Path, compression: str, lock: LogLock) -> BagFile:

@@ -24,7 +24,7 @@ from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import (
-    Assimilated,
+    AssimilatedEvidence,
     Snapshot,
 )
 from kbnitp_ros.messages.deployments import (
@@ -295,7 +295,7 @@ class RecordedMission(MissionRecord):
         """Return the first report of a deployment with this time, or else the one that counts."""
         return self._by_stamp[key].get(stamp, self.reports[key])
 
-    def named(self, evidence: Assimilated, stamp: int) -> tuple[ArrayLike, Report]:
+    def named(self, evidence: AssimilatedEvidence, stamp: int) -> tuple[ArrayLike, Report]:
         """Return the path and the report of a deployment that a belief of a time names."""
         key = evidence.key
         if (key, evidence.path) not in self._paths_read:

@@ -32,7 +32,7 @@ from kbnitp_ros.log.replayed import (
 )
 from kbnitp_ros.log.roles import GRID, mission_log, MissionLog, MODEL, VIEWS
 from kbnitp_ros.messages.beliefs import (
-    Assimilated,
+    AssimilatedEvidence,
     belief_fields,
     newest_deployment,
     read_assimilated,
@@ -91,7 +91,7 @@ class Fold:
         self._ledger: Ledger | None = None
         # What the ledger has assimilated; the digests of the belief that names it, empty if none
         # does, and of the last one on record.
-        self._assimilated: dict[DeploymentKey, Assimilated] = {}
+        self._assimilated: dict[DeploymentKey, AssimilatedEvidence] = {}
         self._held = self._last = b''
         self._index = -1
         self._seen: set[bytes] = set()
@@ -149,7 +149,11 @@ class Fold:
         self._assimilated = {}
 
     def _assimilate(
-        self, newest: DeploymentKey, named: list[Assimilated], is_complete: bool, stamp: int
+        self,
+        newest: DeploymentKey,
+        named: list[AssimilatedEvidence],
+        is_complete: bool,
+        stamp: int,
     ) -> bool:
         """Assimilate what a belief names; raises ValueError if that cannot be."""
         of = {each.key: each for each in named}

@@ -18,7 +18,7 @@ from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role, VIEWS
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import Fields, from_stamp
-from kbnitp_ros.messages.progress import decision_fields, model_fields, NOT_KNOWN, Standing
+from kbnitp_ros.messages.progress import decision_fields, MissionStatus, model_fields, NOT_KNOWN
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -159,7 +159,7 @@ class ReplayReport:
     # The recorded deployments.
     evidence: RecordedMission
     # The last recorded state of the mission.
-    standing: Standing = NOT_KNOWN
+    standing: MissionStatus = NOT_KNOWN
     # Changes of parameters, in words.
     changes: list[str] = field(default_factory=list)
     # Final probability of each kind of hazard, and the check of the model.

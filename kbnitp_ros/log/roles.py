@@ -29,7 +29,12 @@ from kbnitp_ros.messages.deployments import read_path_name, read_report, read_st
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import mission_of_path, read_stamp
 from kbnitp_ros.messages.operator_actions import read_action_name
-from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief, Standing
+from kbnitp_ros.messages.progress import (
+    check_decision,
+    MissionState,
+    MissionStatus,
+    read_model_belief,
+)
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 DECISION = 'kbnitp_msgs/msg/Decision'
@@ -211,7 +216,9 @@ def roles_of_old(
     }
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
-        raise SeveralError(f'{log} has missions in the namespaces {found}: name one, --namespace')
+        raise AmbiguousMissionError(
+            f'{log} has missions in the namespaces {found}: name one, --namespace'
+        )
     # A log that has only just begun has neither.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
@@ -227,12 +234,12 @@ def roles_of_old(
     return Roles.of(root, dict.fromkeys([*(reader.agents if reader else ()), *found_agents]))
 
 
-class SeveralError(LogError):
+class AmbiguousMissionError(LogError):
     """A log with several missions, of which none was chosen."""
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class InvalidMessage:
     """A message in a role of a mission that is not valid there."""
 
     role: Role
@@ -255,7 +262,7 @@ class MissionLog:
         self.path = Path(path)
         self.roles = roles_on_record(path, namespace, own)
         # Invalid messages in roles of the mission, by topic and index.
-        self.left_out: dict[tuple[str, int], LeftOut] = {}
+        self.left_out: dict[tuple[str, int], InvalidMessage] = {}
 
     def read(
         self,
@@ -290,7 +297,7 @@ class MissionLog:
         except LogError:
             raise
         except ValueError as error:
-            wrong = LeftOut(role, logged.topic, logged.index, str(error)[:MAX_SHOWN])
+            wrong = InvalidMessage(role, logged.topic, logged.index, str(error)[:MAX_SHOWN])
             self.left_out[logged.topic, logged.index] = wrong
 
     @cached_property
@@ -309,7 +316,7 @@ def resumed_log(log: str, own: Roles) -> MissionLog:
     """Return a log to resume; raise ValueError if it is not of the node's mission."""
     try:
         recorded = MissionLog(log, own=own)
-    except SeveralError:
+    except AmbiguousMissionError:
         recorded = MissionLog(log, own.namespace, own)
     if differs := recorded.roles.difference(own.names):
         raise ValueError(
@@ -339,7 +346,7 @@ def read_content(role: Role, message: Any) -> Any:
             return check_decision(message)
         case 'progress':
             read_stamp('header.stamp', message.header.stamp)
-            return Standing(MissionState(message.state), message.reason)
+            return MissionStatus(MissionState(message.state), message.reason)
     return read_occupancy_grid(message) if role.type_name == GRID else None
 
 

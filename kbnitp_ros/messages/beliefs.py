@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from kbnitp_msgs.msg import BeliefMaps
 
 
-class Assimilated(NamedTuple):
+class AssimilatedEvidence(NamedTuple):
     """The evidence of one deployment that a belief names."""
 
     key: DeploymentKey
@@ -218,14 +218,14 @@ def belief_maps(
     return message
 
 
-def read_assimilated(message: Any) -> list[Assimilated]:
+def read_assimilated(message: Any) -> list[AssimilatedEvidence]:
     """Return the evidence that a kbnitp_msgs/BeliefMaps names."""
     named = []
     for number, each in enumerate(message.taken_in):
         if not each.agent:
             raise ValueError(f"taken_in[{number}].agent is '': it must name the agent")
         stamp = read_name(f'taken_in[{number}].deployment', each.deployment)
-        named.append(Assimilated(DeploymentKey(each.agent, stamp), each.path, each.report))
+        named.append(AssimilatedEvidence(DeploymentKey(each.agent, stamp), each.path, each.report))
     return named
 
 

@@ -39,14 +39,14 @@ class MissionState(IntEnum):
     ENDED = 4
 
 
-class Standing(NamedTuple):
+class MissionStatus(NamedTuple):
     """The state of a mission and its reason; empty where the state says all."""
 
     state: MissionState
     reason: str
 
 
-NOT_KNOWN = Standing(MissionState.UNKNOWN, '')
+NOT_KNOWN = MissionStatus(MissionState.UNKNOWN, '')
 
 
 def progress_message(
@@ -55,7 +55,7 @@ def progress_message(
     world: World | None,
     stamp: int,
     out: int,
-    standing: Standing = NOT_KNOWN,
+    standing: MissionStatus = NOT_KNOWN,
 ) -> msg.Progress:
     """Return a ledger's progress message; `before` is its estimator one deployment earlier."""
     from kbnitp_msgs import msg

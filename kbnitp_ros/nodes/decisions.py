@@ -8,7 +8,7 @@ from concurrent import futures
 from functools import partial
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.base.knowledge import Knowledge
+from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path
@@ -32,7 +32,7 @@ class Decisions:
     """The decisions of the planner on its goal."""
 
     def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:
-        self.knowledge = Knowledge(grid, node.values, own_robot_types(node.values, grid))
+        self.knowledge = MissionEvidence(grid, node.values, own_robot_types(node.values, grid))
         self._node = node
         self._grid = grid
         self._act = act

@@ -8,7 +8,7 @@ from functools import partial
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, LateReturns, Refusals
-from kbnitp_ros.base.knowledge import Knowledge
+from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
@@ -28,7 +28,7 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import content_hash, mission_of_path, read_name
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import Early, FieldNode
+from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from nav_msgs.msg import Path
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -42,7 +42,7 @@ class Dispatch:
         node: FieldNode,
         agents: Sequence[str],
         rounds: Rounds,
-        knowledge: Knowledge,
+        knowledge: MissionEvidence,
         act: Callable[[], None],
     ) -> None:
         self._node = node
@@ -65,7 +65,7 @@ class Dispatch:
         # The agents that refused their last orders.
         self.refusals = Refusals()
         # Losses of robots that are not known to have departed.
-        self._early = Early(node, self._on_report)
+        self._early = PendingMessages(node, self._on_report)
         # The stamp of the last deployment, in nanoseconds.
         self.last_stamp = 0
         # Descriptions of paths whose robots are not known to have departed.

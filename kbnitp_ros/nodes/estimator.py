@@ -34,7 +34,7 @@ from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
-from kbnitp_ros.nodes.runtime.node import Early, FieldNode
+from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import NewEvidence, Views
 from nav_msgs.msg import Path
@@ -91,7 +91,7 @@ class EstimatorNode(FieldNode):
             self.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
         # Losses of robots that are not known to have departed.
-        self._early = Early(self, self._on_report)
+        self._early = PendingMessages(self, self._on_report)
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''

@@ -18,10 +18,10 @@ from kbnitp_ros.base.deployments_in_flight import check_periods
 from kbnitp_ros.base.mission_tracker import Resumption
 from kbnitp_ros.base.obstacles import (
     AgentPresence,
-    Circumstances,
     describe_obstacle,
     FullNames,
     Obstacle,
+    PlannerState,
 )
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search, SearchRequest
 from kbnitp_ros.configuration import agent_names
@@ -38,7 +38,7 @@ from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
-from kbnitp_ros.nodes.presence import Holding, Peers
+from kbnitp_ros.nodes.presence import HoldPublisher, Peers
 from kbnitp_ros.nodes.runtime.diagnostics import (
     done,
     MISSION_REASON,
@@ -81,7 +81,7 @@ class PlannerNode(FieldNode):
         # The request for which no path was worth a robot, and why.
         self._worthless_for: SearchRequest | None = None
         self._why_worthless = ''
-        self._holding = Holding(self)
+        self._holding = HoldPublisher(self)
         self._operator = Operator(
             self, self.grid, self._in_flight, self._proposals, self._holding.tell, self._act
         )
@@ -163,10 +163,10 @@ class PlannerNode(FieldNode):
                     self._dispatch.give_up(key, Source.OPERATOR, action.steps_survived)
         self._deploy()
 
-    def _circumstances(self) -> Circumstances:
+    def _circumstances(self) -> PlannerState:
         """Return the state that decides whether robots leave."""
         newest = self._beliefs.newest
-        return Circumstances(
+        return PlannerState(
             values=self.values,
             agents={
                 agent: AgentPresence(
@@ -236,7 +236,7 @@ class PlannerNode(FieldNode):
         self._proposals.withdraw()
         self._send(plans, newest.mission)
 
-    def _tell(self, now: Circumstances, obstacle: Obstacle) -> None:
+    def _tell(self, now: PlannerState, obstacle: Obstacle) -> None:
         """Show what blocks the next deployment, and publish a new state of the mission at once."""
         names = FullNames(self.resolve_topic_name, self.resolve_service_name)
         what = describe_obstacle(now, obstacle, names)

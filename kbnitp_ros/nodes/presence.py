@@ -258,7 +258,7 @@ MIN_PAUSE = 0.1
 MAX_UNNAMED = 30.0
 
 
-class Hold:
+class HoldListener:
     """The planner's hold on departures: also while it is unknown, or others publish it."""
 
     def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
@@ -287,7 +287,7 @@ class Hold:
         return ''
 
 
-class Holding:
+class HoldPublisher:
     """The planner's publisher of `hold`, which answers other values with its own."""
 
     def __init__(self, node: MissionNode) -> None:

@@ -45,7 +45,7 @@ from kbnitp_ros.nodes.runtime.declared import TOPICS
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for, working
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
-from kbnitp_ros.nodes.runtime.node import Early, MissionNode
+from kbnitp_ros.nodes.runtime.node import MissionNode, PendingMessages
 from kbnitp_ros.nodes.runtime.process import run
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
@@ -142,7 +142,7 @@ class RecorderNode(MissionNode):
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
         # Beliefs ahead of the paths of their deployments, and losses ahead of departures.
-        self._early = Early(self, self._write_checked)
+        self._early = PendingMessages(self, self._write_checked)
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
         )

@@ -23,7 +23,7 @@ from kbnitp_ros.messages.deployments import OrderState, report_message, status_m
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.nodes.driver import detection_class, Driver, Links, read_detection
-from kbnitp_ros.nodes.presence import Hold
+from kbnitp_ros.nodes.presence import HoldListener
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for, working
@@ -65,7 +65,7 @@ class RobotNode(FieldNode):
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
-        self._hold = Hold(self)
+        self._hold = HoldListener(self)
         self._pending = PendingPaths(self, self._agent, self._journal, self._accept, self._refuse)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']

@@ -33,7 +33,7 @@ from kbnitp_ros.messages.deployments import OrderState, read_path, report_messag
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
 from kbnitp_ros.messages.markers import pose_message, readings_marker
-from kbnitp_ros.nodes.presence import Hold
+from kbnitp_ros.nodes.presence import HoldListener
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -314,7 +314,7 @@ class SimulatedAgent(AgentPaths):
         self._at_home: list[DeploymentKey] = []
         # Paths whose robots have departed, by the log.
         self._departed = {key for key in record.orders if record.has_departed(key)}
-        self._hold = Hold(self._node, self._depart_all)
+        self._hold = HoldListener(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)

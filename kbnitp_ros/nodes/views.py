@@ -13,7 +13,7 @@ from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message, Standing
+from kbnitp_ros.messages.progress import MissionState, MissionStatus, NOT_KNOWN, progress_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import (
     MISSION_REASON,
@@ -138,7 +138,7 @@ class Views:
             state = MissionState.__members__.get(values.get(MISSION_STATE, ''))
             if state is None or status.name.rpartition('/')[0] != own:
                 continue
-            standing = Standing(state, values.get(MISSION_REASON, ''))
+            standing = MissionStatus(state, values.get(MISSION_REASON, ''))
             if standing != self._standing:
                 self._standing = standing
                 self._message.state, self._message.reason = standing

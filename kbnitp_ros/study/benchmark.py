@@ -64,7 +64,7 @@ HEADS = (
 PLANNER, METHOD = 'beam', 'kappa_bnitp'
 
 
-class Frozen(NamedTuple):
+class FrozenBelief(NamedTuple):
     """A belief of a mission, with a bound on the value of any path."""
 
     # Of the cells of `field`.
@@ -93,11 +93,11 @@ class Entry(NamedTuple):
         return self.results.series(scenario.lethalities[0], self.method, *measures, team=team)
 
 
-def frozen() -> list[Frozen]:
+def frozen() -> list[FrozenBelief]:
     """Return the beliefs of this version."""
     with np.load(share('scenarios') / f'{NAME}_{VERSION}.npz', allow_pickle=False) as file:
         return [
-            Frozen(Belief(joint), SensorModel(lethality), float(bound))
+            FrozenBelief(Belief(joint), SensorModel(lethality), float(bound))
             for joint, lethality, bound in zip(file['joint'], file['lethality'], file['bound'])
         ]
 
@@ -109,11 +109,11 @@ def entered() -> tuple[list[str], list[str]]:
 
 
 def plan_worths(
-    planner: str, field: Grid, steps: int, beliefs: Sequence[Frozen]
+    planner: str, field: Grid, steps: int, beliefs: Sequence[FrozenBelief]
 ) -> NDArray[np.float64]:
     """Return worth / bound of the plans of a planner, and their seconds, shape (2, beliefs)."""
 
-    def planned(each: Frozen) -> tuple[float, float]:
+    def planned(each: FrozenBelief) -> tuple[float, float]:
         begun = process_time()
         found = plan(field, each.belief, each.model, steps, planner)
         return found.information / each.bound, process_time() - begun

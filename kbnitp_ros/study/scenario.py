@@ -32,7 +32,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.decision.decision import there_and_back
-from kbnitp_ros.core.decision.goals import GOALS, Situation
+from kbnitp_ros.core.decision.goals import FlightState, GOALS
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
 from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.plans import check_team, team_size
@@ -43,7 +43,7 @@ SAFEST_LANE = 'safest_lane'
 
 
 @dataclass(frozen=True)
-class Asked:
+class DecisionRequest:
     """The decision that all missions of a study make."""
 
     # Of `GOALS`, but for 'map'.
@@ -80,7 +80,7 @@ class Asked:
 class SafestLane(Lane):
     """A lane whose robots fly out and back on the currently safest one."""
 
-    def flight(self, situation: Situation) -> Plan | None:
+    def flight(self, situation: FlightState) -> Plan | None:
         """Return the safest lane, there and back."""
         grid, draws, model = situation.grid, situation.draws, situation.model
         half = situation.options.max_steps // 2
@@ -284,7 +284,7 @@ class Scenario:
     # Without this section hazards are static and independent.
     hazards: Hazards = INDEPENDENT
     # The decision that missions make.
-    asked: Asked | None = None
+    asked: DecisionRequest | None = None
 
     @property
     def contenders(self) -> tuple[Contender, ...]:

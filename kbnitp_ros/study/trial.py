@@ -20,7 +20,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.belief import binary_entropy, log_losses, surprisal
-from kbnitp_ros.study.scenario import ALONE, Asked, NUMBERS, Scenario, Strategy
+from kbnitp_ros.study.scenario import ALONE, DecisionRequest, NUMBERS, Scenario, Strategy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -268,7 +268,7 @@ OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared
 
 
 def measured_for(
-    asked: Asked,
+    asked: DecisionRequest,
     grid: Grid,
     max_steps: int,
     estimator: Estimator,

@@ -6,14 +6,14 @@ from itertools import combinations
 
 from kbnitp_ros.base.checks import check_changes, check_robots, cut_off_note, reach_note
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.base.knowledge import Knowledge
+from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacles import (
     AgentPresence,
-    Circumstances,
     describe_obstacle,
     FullNames,
     Obstacle,
+    PlannerState,
 )
 from kbnitp_ros.base.rounds import Rounds
 from kbnitp_ros.configuration import node_parameters
@@ -53,7 +53,7 @@ def operator(*actions):
 
 
 # One robot was deployed, two are left, and nothing blocks the next deployment.
-CLEAR = Circumstances(
+CLEAR = PlannerState(
     values=VALUES,
     agents={'scout_1': HERE},
     in_flight=in_flight(),
@@ -307,7 +307,9 @@ def test_the_rest_of_a_round_is_sent_as_planned(planner, recorded, is_refused):
     values |= {'planner': planner, 'max_steps': 6, 'loss_cost': 0.0}
 
     def rounds():
-        return Rounds(ROUND_GRID, values, warn=print, knowledge=Knowledge(ROUND_GRID, values, {}))
+        return Rounds(
+            ROUND_GRID, values, warn=print, knowledge=MissionEvidence(ROUND_GRID, values, {})
+        )
 
     plans = rounds().search(planned_on(), AGENTS, {}, next_name(MISSION, MISSION))().plans
     on_record = dict([(key, plan.path) for key, plan in plans.items()][:recorded])

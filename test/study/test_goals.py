@@ -18,7 +18,7 @@ from kbnitp_ros.study.comparison import (
     write_report,
 )
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import Asked, Hazards, SafestLane, Strategy, team_labels
+from kbnitp_ros.study.scenario import DecisionRequest, Hazards, SafestLane, Strategy, team_labels
 from kbnitp_ros.study.scenario_file import parse_scenario, read_scenario, scenario_file
 from kbnitp_ros.study.trial import (
     blobs,
@@ -50,7 +50,7 @@ def asked(scenario):
         lethalities=(0.5,),
         robots=12,
         teams=LANE,
-        asked=Asked('lane', (GOAL,)),
+        asked=DecisionRequest('lane', (GOAL,)),
     )
 
 
@@ -61,7 +61,7 @@ def lanes(asked):
 
 @pytest.fixture(scope='module')
 def certificates(asked):
-    sure = replace(asked, trials=12, teams=LANE[2:], asked=Asked('lane', (GOAL,), 0.95))
+    sure = replace(asked, trials=12, teams=LANE[2:], asked=DecisionRequest('lane', (GOAL,), 0.95))
     return run(sure)
 
 
@@ -163,7 +163,10 @@ def test_too_few_draws_certify_nothing(certificates):
 def test_areas_are_told_by_how_many_robots_declare_most_of_them(asked):
     """The rows agree with measures written by hand."""
     area = replace(
-        asked, trials=2, teams=(Strategy(), Strategy(goal='area')), asked=Asked('area', (3, GOAL))
+        asked,
+        trials=2,
+        teams=(Strategy(), Strategy(goal='area')),
+        asked=DecisionRequest('area', (3, GOAL)),
     )
     names = measure_names(area)
     declared = {

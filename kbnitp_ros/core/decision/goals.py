@@ -50,7 +50,7 @@ SEARCHED = 24
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
+class FlightState:
     """The state of a mission that a robot is planned for."""
 
     # The field, with the base of the robot.
@@ -69,7 +69,7 @@ class Situation:
     # draws).
     outcomes: Floats
 
-    def with_sent(self, path: ArrayLike, model: SensorModel) -> Situation:
+    def with_sent(self, path: ArrayLike, model: SensorModel) -> FlightState:
         """Return the situation after another robot of some model has left on a path."""
         survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
@@ -88,7 +88,7 @@ class Situation:
         return allowed
 
 
-def flights_over(situation: Situation, over: Sequence[int]) -> list[Path]:
+def flights_over(situation: FlightState, over: Sequence[int]) -> list[Path]:
     """Return closed paths for information on the field, and to some cells and back."""
     grid, draws, options = situation.grid, situation.draws, situation.options
     hazard = draws.p_hazard()
@@ -177,7 +177,7 @@ class Area:
         """Return the probability that all cells are free, and the hazards that remain."""
         return Decision.about(self.name, draws, list(self.cells), self.confidence)
 
-    def flight(self, situation: Situation) -> Plan | None:
+    def flight(self, situation: FlightState) -> Plan | None:
         """Return the next flight; None if no flight is allowed."""
         paths = flights_over(situation, list(self.cells))
         survival = situation.draws.survivals(paths, situation.model)
@@ -304,7 +304,7 @@ class Lane:
         lane = safest_path(grid, draws, model, grid.base, self.to, max_steps)
         return Decision.about(self.name, draws, lane.path, self.confidence, lane)
 
-    def flight(self, situation: Situation) -> Plan | None:
+    def flight(self, situation: FlightState) -> Plan | None:
         """Return the next flight; None if no flight is allowed."""
         lanes, paths = self._flights(situation)
         if not paths:
@@ -333,7 +333,7 @@ class Lane:
         [rise] = expected_best(free, survival[[best]], situation.outcomes)
         return situation.planned(paths[best], max(0.0, float(rise)))
 
-    def _flights(self, situation: Situation) -> tuple[list[Path], list[Path]]:
+    def _flights(self, situation: FlightState) -> tuple[list[Path], list[Path]]:
         """Return lanes, and closed paths to the goal, or as far as a robot can return from."""
         grid, draws, options = situation.grid, situation.draws, situation.options
         start, most = situation.start, options.max_steps
@@ -366,7 +366,7 @@ class Lane:
         ]
 
 
-def flights_along(situation: Situation, lane: Path) -> list[Path]:
+def flights_along(situation: FlightState, lane: Path) -> list[Path]:
     """Return closed paths for information on the hazards of a lane alone."""
     grid, options = situation.grid, situation.options
     none = np.zeros(grid.cells)
@@ -402,7 +402,7 @@ def readings_on(
     outcomes: Floats,
     cells: Path,
     paths: Sequence[Path],
-    situation: Situation,
+    situation: FlightState,
 ) -> Floats:
     """Return the information of readings on whether some cells are free, (flights,) nats."""
     # The cells are taken one by one; their sum is limited to what is left to know.
@@ -472,7 +472,7 @@ class Goal(Protocol):
     ) -> Decision:
         """Return the decision on the goal."""
 
-    def flight(self, situation: Situation) -> Plan | None:
+    def flight(self, situation: FlightState) -> Plan | None:
         """Return the flight of the next robot; None if no flight is allowed."""
 
 

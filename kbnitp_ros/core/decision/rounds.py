@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from kbnitp_ros.core.decision.decision import Decision, too_few_draws
-from kbnitp_ros.core.decision.goals import Goal, GOALS, Situation
+from kbnitp_ros.core.decision.goals import FlightState, Goal, GOALS
 from kbnitp_ros.core.decision.hazard_draws import DRAWS, HazardDraws
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, whole_number
@@ -152,7 +152,7 @@ def plan_round(
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid
-    situation = Situation(in_use, grid.base, draws, belief, model, options, draws.weight[None])
+    situation = FlightState(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))
     plans = []

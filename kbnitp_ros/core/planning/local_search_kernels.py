@@ -45,7 +45,7 @@ class Gap(NamedTuple):
     length: float
 
 
-class Room(NamedTuple):
+class GapLabels(NamedTuple):
     """Work space: the rest of a path, and labels with cells in the gap, by row."""
 
     # Visits by the rest, shape (cells,).
@@ -152,7 +152,7 @@ def measure(path: Places, reach: Reach, walked: Floats) -> None:
 
 
 @inlined
-def fill(problem: LabelProblem, gap: Gap, room: Room, least: float) -> tuple[float, int]:
+def fill(problem: LabelProblem, gap: Gap, room: GapLabels, least: float) -> tuple[float, int]:
     """Find the best cells for a gap by depth-first search."""
     reach, gains = problem.reach, problem.gains
     visits, closing, products = room.visits, room.closing, room.products
@@ -191,7 +191,7 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
     """Replace runs of cells of a closed path as long as that improves it."""
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between
-    room = Room(
+    room = GapLabels(
         np.zeros(cells, np.int64),
         np.full(cells, inf),
         new_products(rows, gains),

@@ -351,7 +351,7 @@ class FieldNode(MissionNode):
             self._grid = grid
 
 
-class Early:
+class PendingMessages:
     """Messages ahead of others that they refer to; each is retried for a while."""
 
     def __init__(self, node: MissionNode, take: Callable[..., object]) -> None:

@@ -32,10 +32,10 @@ from kbnitp_ros.core.decision.goals import (
     expected_best,
     expected_certainty,
     expected_from_readings,
+    FlightState,
     information,
     information_on,
     readings_on,
-    Situation,
 )
 from kbnitp_ros.core.decision.rounds import why_worthless
 from laws import for_each
@@ -120,7 +120,7 @@ def test_probabilities_are_those_of_all_states(seed):
     chances = draws.survivals(flights, model)
     grid = Grid(width, height)
     belief = Belief.prior(grid, 0.2, 0.25, 0.8)
-    situation = Situation(grid, 0, draws, belief, model, SearchOptions(), weight[None])
+    situation = FlightState(grid, 0, draws, belief, model, SearchOptions(), weight[None])
     sent = situation.with_sent(path, model)
     best = expected_best(free, chances, sent.outcomes)
     certain = expected_certainty(states[:, some].astype(float), chances, sent.outcomes)
@@ -157,7 +157,7 @@ def test_information_of_one_cell_about_a_lane_is_exact(seed):
     states, weight = posterior(rng, 3, 3, model, 2)
     draws = HazardDraws(states, inf, weight)
     belief = Belief.prior(grid, 0.2, 0.25, 0.8)
-    situation = Situation(grid, 0, draws, belief, model, SearchOptions(), weight[None])
+    situation = FlightState(grid, 0, draws, belief, model, SearchOptions(), weight[None])
     lane, cell = [0, 1, 2], 1
     free = ~states[:, lane].any(axis=1)
     paths = [np.array([0, cell, 0]), np.array([0, 1, 2, 1, 0])]

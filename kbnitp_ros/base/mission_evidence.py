@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 Event = Callable[[MissionRecord], bool]
 
 
-class Knowledge:
+class MissionEvidence:
     """The evidence of a mission, with the draws and decisions computed from it."""
 
     def __init__(
