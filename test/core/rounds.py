@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plans of rounds, asked for in one line, and methods of which more is known than of all."""
+"""Plan rounds in one call, and groups of methods with further laws."""
 
 from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team, update
 from kbnitp_ros.core.inference.filters import KnownModel
@@ -21,7 +21,7 @@ def plan_round(
     keepout=(),
     **options,
 ):
-    """Return the plans of robots that leave together; the rest are options of the search."""
+    """Return the plans of robots that leave together; `options` are of the search."""
     team, search = Team(agents, allocation, types), SearchOptions(planner, max_steps, **options)
     return plan_team(
         grid, belief, model, team, search, in_flight=in_flight, visited=visited, keepout=keepout
@@ -29,16 +29,16 @@ def plan_round(
 
 
 def regions_of_team(grid, belief, model, max_steps, agents, types=()):
-    """Return the regions in which the allocation voronoi has robots look for information."""
+    """Return the regions of a team under the allocation voronoi."""
     finder = PathFinder(grid, SearchOptions('relaxed', max_steps))
     members = {each: TeamMember.of(each, finder, belief, model) for each in types or (ORDINARY,)}
     return divided([members[each] for each in types or (ORDINARY,) * agents])
 
 
-# Methods of which more is known than what holds of all.
+# Groups of methods that keep further laws.
 
 
-# They condition on a loss, so they notice one that cannot be.
+# Methods that condition on losses, and so refuse impossible ones.
 LEARN_FROM_LOSSES = (
     'relaxed_itp',
     'relaxed_bnitp',

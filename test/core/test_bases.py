@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots of several bases, against all closed paths from each of them."""
+"""Robots of several bases, against all closed paths from each."""
 
 from functools import cache
 
@@ -43,7 +43,7 @@ def every_path(width, height, base, most_steps, blocked=()):
 
 
 def random_problem(seed):
-    """Draw a field of 3x3 or 4x3 cells with three bases, a belief and the sensors of a robot."""
+    """Draw a field of 3x3 or 4x3 cells with three bases, a belief and a robot's sensors."""
     rng = np.random.default_rng(seed)
     width = 3 + seed % 2
     drawn = rng.permutation(width * 3).tolist()
@@ -75,7 +75,7 @@ def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
         blocked = tuple(sorted(grid.blocked))
         types = RobotType(base=first), RobotType(base=second)
         visits = [every_path(grid.width, 3, base, steps, blocked) for base in (first, second)]
-        # The pairs of one from each base, of a search over all paths together.
+        # Pairs with one path from each base, over all paths.
         together = brute_force.information_of_pairs(belief.joint, model, np.vstack(visits))
         of_first = len(visits[0])
         best = together[:of_first, of_first:].max()
@@ -114,12 +114,12 @@ def test_a_grid_at_another_base_is_the_same_field():
     ((-1,), 'base is -1.*from 0 to 19'),
     ((1.5,), 'base is 1.5.*whole number'),
 ])  # fmt: skip
-def test_bases_that_cannot_be_are_refused(others, message):
+def test_bad_bases_are_refused(others, message):
     with pytest.raises(ValueError, match=message):
         Grid(5, 4, blocked=(3,), other_bases=others)
 
 
-def test_a_base_that_is_none_of_the_grid_is_refused():
+def test_a_base_of_another_grid_is_refused():
     with pytest.raises(
         ValueError, match=r'base 4 is none of the grid, which has \[0, 29\].*other'
     ):
@@ -130,7 +130,7 @@ def test_a_base_that_is_none_of_the_grid_is_refused():
 
 
 def test_no_base_has_a_hazard():
-    """In worlds and in the prior alike; the rest of both is as with one base."""
+    """In worlds and in the prior; otherwise both are as with one base."""
     plain = Grid(6, 5, base=0, blocked=(9, 27))
     for seed in range(50):
         world, as_before = (World.random(g, seed, 0.9, 0.8, 0.1) for g in (CORNERS, plain))
@@ -149,7 +149,7 @@ def test_no_base_has_a_hazard():
         Belief.prior(CORNERS, hazard.astype(float), 0.5, 0.5)
 
 
-def test_a_path_from_any_base_is_told_from_others():
+def test_paths_from_any_base_are_recognised():
     for path in ([0, 1, 0], [29, 28, 29]):
         assert CORNERS.check_any_path(path).tolist() == path
     for path, told in (
@@ -206,8 +206,8 @@ def test_a_deployment_from_another_base_is_evidence_as_any_other(seed):
     np.testing.assert_allclose(seen.joint, expected, rtol=0, atol=1e-9)
 
 
-def test_the_field_is_shared_by_where_robots_start():
-    """All alike, and the bases at the two ends: each has the half that is nearer to it."""
+def test_the_field_is_divided_by_distance_from_the_bases():
+    """Alike robots at bases on opposite ends: each has the nearer half."""
     grid = Grid(12, 3, base=12, other_bases=(23,))
     belief = Belief.prior(grid, 0.2, 0.3, 0.8)
     for types, first in (((HERE, RobotType(base=23)), 0), ((RobotType(base=23), HERE), 1)):
@@ -237,7 +237,7 @@ def test_regions_hold_only_what_their_robots_reach(seed):
         assert within[regions.owner == robot].all()
 
 
-def test_robots_in_flight_from_another_base_are_planned_around():
+def test_plans_consider_robots_in_flight_from_another_base():
     belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
     (alone,) = plan_round(CORNERS, belief, MODEL, 12, 1, types=(THERE,))
     out = [(alone.path, THERE)]
@@ -247,7 +247,7 @@ def test_robots_in_flight_from_another_base_are_planned_around():
         plan_round(CORNERS, belief, MODEL, 12, 1, in_flight=[(alone.path, HERE)])
 
 
-def test_no_base_is_kept_off():
+def test_cells_around_bases_are_never_refused():
     belief, refused = Belief.prior(CORNERS, 0.2, 0.3, 0.8), []
     types, bases = (HERE, THERE), [None, 29]
     for _ in range(12):
@@ -296,7 +296,7 @@ def test_robots_of_another_base_fly_for_the_goal(goal):
     assert [each.plan.path[0] for each in mission] == [0, 29] * 3
     if goal.name == 'lane':
         assert all(each.decision.path[0] == 0 for each in mission)
-    # What is flown for is looked at: both come by cells of the goal.
+    # The goal's cells are explored: both robots enter some.
     sought = {*mission[-1].decision.cells.tolist()}
     assert all(sought & {*each.plan.path.tolist()} for each in mission)
 

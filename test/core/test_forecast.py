@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A forecast is made of missions in fields as probable as they are believed to be."""
+"""A forecast runs missions in fields drawn from the belief."""
 
 from extent import FULL
 from kbnitp_ros.core import (
@@ -45,7 +45,7 @@ def told(method, mission):
 
 
 @for_each('method', METHODS, every=1 if FULL else 3)
-def test_a_mission_that_goes_on_is_the_unbroken_one(method):
+def test_a_resumed_mission_is_the_unbroken_one(method):
     goal = Lane(to=15)
     _, whole = some(np.random.default_rng(3), 7, method, goal=goal)
     rng = np.random.default_rng(3)
@@ -70,7 +70,7 @@ def test_a_mission_that_goes_on_is_the_unbroken_one(method):
 
 
 @for_each('method', METHODS, every=1 if FULL else 3)
-def test_worlds_are_drawn_as_they_are_believed(method):
+def test_worlds_are_drawn_from_the_belief(method):
     estimator = told(method, some(np.random.default_rng(5), 6, method)[1])
     worlds = [world for world, _ in estimator.worlds(2560, np.random.default_rng(1))]
     for name in ('hazard', 'target'):
@@ -81,7 +81,7 @@ def test_worlds_are_drawn_as_they_are_believed(method):
 
 
 def test_learnt_numbers_are_drawn_together_with_the_hazards():
-    """A hazard in the one cell that robots came back from often is not lethal."""
+    """A hazard in the one cell that robots often returned from is not lethal."""
     grid, prior = Grid(2, 1), Belief.from_maps([0.0, 0.5], [0.0, 0.0], [0.0, 0.0])
     model = SensorModel(0.5, malfunction=0.1, false_negative=0.0)
     estimator = Estimator(prior, model, 'kappa_bnitp_sampled', Unknowns(lethality=(0.0, 1.0)))
@@ -122,7 +122,7 @@ def test_the_order_in_which_missions_are_run_changes_nothing(goal):
     assert np.isnan(one.p_free).all() == (goal is None)
 
 
-def test_what_is_foreseen_is_what_a_mission_in_that_world_does():
+def test_a_forecast_is_the_mission_in_the_drawn_world():
     goal, stop = Lane(to=15, confidence=0.9), Stop(losses=2)
     estimator = Estimator(PRIOR, MODEL)
     kept = []
@@ -158,11 +158,11 @@ def test_what_is_foreseen_is_what_a_mission_in_that_world_does():
 
 
 def fresh(seed, worlds, number):
-    """Return the generator of a world of a forecast, as it was before its mission."""
+    """Return the generator of a forecast's world, as it was before its mission."""
     return np.random.default_rng(seed).spawn(worlds)[number]
 
 
-def test_a_share_has_the_interval_of_wilson():
+def test_a_proportion_has_the_wilson_interval():
     share = Share.of(np.array([1.0] * 17 + [0.0] * 3))
     # As statsmodels.stats.proportion.proportion_confint(17, 20, method='wilson') has it.
     assert share == pytest.approx((0.85, 0.63958, 0.94763), abs=1e-4)
@@ -184,8 +184,8 @@ def test_bad_input_is_refused(changes, complaint):
 
 
 def share_inside(foreseen, coming, rng):
-    """Return how many of what came lies between the quantiles of 5 and of 95 %."""
-    # Missions often come to the same number: which of these is lower is drawn.
+    """Return the share of missions between the 5 and 95 % quantiles."""
+    # Missions often have equal numbers: ties are broken at random.
     ranks = [
         (foreseen < each).sum() + rng.integers((foreseen == each).sum() + 1) for each in coming
     ]
@@ -194,8 +194,8 @@ def share_inside(foreseen, coming, rng):
 
 @pytest.mark.full
 @pytest.mark.parametrize('goal', [None, Lane(to=15, confidence=0.8)])
-def test_intervals_cover_what_comes_where_the_prior_is_right(goal, record_property):
-    """Of 200 missions 85 to 95 % end between the quantiles of 5 and of 95 %."""
+def test_intervals_cover_missions_if_the_prior_is_correct(goal, record_property):
+    """Of 200 missions 85 to 95 % end between the 5 and 95 % quantiles."""
     estimator, robots = Estimator(PRIOR, MODEL), 12
     options = SearchOptions(max_steps=8, planner='relaxed')
     foreseen = forecast(GRID, estimator, robots, 400, 1, options, goal=goal)
@@ -215,7 +215,7 @@ def test_intervals_cover_what_comes_where_the_prior_is_right(goal, record_proper
         ),
     }
     for after in (4, 8, 12):
-        # What was known when a mission was over stays.
+        # The state after a mission's last robot is kept.
         entropy = [mission[min(after, len(mission)) - 1].belief.entropy() for mission in missions]
         coming[f'entropy after {after}'] = foreseen.entropy[:, after], entropy
     luck = np.random.default_rng(9)

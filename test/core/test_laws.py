@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every method, planner and allocation keeps its laws, whatever the belief."""
+"""Every method, planner and allocation keeps its laws on any belief."""
 
 from math import log
 
@@ -42,7 +42,7 @@ def test_allocations_keep_their_laws(allocation):
     check_allocation(allocation, cases=250 if FULL else 10)
 
 
-# What holds of every belief, model and path.
+# Laws of every belief, model and path.
 
 
 CELLS = 6
@@ -54,7 +54,7 @@ per_cell = st.lists(probability, min_size=CELLS, max_size=CELLS)
 
 @st.composite
 def beliefs(draw):
-    """Any joint per cell, certain ones too, by hazard, P(X=1|Z=0) and kappa."""
+    """Draw any joint per cell, also certain ones, from hazard, P(X=1|Z=0) and kappa."""
     hazard, q, kappa = (np.array(draw(per_cell)) for _ in range(3))
     hazard[0] = 0.0
     return Belief(
@@ -137,7 +137,7 @@ def test_information_is_bounded(belief, model, path):
 @thorough
 @given(beliefs(), models, paths)
 def test_information_is_the_expected_fall_of_uncertainty_at_one_cell(belief, model, path):
-    """With one uncertain cell there is nothing to tie together: entropies add up exactly."""
+    """With one uncertain cell nothing is correlated: entropies add up exactly."""
     joint = belief.joint.copy()
     joint[2:] = [[1, 0], [0, 0]]
     joint[0] = [[1, 0], [0, 0]]

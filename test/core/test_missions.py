@@ -32,7 +32,7 @@ PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 OPTIONS = SearchOptions(max_steps=8)
 
 
-# All but the planner that takes seconds.
+# All planners but the one that takes seconds.
 
 
 def fly(seed, robots=12, **options):
@@ -86,7 +86,7 @@ def test_beliefs_are_the_fold_of_the_observations(method):
 
 
 def test_each_deployment_draws_from_its_own_child_of_the_seed():
-    """The convention by which a mission on ROS meets the same fates, robot by robot."""
+    """So a mission on ROS has the same fates, robot by robot."""
     world, deployments = fly(4, robots=8)
     rng = np.random.default_rng(4)
     drawn = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
@@ -102,7 +102,7 @@ def test_a_longer_mission_begins_as_the_shorter():
     assert trace(fly(5, robots=10)[1])[:4] == trace(fly(5, robots=4)[1])
 
 
-def test_the_world_may_have_other_sensors_than_the_robots_believe():
+def test_the_world_may_have_other_sensors_than_believed():
     deadly = SensorModel(1.0, malfunction=1.0)
     _, deployments = fly(6, robots=5, truth=Truth(deadly))
     assert not any(d.observation.survived for d in deployments)
@@ -113,7 +113,7 @@ def test_the_world_may_have_other_sensors_than_the_robots_believe():
 
 
 def test_a_mission_learns():
-    """Many robots, mild hazards: entropy falls and the belief comes to agree with the world."""
+    """Many robots, mild hazards: entropy falls and the belief approaches the world."""
     rng = np.random.default_rng(7)
     model = SensorModel(0.3)
     world = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
@@ -146,7 +146,7 @@ def test_teams_of_one_are_robots_one_by_one(allocation):
 
 @pytest.mark.slow
 @for_each('allocation', ALLOCATIONS)
-def test_a_round_is_planned_at_once_and_taken_in_in_order(allocation):
+def test_a_round_is_planned_at_once_and_assimilated_in_order(allocation):
     options = {'allocation': allocation, 'loss_cost': 0.2}
     world, deployments = fly(10, robots=8, agents=3, **options)
     rng = np.random.default_rng(10)
@@ -182,8 +182,8 @@ def test_a_world_of_another_grid_is_refused():
         run_mission(GRID, PRIOR, MODEL, small, 3, 0)
 
 
-def test_robots_are_planned_with_what_is_learnt():
-    """Told that hazards do nothing, but not for sure."""
+def test_plans_use_learnt_numbers():
+    """The prior says that hazards are harmless, but not for certain."""
     rng = np.random.default_rng(5)
     world = World.random(GRID, rng, hazard_density=0.3, kappa=0.8, target_background=0.1)
     unknowns = Unknowns(lethality=(0.0, 1.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the core returns can be kept, copied, compared and shown, and takes functions for names."""
+"""Objects of the core are copied, compared and shown; functions stand for names."""
 
 from copy import deepcopy
 import pickle
@@ -46,7 +46,7 @@ LEARNING = Learning(Unknowns(lethality=(0.0, 1.0)))
 
 @pytest.fixture(scope='module')
 def learnt():
-    """Return a mission that learnt the lethality."""
+    """Return a mission that learns the lethality."""
     return mission('kappa_bnitp_sampled', learning=LEARNING)
 
 
@@ -82,7 +82,7 @@ def test_beliefs_that_differ_in_the_last_bit_are_different(learnt):
     assert learnt[0] != learnt[1]
 
 
-def test_estimators_are_copied_with_all_they_know():
+def test_estimators_are_copied_with_their_state():
     for method in core.METHODS:
         estimator = Estimator(PRIOR, MODEL, method)
         lost = Observation([0, 1, 2, 1, 0], survived=False)
@@ -95,7 +95,7 @@ def test_estimators_are_copied_with_all_they_know():
         assert method in repr(estimator)
 
 
-def test_all_public_names_are_there():
+def test_all_public_names_exist():
     assert sorted(core.__all__) == sorted(set(core.__all__))
     assert [name for name in core.__all__ if not hasattr(core, name)] == []
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bound beside a plan, against the value of every path and of many missions."""
+"""The bound on a plan's value, against all paths and along missions."""
 
 from functools import cache
 
@@ -25,13 +25,13 @@ import pytest
 PER_CHUNK = 20
 CHUNKS = 250
 
-# After every so many robots of a mission the gap is measured.
+# Deployments of a mission after which the gap is measured.
 EVERY = 10 if FULL else 20
 
 
 @cache
 def every_path(grid, most_steps, max_visits):
-    """Count the visits per cell of every path that a search may return, each result once."""
+    """Count visits per cell of all paths that a search may return, without duplicates."""
     ends, closed = {(grid.base, (0,) * grid.cells)}, set()
     for _ in range(most_steps):
         ends = {
@@ -59,7 +59,7 @@ GRIDS = [
 
 
 def random_problem(seed):
-    """Draw a grid with its limits, a belief, sensors and a loss cost: extremes now and then."""
+    """Draw a grid with its limits, a belief, sensors and a loss cost, some of them extreme."""
     rng = np.random.default_rng(seed)
     grid, most_steps, max_visits = GRIDS[seed % len(GRIDS)]
     joint = brute_force.random_joint(rng, grid.cells, grid.base)
@@ -81,11 +81,11 @@ def random_problem(seed):
 
 
 def values(belief, model, visits, loss_cost):
-    """Return the value of many paths given their visits per cell, shape (paths,)."""
+    """Return the values of paths from their visits per cell, shape (paths,)."""
     returns = brute_force.survival_of_visits(belief.joint, model, visits)
     with np.errstate(invalid='ignore'):
         information = brute_force.information_of_visits(belief.joint, model, visits)
-    # Nothing is learnt of a path that nobody survives.
+    # A path that no robot survives has no information.
     return np.where(returns > 0.0, information, 0.0) - loss_cost * (1.0 - returns)
 
 
@@ -119,7 +119,7 @@ def test_the_parabola_touches_from_above():
         above = np.polynomial.polynomial.polyval(p, parabola(q, p0)) - f
         assert above.min() >= -1e-14
         assert above[-1] == pytest.approx(0.0, abs=1e-14)
-        # The curvature of a small q is that of a series.
+        # For small q a series replaces the curvature.
         assert above[-2] == pytest.approx(0.0, abs=1e-14)
 
 
@@ -135,7 +135,7 @@ def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
 
 @pytest.mark.slow
 def test_the_median_gap_on_beliefs_of_missions_is_3_percent_at_most(record_property):
-    """On 9x9 cells with 18 steps, after no to 60 robots, at lethality 0.1 to 0.9."""
+    """On 9x9 cells with 18 steps, after 0 to 60 robots, at lethality 0.1 to 0.9."""
     grid, options, gaps = Grid(9, 9), SearchOptions('relaxed', 18), []
     for seed in range(30) if FULL else (0, 4):
         model = SensorModel((0.1, 0.3, 0.5, 0.7, 0.9)[seed % 5])
@@ -169,7 +169,7 @@ def test_a_bound_changes_nothing_of_a_plan():
     ({'planner': 'coverage'}, 'planner is coverage.*no bound'),
     ({'planner': 'shortest_unvisited'}, 'planner is shortest_unvisited.*no bound'),
 ])  # fmt: skip
-def test_what_has_no_bound_is_refused(options, message):
+def test_options_without_a_bound_are_refused(options, message):
     grid = Grid(3, 3)
     with pytest.raises(ValueError, match=message):
         plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, bound=True, **options)

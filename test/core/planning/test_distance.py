@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths of limited length: against all paths of small fields, and what is refused."""
+"""Paths of limited length, against all paths of small fields, and refusals."""
 
 from dataclasses import replace
 from functools import cache
@@ -28,7 +28,7 @@ from laws import for_each
 import numpy as np
 import pytest
 
-# With the most steps and visits that all paths are gone through for.
+# Grids, most steps and most visits for which all paths are enumerated.
 FIELDS = [
     (Grid(3, 3), 5, 2),
     (Grid(3, 3, base=4, resolution=0.1), 4, 3),
@@ -49,15 +49,15 @@ def step_length(grid, one, other):
 
 
 def kind_of_step(grid, one, other):
-    """Return how many coordinates a step changes: 0 for a stay, 2 for a diagonal one."""
+    """Return the number of coordinates that a step changes: 0 for a stay, 2 for a diagonal."""
     (row, col), (to_row, to_col) = divmod(one, grid.width), divmod(other, grid.width)
     return (row != to_row) + (col != to_col)
 
 
 @cache
 def every_path(grid, most_steps, max_visits):
-    """Return visits and lengths of all closed paths, and how many labels a cell may need."""
-    # Straight and diagonal steps are counted, so that no sum is rounded.
+    """Return visits and lengths of all closed paths, and the most labels of a cell."""
+    # Straight and diagonal steps are counted, so no sum is rounded.
     ends, closed, needed = {(grid.base, (0,) * grid.cells, 0, 0)}, set(), 1
     for _ in range(most_steps):
         ends = {
@@ -79,7 +79,7 @@ def every_path(grid, most_steps, max_visits):
 
 
 def problem(seed):
-    """Draw a field, a limit that some paths keep and others do not, and a belief."""
+    """Draw a field, a length limit that some paths exceed, and a belief."""
     rng = np.random.default_rng(seed)
     grid, most_steps, max_visits = FIELDS[seed % len(FIELDS)]
     visits, lengths, needed = every_path(grid, most_steps, max_visits)
@@ -88,7 +88,7 @@ def problem(seed):
     options = SearchOptions(
         max_steps=most_steps,
         max_visits=max_visits,
-        # Just as long as one of them now and then, which the sums of its steps may exceed.
+        # Sometimes exactly the length of a path, which its sum of steps may exceed by rounding.
         max_distance=float(rng.choice(allowed) * rng.choice([1.0, 1.0, rng.uniform(1.0, 1.4)])),
         loss_cost=float(rng.choice([0.0, 0.0, 0.5])),
         width=2 * int(needed) + 2,
@@ -107,7 +107,7 @@ def path_length(grid, path):
 
 
 def found_by(grid, belief, model, options, **more):
-    """Return the plan, and its value, of a path that keeps to the limits."""
+    """Return a plan that keeps the limits, and its value."""
     given = {name: value for name, value in vars(options).items() if name != 'max_steps'}
     found = plan(grid, belief, model, options.max_steps, **given, **more)
     assert path_length(grid, grid.check_path(found.path, options.max_steps)) <= (
@@ -118,7 +118,7 @@ def found_by(grid, belief, model, options, **more):
 
 @for_each('seed', range(300), every=6)
 def test_paths_and_bounds_keep_to_the_length(seed):
-    """All labels find the best path of it, a narrow search none that is longer or better."""
+    """All labels find the best path; a narrow search finds none longer or better."""
     grid, belief, model, options, best = problem(seed)
     assert found_by(grid, belief, model, options)[1] == pytest.approx(best, abs=1e-8)
     for width, planner in ((1, 'relaxed'), (2, 'beam'), (5, 'beam'), (16, 'beam')):
@@ -167,7 +167,7 @@ def test_robots_of_a_team_keep_their_own_lengths(seed):
 
 
 def distances(grid):
-    """Return the distance of each cell from the base by Dijkstra's algorithm."""
+    """Return each cell's distance from the base, by Dijkstra's algorithm."""
     distance, queue = np.full(grid.cells, inf), [(0.0, grid.base)]
     while queue:
         length, cell = heappop(queue)
@@ -216,7 +216,7 @@ def test_a_distance_is_kept_to_the_rounding_of_its_sum():
 def test_cells_that_refused_plans_led_to_leave_some_within_the_distance():
     grid = Grid(9, 1)
     refused = [[[0, 1, 2, 1, 0]]]
-    # Off these robots come to two of nine cells, and to two of three within 4 m.
+    # Without these cells robots reach two of nine cells, and two of three within 4 m.
     assert keepout_cells(grid, 18, [None], refused).tolist() == []
     assert keepout_cells(grid, 18, [None], refused, 4.0).tolist() == [2, 3]
 
@@ -225,7 +225,7 @@ BELIEF = Belief.prior(Grid(3, 3), 0.2, 0.4, 0.8)
 
 
 @for_each('planner', ['random', 'coverage', 'shortest_unvisited'])
-def test_planners_that_do_not_keep_a_distance_refuse_it(planner):
+def test_planners_without_distance_limits_refuse_them(planner):
     with pytest.raises(ValueError, match=f'which the planner {planner} does not keep: choose'):
         plan(Grid(3, 3), BELIEF, SensorModel(0.5), 6, planner, max_distance=4.0)
 
@@ -241,7 +241,7 @@ def test_a_distance_that_allows_no_step_is_refused_with_the_least():
         for planner in ('beam', 'relaxed'):
             with pytest.raises(ValueError, match=f'no step .* it must be at least {needed}, or 0'):
                 plan(grid, BELIEF, SensorModel(0.5), 6, planner, max_distance=0.99 * least)
-    # No number of steps does either.
+    # No number of steps allows it either.
     plan(Grid(3, 3), BELIEF, SensorModel(0.5), 1, max_distance=0.5)
     with pytest.raises(ValueError, match='max_distance is 1.5 m, which allows no step'):
         plan_team(

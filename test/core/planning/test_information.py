@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a path is worth: the information or the behavioral entropies of all states and outcomes."""
+"""Value of a path: information or behavioral entropies over all states and outcomes."""
 
 from functools import cache
 from itertools import product
@@ -44,8 +44,8 @@ def test_path_information_is_the_joint_information(seed):
 
 
 @for_each('seed', range(50))
-def test_the_count_of_exposures_tells_all_there_is(seed):
-    """The fast search used in the planning tests is right too."""
+def test_visit_counts_determine_the_information(seed):
+    """The fast enumeration of the planning tests is correct as well."""
     joint, model, path = random_case(seed)
     visits = np.bincount(path[1:], minlength=len(joint))[None]
     fast = brute_force.information_of_visits(joint, model, visits)[0]
@@ -53,7 +53,7 @@ def test_the_count_of_exposures_tells_all_there_is(seed):
 
 
 def test_even_odds_and_a_perfect_robot_by_hand():
-    """A perfect sensor of a certain return tells the target; a deadly hazard tells itself."""
+    """A certain return with a perfect sensor shows the target; a deadly hazard shows itself."""
     belief = Belief.from_maps([0.0, 0.0, 0.5], [0.0, 0.5, 0.5], [0.0, 0.5, 0.5])
     model = SensorModel(1.0, malfunction=0, false_negative=0, true_positive=1, false_positive=0)
     assert path_information(belief, model, [0, 1, 0]) == pytest.approx(log(2))
@@ -93,13 +93,13 @@ def test_bad_paths_are_refused(path, message):
         path_information(belief, SensorModel(0.5), path)
 
 
-# The behavioral objective, against the sum over every state and every outcome, and its laws.
+# The behavioral objective, against the sum over all states and outcomes, and its laws.
 
 
 LOW, HIGH = options.ALPHAS
 ALPHAS = (LOW, 0.5, 0.8, 1.25, 2.0, HIGH)
 SEEKING = ('beam', 'relaxed')
-# Of the best of all paths, what a search finds at least.
+# Minimum share of the best of all paths that a search finds.
 SHARES = {'beam': 0.95, 'relaxed': 0.5}
 
 
@@ -109,7 +109,7 @@ def case_of_alpha(seed):
 
 
 @for_each('alpha, seed', product(ALPHAS, range(200 if FULL else 25)))
-def test_it_is_the_fall_of_the_entropies_over_all_states_and_outcomes(seed, alpha):
+def test_the_value_is_the_expected_fall_of_the_entropies(seed, alpha):
     joint, model, path = case_of_alpha(seed)
     expected = brute_force.behavioral_information(joint, model, path, alpha)
     found = behavioral_information(Belief(joint), model, path, alpha)
@@ -127,7 +127,7 @@ def test_at_alpha_1_it_is_the_information(seed):
 
 
 @for_each('seed', range(30))
-def test_at_alpha_1_robots_that_left_before_count_as_for_the_information(seed):
+def test_at_alpha_1_robots_in_flight_count_as_for_the_information(seed):
     rng = np.random.default_rng(seed)
     belief = Belief(brute_force.random_joint(rng, 9, 0))
     model = SensorModel(**brute_force.random_sensors(rng))
@@ -139,7 +139,7 @@ def test_at_alpha_1_robots_that_left_before_count_as_for_the_information(seed):
 
 
 def test_entropies_by_hand():
-    """Even odds are as unsure as can be for all, and what is certain is certain for all."""
+    """Even odds have maximum entropy for every alpha, certainty has none."""
     for alpha in ALPHAS:
         certain, even = behavioral_entropy([0.0, 1.0], alpha), behavioral_entropy(0.5, alpha)
         assert certain.tolist() == [0.0, 0.0]
@@ -151,7 +151,7 @@ def test_entropies_by_hand():
 
 
 @for_each('alpha', ALPHAS)
-def test_up_to_alpha_1_and_no_further_the_entropy_is_concave(alpha):
+def test_the_entropy_is_concave_up_to_alpha_1_only(alpha):
     curvature = np.diff(behavioral_entropy(np.linspace(0.0, 1.0, 2001), alpha), 2)
     assert (curvature < 0.0).all() == (alpha <= 1.0)
 
@@ -164,7 +164,7 @@ def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
 
 
 def test_beyond_alpha_1_it_may_be_negative():
-    """A target that hardly is there seems to be none, until a reading says that it may be."""
+    """A very improbable target seems absent until a reading suggests it."""
     belief = Belief.from_maps([0.0, 0.0], [0.0, 0.01], [0.0, 0.01])
     model = SensorModel(0.0, malfunction=0.0, true_positive=0.6, false_positive=0.4)
     path = [0, 1, 0]
@@ -176,14 +176,14 @@ def test_beyond_alpha_1_it_may_be_negative():
 
 @cache
 def every_path():
-    """Return a path for each way to visit the cells of 3x3 in at most 6 steps, in some order."""
+    """Return a path for each way to visit cells of 3x3 in at most 6 steps, in some order."""
     visits = brute_force.all_visit_counts(3, 3, 0, 6)
     return [np.append(0, np.repeat(np.arange(9), each)) for each in visits]
 
 
 @cache
 def best_of_all(seed, alpha):
-    """Return a belief, a sensor model and the most that a path is worth."""
+    """Return a belief, a sensor model and the maximum value of a path."""
     rng = np.random.default_rng(seed)
     belief = Belief(brute_force.random_joint(rng, 9, 0))
     model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])))
@@ -233,8 +233,8 @@ def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
 
 @pytest.mark.slow
 @for_each('alpha', [0.5, 2.0])
-def test_each_seeks_its_own(alpha):
-    """By its own alpha a plan is worth more, on average over beliefs, than one for information."""
+def test_each_objective_is_best_at_its_own_value(alpha):
+    """A plan for its own alpha has a higher value than one for information, on average."""
     more = []
     for seed in range(20):
         grid, belief, model = random_problem(seed)
@@ -249,7 +249,7 @@ def test_each_seeks_its_own(alpha):
 
 
 @for_each('planner', SEEKING)
-def test_a_loss_cost_is_counted_beside_it(planner):
+def test_a_loss_cost_is_subtracted(planner):
     grid, belief, model = random_problem(4)
     careful, bold = (
         plan(
@@ -268,7 +268,7 @@ def test_a_loss_cost_is_counted_beside_it(planner):
 
 
 @for_each('planner', [each for each in PLANNERS.own if each not in SEEKING])
-def test_planners_that_seek_nothing_refuse_it(planner):
+def test_planners_without_an_objective_refuse_it(planner):
     with pytest.raises(
         ValueError, match=f'{planner} seeks none: choose the planner beam or relax'
     ):
@@ -283,6 +283,6 @@ def test_planners_that_seek_nothing_refuse_it(planner):
     ({'objective': 'behavioral', 'alpha': np.nan}, 'alpha is nan'),
     ({'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
 ])  # fmt: skip
-def test_what_does_not_fit_is_refused(sought, message):
+def test_inconsistent_options_are_refused(sought, message):
     with pytest.raises(ValueError, match=message):
         plan(*random_problem(0), 6, **sought)

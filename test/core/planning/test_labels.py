@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The search, against all closed paths of small fields, and what moments and labels are worth."""
+"""The search against all closed paths of small fields; values of labels and moments."""
 
 from dataclasses import replace
 import itertools
@@ -60,7 +60,7 @@ print('numba' in sys.modules and sys.modules['numba'] is not None, file=sys.stde
 
 
 def plans(before='', **environment):
-    """Return what a process of its own prints of its plans, and whether it has numba."""
+    """Return the plans of another process as text, and whether it has numba."""
     done = subprocess.run(
         [sys.executable, '-W', 'ignore', '-c', PLANS.format(before=before)],
         env=os.environ | {'PYTHONPATH': os.pathsep.join(sys.path)} | environment,
@@ -68,7 +68,7 @@ def plans(before='', **environment):
         text=True,
         check=True,
     )
-    # Before it, a compilation may be told of.
+    # A notice of compilation may come before.
     return done.stdout, done.stderr.splitlines()[-1] == 'True'
 
 
@@ -77,7 +77,7 @@ def test_plans_have_the_same_bits_compiled_and_interpreted_with_one_thread_and_m
     printed, has_numba = plans(NUMBA_NUM_THREADS='2', OMP_NUM_THREADS='2')
     assert has_numba
     assert len(printed.splitlines()) == 14
-    # A module that is None in sys.modules cannot be imported.
+    # None in sys.modules: the module cannot be imported.
     without = plans("sys.modules['numba'] = None", NUMBA_NUM_THREADS='1', OMP_NUM_THREADS='1')
     assert without == (printed, False)
     if FULL:
@@ -86,8 +86,8 @@ def test_plans_have_the_same_bits_compiled_and_interpreted_with_one_thread_and_m
 
 
 @for_each('seed', range(60))
-def test_labels_are_worth_what_their_paths_are(seed):
-    """By moments but for what these miss, and ranked at the base by the exact information."""
+def test_labels_have_the_values_of_their_paths(seed):
+    """By moments up to their error; at the base by the exact information."""
     rng = np.random.default_rng(seed)
     grid = Grid(4, 3, base=5)
     belief = Belief(brute_force.random_joint(rng, 12, 5))
@@ -111,7 +111,7 @@ def test_labels_are_worth_what_their_paths_are(seed):
 
 
 def missed_by_moments(belief, model, path):
-    """Return how far the sum of powers is off the mean of -(1 - p) ln(1 - p), nats."""
+    """Return the error of the sum of powers for the mean of -(1 - p) ln(1 - p), nats."""
     cells, visits = np.unique(path[1:], return_counts=True)
     states = np.array(list(itertools.product((0, 1), repeat=cells.size)))
     hazard = belief.hazard[cells]
@@ -124,7 +124,7 @@ def missed_by_moments(belief, model, path):
 
 
 def small_problem(seed, max_steps, width, **options):
-    """Draw a field of 3x3 cells and return a search in it, with robots in flight now and then."""
+    """Draw a field of 3x3 cells and return a search in it, sometimes with robots in flight."""
     rng = np.random.default_rng(seed)
     grid = Grid(3, 3, base=seed % 9, connectivity=(4, 8)[seed // 2 % 2])
     belief = Belief(brute_force.random_joint(rng, 9, grid.base))
@@ -168,8 +168,8 @@ def walks(grid, steps):
 
 @pytest.mark.slow
 @for_each('seed', range(60), every=3)
-def test_no_path_is_worth_more_than_its_first_cells_let_hope(seed):
-    """So that dropping hopeless labels drops no best path."""
+def test_no_path_exceeds_the_bound_of_its_first_cells(seed):
+    """So dropping hopeless labels drops no best path."""
     loss_cost = (0.0, 0.1, 3.0)[seed // 3 % 3]
     _, grid, _, search = small_problem(seed, 5, 8, loss_cost=loss_cost, max_visits=2)
     paths = [path for path in walks(grid, 5) if len(path) > 1 and np.bincount(path[1:]).max() <= 2]
@@ -194,8 +194,8 @@ def test_no_path_is_worth_more_than_its_first_cells_let_hope(seed):
 
 @pytest.mark.slow
 @for_each('seed', range(40), every=2)
-def test_an_improved_path_is_better_than_all_around_it(seed):
-    """With cells in a row replaced, up to two, and as long as allowed."""
+def test_an_improved_path_is_better_than_all_its_neighbours(seed):
+    """With up to two cells in a row replaced, within the limits."""
     limits = {'max_visits': (2, 4, 4)[seed % 3], 'max_distance': (0.0, 8.5)[seed % 2]}
     rng, grid, options, search = small_problem(seed, 8, 8, **limits)
     near = [set(grid.neighbors(cell).tolist()) for cell in range(9)]
@@ -226,7 +226,7 @@ def test_an_improved_path_is_better_than_all_around_it(seed):
 
 
 def around(path, most):
-    """Yield a path with up to so many cells in a row replaced, whether or not the others fit."""
+    """Yield a path with up to `most` cells in a row replaced, valid or not."""
     end = len(path) - 1
     for first in range(end):
         for last in range(first + 1, min(first + most + 1, end) + 1):
@@ -236,7 +236,7 @@ def around(path, most):
 
 
 def test_a_plan_is_the_same_in_a_larger_field():
-    """What is out of reach changes nothing, and nothing is searched there."""
+    """Cells out of reach change nothing and are not searched."""
     rng = np.random.default_rng(1)
     small, large = Grid(13, 13, base=84), Grid(40, 50, base=25 * 40 + 20)
     inside = (np.arange(19, 32)[:, None] * 40 + np.arange(14, 27)).ravel()
@@ -255,7 +255,7 @@ def test_a_plan_is_the_same_in_a_larger_field():
     (300, {'max_steps': 600, 'max_visits': 600}),
     (9, {'max_steps': 10_000, 'max_visits': 10_000}),
 ])  # fmt: skip
-def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments):
+def test_searches_beyond_memory_are_refused_with_an_estimate(size, arguments):
     grid = Grid(size, size)
     belief, steps = Belief.prior(grid, 0.3, 0.4, 0.8), arguments['max_steps']
     with pytest.raises(ValueError, match=rf'max_steps = {steps}.*width.*max_visits.* GB.*lower'):
@@ -269,7 +269,7 @@ def test_what_takes_too_much_memory_is_refused_with_an_estimate(size, arguments)
     ('beam', 9, 10_000, 16, 10_000, 1),
     ('beam', 100, 200, 16, 3, 2000),
 ])  # fmt: skip
-def test_memory_can_be_asked_for_before_there_is_a_belief(
+def test_memory_can_be_estimated_without_a_belief(
     planner, side, max_steps, width, max_visits, robots
 ):
     finder = PathFinder(Grid(side, side), SearchOptions(planner, max_steps, width, max_visits))
@@ -283,7 +283,7 @@ def test_memory_can_be_asked_for_before_there_is_a_belief(
     ('beam', 1000, 60, 16, 3, 100),
     ('relaxed', 300, 600, 10_000, 3, 1),
 ])  # fmt: skip
-def test_what_is_allowed_needs_no_more_memory_than_there_may_be(
+def test_allowed_searches_keep_the_memory_limit(
     planner, side, max_steps, width, max_visits, robots
 ):
     PathFinder(
@@ -292,8 +292,8 @@ def test_what_is_allowed_needs_no_more_memory_than_there_may_be(
 
 
 @for_each('allocation', ['independent', 'voronoi', 'greedy'])
-def test_a_search_asks_for_no_more_than_was_asked_for_before(monkeypatch, allocation):
-    """Whatever became of the robots before: a mission that has begun is not refused later."""
+def test_a_search_never_exceeds_the_first_estimate(monkeypatch, allocation):
+    """Also after any fates of earlier robots: a mission that has begun is not refused later."""
     grid, model, robots = Grid(5, 5), SensorModel(0.5), 7
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = PathFinder(grid, SearchOptions('beam', 10, 4, 3))
@@ -315,7 +315,7 @@ def test_a_search_asks_for_no_more_than_was_asked_for_before(monkeypatch, alloca
 
 @pytest.mark.slow
 def test_the_best_of_a_wide_search_is_found():
-    """On beliefs of a mission: most is known near the base, and little beyond."""
+    """On beliefs of missions: most is known near the base, and little farther out."""
     grid = Grid(9, 9)
     near = np.clip(1.3 - grid.steps_to_base / 6, 0.02, 1.0)
     for seed in range(8):
@@ -329,10 +329,10 @@ def test_the_best_of_a_wide_search_is_found():
         assert found >= 0.99 * best
 
 
-# The sum of powers that stands for the surprisal of a loss.
+# The sum of powers that approximates the surprisal of a loss.
 
 
-# Dense where the powers and the surprisal change, near 0 and near 1.
+# Dense where the powers and the surprisal change fastest, near 0 and near 1.
 LOGIT = np.linspace(-30, 30, 600_001)
 LOSS = 1 / (1 + np.exp(LOGIT))
 
@@ -342,13 +342,13 @@ def error():
     return surprisal - np.exp(-np.log1p(np.exp(-LOGIT))[:, None] * EXPONENTS) @ WEIGHTS
 
 
-def test_the_error_is_as_said_from_0_to_1():
+def test_the_error_is_as_stated_from_0_to_1():
     assert np.abs(error()).max() <= ERROR
-    assert abs(WEIGHTS.sum()) <= ERROR  # at 1, where nothing is lost; at 0 all is 0
+    assert abs(WEIGHTS.sum()) <= ERROR  # at 1, where no robot is lost; at 0 it is 0
 
 
 def test_no_other_weights_are_better():
-    """The error is as large, in turn above and below, once more often than there are weights."""
+    """The error alternates between its extremes once more often than there are weights."""
     far = error()[np.abs(error()) > 0.999 * np.abs(error()).max()]
     turns = 1 + (np.diff(np.sign(far)) != 0).sum()
     assert turns == WEIGHTS.size + 1

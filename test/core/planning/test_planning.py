@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One robot, against every closed path of a small field, by options that have one table."""
+"""One robot against all closed paths of a small field; search options have one table."""
 
 import ast
 from dataclasses import fields, replace
@@ -29,7 +29,7 @@ from laws import for_each
 import numpy as np
 import pytest
 
-BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
+BASES = (0, 5, 2, 15)  # corner, inside, edge, last cell
 
 
 @cache
@@ -50,8 +50,8 @@ def optimum(grid, belief, model):
     return brute_force.information_of_visits(belief.joint, model, visits).max()
 
 
-def test_the_search_sees_all_closed_paths():
-    """Two cells: every number of visits to the base, and to the other one before a return."""
+def test_the_search_covers_all_closed_paths():
+    """Two cells: any number of visits to the base, and to the other cell before a return."""
     visits = brute_force.all_visit_counts(2, 1, 0, 3)
     assert visits.tolist() == [[1, 0], [1, 1], [1, 2], [2, 0], [2, 1], [3, 0]]
 
@@ -72,7 +72,7 @@ def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
 
 @for_each('planner', ['beam', 'relaxed'])
 def test_the_most_visits_bind(planner):
-    """One interesting cell: the plan would look again and again, and is held to max_visits."""
+    """One interesting cell: the plan would look again and again, but for max_visits."""
     belief = Belief.from_maps([0, 0, 0], [0, 0.5, 0], [0, 0.5, 0])
     model = SensorModel(0.5, malfunction=0.001, true_positive=0.6, false_positive=0.4)
 
@@ -86,7 +86,7 @@ def test_the_most_visits_bind(planner):
 
 @for_each('planner', ['beam', 'relaxed'])
 def test_the_steps_are_used_up_to_the_last(planner):
-    """A promising cell max_steps there and back is reached; with one step less it is not."""
+    """A promising cell max_steps away and back is reached, with one step less it is not."""
     belief = Belief.from_maps(np.zeros(5), [0, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.5])
     model = SensorModel(0.5, malfunction=0.001)
     far = plan(Grid(5, 1), belief, model, 8, planner=planner)
@@ -94,8 +94,8 @@ def test_the_steps_are_used_up_to_the_last(planner):
     assert 4 not in plan(Grid(5, 1), belief, model, 7, planner=planner).path
 
 
-def test_plans_are_what_they_were_before_losses_had_a_cost():
-    """Paths, not bits of what they are worth: those are the machine's."""
+def test_without_a_loss_cost_plans_are_unchanged():
+    """Paths only: the bits of values depend on the machine."""
     paths = [plan(*random_problem(seed), 7, loss_cost=0.0).path.tolist() for seed in range(50)]
     assert sha256(str(paths).encode()).hexdigest()[:16] == '3b5cb17783513fe3'
 
@@ -153,7 +153,7 @@ def test_information_per_loss_of_a_team_is_that_of_all_its_robots():
     ({'planner': 'random'}, 'information_per_loss, and the planner random seeks none'),
     ({'bound': True}, 'objective is information_per_loss, for which there is no bound'),
 ])  # fmt: skip
-def test_information_per_loss_goes_with_what_seeks_it(arguments, message):
+def test_information_per_loss_refuses_other_options(arguments, message):
     grid, belief, model = random_problem(0)
     with pytest.raises(ValueError, match=message):
         plan(grid, belief, model, 6, objective='information_per_loss', **arguments)
@@ -168,7 +168,7 @@ def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner):
     plans = [plan(grid, belief, model, 7, planner, loss_cost=c) for c in (0, 0.2, 0.5, 1, 2, 99)]
     survival = [planned.survival for planned in plans]
     assert (np.diff(survival) >= -1e-12).all()
-    assert len(plans[-1].path) == 2  # the shortest, at the base
+    assert len(plans[-1].path) == 2  # the shortest path, at the base
 
 
 @for_each('arguments, message', [
@@ -204,7 +204,7 @@ def test_a_plan_cannot_be_changed():
         found.path[0] = 1
 
 
-# An option of the search is stated in the table of parameters and in `SearchOptions` alone.
+# Options of the search are stated in the table of parameters and in `SearchOptions` only.
 
 
 OPTIONS = {field.name: field for field in fields(SearchOptions)}
@@ -213,7 +213,7 @@ ROWS = {option: node_parameters('planner')[name] for option, name in NAMES.items
 
 
 def restated(source):
-    """Yield the lines of functions and calls that name three options or more."""
+    """Yield the lines of functions and calls that name three or more options."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef):
             named = {each.arg for each in (*node.args.args, *node.args.kwonlyargs)}
@@ -240,7 +240,7 @@ def test_the_planner_reads_each_parameter(name):
     assert search_options(values) == options
 
 
-def test_the_table_allows_what_the_options_allow():
+def test_the_table_and_the_options_have_the_same_limits():
     assert set(ROWS['planner'].choices) == set(PLANNERS)
     assert tuple(ROWS['objective'].choices) == OBJECTIVES
     for name, row in ROWS.items():

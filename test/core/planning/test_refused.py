@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where robots go after refusals, and where those that seek nothing go."""
+"""Plans after refusals, and planners without an objective."""
 
 from itertools import pairwise, product
 
@@ -16,7 +16,7 @@ from rounds import plan_round
 
 GRID = Grid(9, 9)
 MODEL = SensorModel(0.5)
-# One on which robots go far, and one on which they stay near the base.
+# A belief on which robots go far, and one on which they stay near the base.
 FAR, NEAR = Belief.prior(GRID, 0.1, 0.45, 0.8), Belief.prior(GRID, 0.5, 0.45, 0.8)
 
 
@@ -26,7 +26,7 @@ def test_a_region_is_the_far_half_of_a_path_or_a_part_of_it():
     regions = [[4, 5, 6, 7], [4, 5, 6], [5, 6, 7], [6]]
     there = [0, 1, 2, 3, 4, 5, 6]
     assert [each.tolist() for each in nested_regions(line, [*there, *there[-2::-1]])] == regions
-    # A robot that stays at the base is sent nowhere.
+    # A path that stays at the base has no region.
     assert [each.tolist() for each in nested_regions(line, [0, 0])] == [[], [], [1], []]
 
 
@@ -55,7 +55,7 @@ def plans(refused, prior=FAR, agents=1, **options):
 
 
 @for_each('allocation, prior', product(['greedy', 'voronoi', 'independent'], [FAR, NEAR]))
-def test_what_is_planned_instead_is_of_another_region_and_no_better(prior, allocation):
+def test_the_plan_after_a_refusal_is_of_another_region_and_no_better(prior, allocation):
     refused, best = [], np.inf
     for number in range(3):
         (plan,), cells = plans(refused, prior, allocation=allocation)
@@ -68,7 +68,7 @@ def test_what_is_planned_instead_is_of_another_region_and_no_better(prior, alloc
     assert paths[0] != paths[1] != paths[2]
 
 
-def test_robots_that_are_out_may_be_where_others_keep_off():
+def test_robots_in_flight_may_be_in_refused_regions():
     (first,), _ = plans([])
     (other,), cells = plans([[first.path]], in_flight=[(first.path, ORDINARY)])
     assert not set(cells) & set(other.path.tolist())
@@ -102,7 +102,7 @@ def test_a_round_is_not_proposed_twice_in_a_row(size, max_steps):
     assert all(one != other for one, other in pairwise(ways))
 
 
-# The planners that seek no information: what they draw, and what they come to.
+# Planners without an information objective: distributions and values.
 
 
 TOURS = ('coverage', 'shortest_unvisited')
@@ -143,7 +143,7 @@ def test_random_walks_are_uniform():
     drawn = [tuple(random_walk(reach, 4, rng)[1:-1].tolist()) for _ in range(draws)]
     counts = np.array([drawn.count(walk) for walk in walks])
     assert counts.sum() == draws
-    # The mean of chi-square is its degrees of freedom, their double its variance.
+    # Chi-square has its degrees of freedom as mean and twice that as variance.
     freedom = len(walks) - 1
     assert ((counts - 100) ** 2 / 100).sum() < freedom + 4 * np.sqrt(2 * freedom)
 
@@ -175,23 +175,23 @@ def test_the_random_planner_draws_the_same_for_the_same_belief_and_visits():
     'planner, max_visits, grid',
     product(TOURS, [1, 3], [Grid(7, 7), Grid(9, 4, base=20, connectivity=4), WALLED]),
 )
-def test_tours_come_to_every_cell_in_reach_before_they_begin_anew(grid, planner, max_visits):
+def test_tours_enter_every_cell_in_reach_before_they_start_over(grid, planner, max_visits):
     paths = sent(grid, planner, 40, 14, max_visits)
     for path in paths:
         assert np.bincount(path[1:]).max() <= max_visits
     reach = grid.in_reach(14) & (np.arange(grid.cells) != grid.base)
     if max_visits == 1:
-        # There may be no way back but the one there.
+        # The only way back may be the way there.
         reach &= [any(cell in path for path in paths) for cell in range(grid.cells)]
         assert reach.sum() > 5
     first = next(n for n in range(41) if count_visits(grid, paths[:n])[reach].all())
-    # As long as cells are new, each tour comes to one.
+    # While cells are new, each tour reaches one.
     for number in range(first):
         seen = count_visits(grid, paths[:number])
         assert (seen[paths[number]] == 0).any()
 
 
-def test_coverage_ploughs():
+def test_coverage_goes_row_by_row():
     grid = Grid(4, 3)
     assert plan(grid, prior(grid), MODEL, 20, 'coverage').path.tolist()[:12] == [
         *(0, 1, 2, 3),
@@ -201,7 +201,7 @@ def test_coverage_ploughs():
 
 
 def test_the_nearest_cell_comes_next():
-    """On an open field with the base in a corner a way is as long as its longer side."""
+    """On an open field with the base in a corner a path is as long as its longer side."""
     grid = Grid(5, 5)
     (path,) = sent(grid, 'shortest_unvisited', 1, 16)
     row, col = np.divmod(np.arange(25), 5)
@@ -217,7 +217,7 @@ def test_the_nearest_cell_comes_next():
 
 
 @for_each('planner', TOURS)
-def test_robots_of_a_round_go_on_where_those_before_them_leave_off(planner):
+def test_robots_of_a_round_continue_the_same_tour(planner):
     grid = Grid(7, 7)
     team = plan_round(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
     alone = sent(grid, planner, 3, 14)
@@ -240,7 +240,7 @@ def test_walks_beyond_memory_are_refused():
 
 @for_each('planner', ['coverage', 'shortest_unvisited'])
 def test_a_tour_with_more_steps_than_cells_ends(planner):
-    """A cell that cannot be entered again is not taken for one that is as far as the field."""
+    """A cell at its visit limit is not taken for the farthest cell."""
     grid = Grid(3, 2, base=0, blocked=(4,))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     path = plan(grid, belief, SensorModel(0.5), 12, planner, max_visits=1).path

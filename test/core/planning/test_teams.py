@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots at once, of one type or of several, against the sum over all states and outcomes."""
+"""Robots in flight together, of one or several types, against all states and outcomes."""
 
 from functools import cache
 from itertools import pairwise, product
@@ -31,7 +31,7 @@ import numpy as np
 import pytest
 from rounds import plan_round, regions_of_team
 
-BASES = (0, 5, 2, 15)  # a corner, the inside, an edge, the last cell
+BASES = (0, 5, 2, 15)  # corner, inside, edge, last cell
 GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MODEL = SensorModel(0.5)
@@ -68,7 +68,7 @@ def random_belief(seed, grid=GRID):
     return Belief(joint)
 
 
-# What several paths are worth together
+# Joint value of several paths
 
 
 @for_each('seed', range(60))
@@ -83,7 +83,7 @@ def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
 
 
 @pytest.mark.slow
-def test_team_information_is_the_joint_information_but_for_a_little():
+def test_team_information_is_nearly_the_joint_information():
     cases = 600
     above = np.zeros(cases)
     for seed in range(cases):
@@ -104,8 +104,8 @@ def test_team_information_is_the_joint_information_but_for_a_little():
 
 
 @for_each('seed', range(20))
-def test_what_may_have_happened_averages_to_what_is_believed(seed):
-    """Over all joint outcomes the hazards are the prior's, whether some are merged or not."""
+def test_joint_outcomes_average_to_the_belief(seed):
+    """Averaged over joint outcomes, the hazards are the prior's, with and without merging."""
     rng, belief = np.random.default_rng(seed), random_belief(seed)
     model = SensorModel(**brute_force.random_sensors(rng))
     after = joint_outcomes.nobody_deployed(belief)
@@ -132,7 +132,7 @@ def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
 
 
 def shares_of_the_best(grid, belief, model, steps):
-    """Return the exact joint information of each allocation's pair over that of the best pair."""
+    """Return the joint information of each allocation's pair, relative to the best pair."""
 
     def of_pairs(visits):
         return brute_force.information_of_pairs(belief.joint, model, visits)
@@ -143,7 +143,7 @@ def shares_of_the_best(grid, belief, model, steps):
         found[allocation] = of_pairs(np.array([count_visits(p.path, 16) for p in plans]))[0, 1]
     visits = every_path(grid.base, steps)
     alone = brute_force.information_of_visits(belief.joint, model, visits)
-    # Two paths are never worth more together than one by one, so a poor one is in no best pair.
+    # A pair has at most the sum of its values, so a poor path is in no best pair.
     worthy = alone + alone.max() >= max(found.values()) - 1e-9
     best = of_pairs(visits[worthy]).max()
     return {allocation: information / best for allocation, information in found.items()}
@@ -172,8 +172,8 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
 
 @pytest.mark.slow
 @for_each('agents', [2, 3, 5])
-def test_a_greedy_team_is_the_best_of_those_that_grow_side_by_side(agents, monkeypatch):
-    """No less is found than by one team that grows with the best path for each robot."""
+def test_a_greedy_team_is_the_best_of_several_grown_together(agents, monkeypatch):
+    """At least as good as adding the best path for one robot after another."""
 
     def found(seed):
         belief = random_belief(seed)
@@ -188,7 +188,7 @@ def test_a_greedy_team_is_the_best_of_those_that_grow_side_by_side(agents, monke
 
 
 @for_each('allocation, planner, agents', product(ALLOCATIONS, PLANNERS, [2, 5]))
-def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, allocation):
+def test_plans_of_a_team_are_legal_and_have_their_values(agents, planner, allocation):
     belief = random_belief(agents)
     team = plan_round(GRID, belief, MODEL, 7, agents, allocation, planner, max_visits=2)
     around = brute_force.adjacent(6, 5, GRID.blocked)
@@ -204,7 +204,7 @@ def test_plans_of_a_team_are_legal_and_say_what_they_are_worth(agents, planner, 
     assert together <= sum(planned.information for planned in team) + 1e-9
 
 
-def test_independent_robots_go_the_same_way():
+def test_independent_robots_take_the_same_path():
     alone = plan(GRID, PRIOR, MODEL, 8).path.tolist()
     team = plan_round(GRID, PRIOR, MODEL, 8, 3, 'independent')
     assert [planned.path.tolist() for planned in team] == [alone] * 3
@@ -230,11 +230,11 @@ def test_regions_divide_the_free_cells_evenly(base, agents):
         each = [Belief(belief.joint[regions.owner == r]).joint_entropy() for r in range(agents)]
         np.testing.assert_allclose(regions.entropy, each, rtol=0, atol=1e-9)
         assert regions.imbalance == pytest.approx(max(each) / np.mean(each) - 1, abs=1e-9)
-        assert regions.imbalance * np.mean(each) <= 1.5  # nats, about a cell
+        assert regions.imbalance * np.mean(each) <= 1.5  # nats, of about one cell
 
 
 def test_regions_are_the_same_in_a_larger_field():
-    """What is out of reach is not looked at: division costs what the cells within reach cost."""
+    """Cells out of reach are ignored: the cost of regions depends on the cells in reach."""
     small, large = Grid(9, 9, base=40), Grid(60, 50, base=24 * 60 + 34)
     inside = (np.arange(20, 29)[:, None] * 60 + np.arange(30, 39)).ravel()
     near = random_belief(5, small)
@@ -289,16 +289,16 @@ def test_a_belief_of_another_grid_is_refused(allocation):
         plan_round(Grid(4, 4), PRIOR, MODEL, 4, 2, allocation)
 
 
-# Robots of several kinds: each is planned for with what it has of its own.
+# Robots of several types: each is planned for with its own parameters.
 
 
-# Cheap and blind; dear and with a good camera.
+# A cheap blind robot and an expensive one with a good camera.
 BLIND = RobotType(true_positive=0.5, false_positive=0.5, max_steps=6)
 KEEN = RobotType(true_positive=0.99, false_positive=0.01, loss_cost=1.0)
 
 
 def few_robots(seed):
-    """Draw a belief of four cells, a model, and the kinds and short paths of two or three."""
+    """Draw a belief of four cells, a model, and types and short paths of two or three robots."""
     rng = np.random.default_rng(seed)
     joint, model = brute_force.random_joint(rng, 4, 0), brute_force.random_sensors(rng)
     robots = 2 + seed % 2
@@ -317,13 +317,13 @@ def sensor_models(kinds, model):
     return [kind.model(model) for kind in kinds]
 
 
-# What paths of robots that differ are worth together
+# Joint value of paths of robots that differ
 
 
 @pytest.mark.slow
 @for_each('seed', range(300))
 def test_team_information_is_exact_where_hazards_are_known(seed):
-    """Then no loss ties cells together: what remains is how cameras add up."""
+    """Then no loss correlates cells: the readings of different cameras remain."""
     joint, model, kinds, paths = few_robots(seed)
     known = joint.argmax(axis=1, keepdims=True)[:, :, :1] == np.arange(2)[:, None]
     joint = joint * known
@@ -334,7 +334,7 @@ def test_team_information_is_exact_where_hazards_are_known(seed):
 
 
 @pytest.mark.slow
-def test_information_of_teams_of_types_is_the_joint_information_but_for_a_little():
+def test_information_of_teams_of_types_is_nearly_the_joint_information():
     above = np.zeros(300)
     for seed in range(above.size):
         joint, model, kinds, paths = few_robots(seed)
@@ -346,8 +346,8 @@ def test_information_of_teams_of_types_is_the_joint_information_but_for_a_little
 
 
 @for_each('seed', range(20))
-def test_one_camera_written_twice_is_one_camera(seed):
-    """The two are told apart by a number that changes no reading to nine digits."""
+def test_nearly_equal_cameras_are_one_camera(seed):
+    """The two differ in a number that changes no reading in nine digits."""
     joint, model, _, paths = few_robots(seed)
     twin = RobotType(true_positive=min(model.true_positive * (1 + 1e-13), 1.0))
     kinds = [twin if number % 2 else RobotType() for number in range(len(paths))]
@@ -356,7 +356,7 @@ def test_one_camera_written_twice_is_one_camera(seed):
     assert found == pytest.approx(expected, abs=1e-9)
 
 
-def test_many_readings_by_cameras_that_differ_count_up_to_a_number(monkeypatch):
+def test_readings_of_different_cameras_count_up_to_a_limit(monkeypatch):
     belief, kinds = random_belief(1), [RobotType(), KEEN] * 4
     paths = [each.path for each in plan_round(GRID, belief, MODEL, 6, 8)]
     all_counted = team_information(belief, MODEL, paths, robot_types=kinds)
@@ -388,7 +388,7 @@ def test_each_robot_keeps_to_its_own_limits(allocation):
 
 
 @for_each('allocation', ALLOCATIONS)
-def test_a_team_of_one_kind_is_that_of_its_numbers(allocation):
+def test_a_team_of_one_type_is_planned_with_its_numbers(allocation):
     kind = RobotType(lethality=0.2, true_positive=0.8, max_steps=7, loss_cost=0.3)
     belief = random_belief(4)
     team = plan_round(GRID, belief, MODEL, 12, 3, allocation, types=[kind] * 3)
@@ -409,7 +409,7 @@ def test_a_robot_alone_is_planned_with_its_own_numbers(allocation):
 
 
 def two_wings():
-    """Return a field whose west may be deadly but holds nothing, and whose east is the reverse."""
+    """Return a field with a hazardous empty west, and a safe east with targets."""
     grid = Grid(11, 1, base=5)
     hazard = np.where(np.arange(11) < 5, 0.5, 0.0)
     target = np.where(np.arange(11) > 5, 0.5, 0.0)
@@ -417,8 +417,8 @@ def two_wings():
 
 
 @for_each('allocation, order', product(['greedy', 'independent'], [(BLIND, KEEN), (KEEN, BLIND)]))
-def test_each_goes_where_it_is_of_use(order, allocation):
-    """The cheap blind one finds out where hazards are, the dear one what its camera sees."""
+def test_each_robot_type_goes_where_it_is_useful(order, allocation):
+    """The cheap blind robot explores hazards, the expensive one targets."""
     grid, belief = two_wings()
     model = SensorModel(0.9, malfunction=0.001)
     plans = plan_round(grid, belief, model, 10, 2, allocation, types=order)
@@ -427,8 +427,8 @@ def test_each_goes_where_it_is_of_use(order, allocation):
         assert (inside < 5).all() if kind is BLIND else (inside > 5).all()
 
 
-def test_what_robots_are_out_for_is_left_to_them():
-    """With a keen robot out in the east the next one goes elsewhere, but not if it is blind."""
+def test_targets_of_robots_in_flight_are_left_to_them():
+    """With a keen robot in flight in the east the next one goes elsewhere, unless it is blind."""
     grid, belief = two_wings()
     model, east = SensorModel(0.9, malfunction=0.001), [5, 6, 7, 8, 9, 10, 9, 8, 7, 6, 5]
     for out, goes_west in ((KEEN, True), (BLIND, False)):
@@ -440,7 +440,7 @@ def test_what_robots_are_out_for_is_left_to_them():
 # Whole missions
 
 
-def test_a_mission_of_kinds_is_what_each_of_them_makes_of_the_world():
+def test_robots_of_types_meet_the_world_with_their_own_sensors():
     grid, rng = Grid(5, 5, base=12), np.random.default_rng(2)
     world = World.random(grid, rng, 0.2, 0.8, 0.1)
     kinds = [RobotType(lethality=0.0, malfunction=0.0, max_steps=4), RobotType(malfunction=1.0)]
@@ -462,6 +462,6 @@ def test_a_mission_of_kinds_is_what_each_of_them_makes_of_the_world():
         '7 different cameras.*at most 6',
     ),
 ])  # fmt: skip
-def test_bad_kinds_are_refused(arguments, message):
+def test_bad_robot_types_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         plan_round(GRID, random_belief(0), MODEL, **{'max_steps': 4, 'agents': 2, **arguments})
