@@ -12,7 +12,7 @@ import numpy as np
 
 
 def demo_mission(*options: str) -> tuple[Belief, list[Deployment], World, dict[str, float]]:
-    """Return first belief, deployments, world and true numbers of a demo with these options."""
+    """Return the first belief, deployments, world and true numbers of a demo."""
     parameters = chosen_parameters(parse(options))
     agent, estimator = parameters['agent'], parameters['estimator']
     grid, seed = make_grid(agent), agent['seed']

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Disks that take no more, and disks that take nothing."""
+"""Full disks and read-only disks."""
 
 from contextlib import contextmanager
 import resource
@@ -10,7 +10,7 @@ import pytest
 
 @contextmanager
 def room_for(size):
-    """Have every file of this process end at `size` bytes, as if the disk were full."""
+    """Limit every file of this process to `size` bytes, like a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -21,7 +21,7 @@ def room_for(size):
 
 @contextmanager
 def mounted(folder, options):
-    """Mount an empty file system in memory at a folder, which is made; yield the folder."""
+    """Mount an empty file system in memory at a new folder; yield the folder."""
     folder.mkdir()
     mount = ['mount', '-t', 'tmpfs', '-o', options, 'tmpfs', str(folder)]
     if subprocess.run(mount, capture_output=True).returncode:

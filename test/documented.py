@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the pages say, for tests that hold it against what they measure."""
+"""Read pages, for tests that compare them with measurements."""
 
 from pathlib import Path
 import re
@@ -8,17 +8,17 @@ ROOT = Path(__file__).parents[1]
 
 
 def words(page: str) -> str:
-    """Return a page's text without line breaks, by the page's path in the project."""
+    """Return a page's text without line breaks; `page` is its path in the project."""
     return ' '.join(ROOT.joinpath(page).read_text().split())
 
 
 def blocks(page: str | Path) -> list[tuple[str, str]]:
-    """Return the language and the text of each block of code on a page."""
+    """Return the language and the text of each code block of a page."""
     return re.findall(r'^```(\w+)\n(.*?)^```', ROOT.joinpath(page).read_text(), re.M | re.S)
 
 
 def rows(page: str, head: str) -> dict[str, list[str]]:
-    """Return the cells of a table by its first column, of the table whose header has `head`."""
+    """Return a table's cells by its first column; its header contains `head`."""
     tables = re.findall(r'(?:^\|.*\n)+', ROOT.joinpath(page).read_text(), re.MULTILINE)
     (table,) = (table for table in tables if head in table.splitlines()[0])
     _, _, *lines = (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much the tests do: what fits before every change, or all with KBNITP_TESTS=full."""
+"""Extent of the tests: quick by default, or everything with KBNITP_TESTS=full."""
 
 from collections.abc import Iterable
 import os
@@ -11,12 +11,12 @@ VARIABLE = 'KBNITP_TESTS'
 
 FULL = os.environ.get(VARIABLE) == 'full'
 
-# Marks of a case that takes minutes, or networks of its own.
+# Marks of cases that take minutes or their own networks.
 LONG = [pytest.mark.full, pytest.mark.campaign]
 
 
 def some(cases: Iterable[Any], every: int = 4) -> list[Any]:
-    """Return cases for `parametrize`: the first of every so many, and the rest marked `full`."""
+    """Return cases for `parametrize`: the first of every few, and the rest marked `full`."""
     return [
         pytest.param(
             *(case if isinstance(case, tuple) else (case,)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that are forked from one which has imported their modules, to save time."""
+"""Processes forked from one that has imported their modules, to save time."""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -21,7 +21,7 @@ CONTEXT.set_forkserver_preload(['forked', 'ready', 'simulator'])
 
 PR_SET_PDEATHSIG = 1
 
-# Coverage is measured from the start of an interpreter, so that nothing is forked then.
+# Coverage starts with the interpreter, so nothing is forked under it.
 COVERED = 'COVERAGE_PROCESS_CONFIG' in os.environ
 
 
@@ -32,7 +32,7 @@ def _run(
     folder: Path,
     output: str,
 ) -> None:
-    """Become what a shell would start in a folder with this environment."""
+    """Set folder and environment of this process like a shell."""
     assert 'ready' in sys.modules, 'the server of forks did not import what nodes need'
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
     os.chdir(folder)
@@ -51,15 +51,15 @@ def run_node(arguments: list[str], depth: int = qos.DEPTH) -> int:
 
 
 def run_simulator(file: Path) -> int:
-    """Simulate robots as a file says."""
-    # Only the server of forks imports it before, since that takes a second.
+    """Simulate robots as configured in a file."""
+    # Import here: it takes a second, and only the fork server does it earlier.
     from simulator import simulate
 
     return simulate(file)
 
 
 class ForkedProcess:
-    """A forked process, with what the tests use of `subprocess.Popen`."""
+    """A forked process with the used part of `subprocess.Popen`."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class ForkedProcess:
         environment: Mapping[str, str],
         output: str,
     ) -> None:
-        """Start a function that returns the exit code, of a module that can be imported."""
+        """Start a function that returns the exit code, from a module that can be imported."""
         self._process = CONTEXT.Process(
             target=_run, args=(function, arguments, environment, Path.cwd(), output), daemon=True
         )
@@ -77,7 +77,7 @@ class ForkedProcess:
 
     @property
     def returncode(self) -> int | None:
-        """Return the exit code; None while it runs, and negative where a signal ended it."""
+        """Return the exit code; None while it runs, negative after a signal."""
         return self._process.exitcode
 
     def poll(self) -> int | None:
@@ -85,7 +85,7 @@ class ForkedProcess:
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int | None:
-        """Wait for the end, and return the exit code."""
+        """Wait for the end and return the exit code."""
         self._process.join(timeout)
         if self.returncode is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
@@ -98,14 +98,14 @@ class ForkedProcess:
                 os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """End it without warning."""
+        """Kill it."""
         self.send_signal(signal.SIGKILL)
 
 
 class ForkedProcesses(Processes):
-    """Nodes of this package in forked processes, which write to files."""
+    """Nodes of this package in forked processes, with output to files."""
 
-    # How many paths and reports those started from now on keep for who joins late.
+    # Paths and reports that nodes started from now on keep for late joiners.
     depth = qos.DEPTH
 
     def launch(self, arguments: list[str], output: IO[Any] | None) -> Any:

@@ -37,8 +37,8 @@ sys.exit(service.run())
 
 
 def launched(folder, domain, *arguments, launch_file='mission', **options):
-    """Start a launch file with these arguments; the paths in them are relative to a folder."""
-    # On a busy machine nodes may need longer to end than launch gives them.
+    """Start a launch file with these arguments; their paths are relative to a folder."""
+    # On a busy machine nodes may end later than launch waits for.
     patience = [f'sig{name}_timeout:=60' for name in ('term', 'kill')]
     file = ROOT / 'launch' / f'{launch_file}.launch.py'
     return subprocess.Popen(
@@ -51,13 +51,13 @@ def launched(folder, domain, *arguments, launch_file='mission', **options):
 
 
 def interrupt(mission):
-    """Send SIGINT as a terminal does, to launch and all its nodes."""
+    """Send SIGINT to launch and all its nodes, like a terminal."""
     with suppress(ProcessLookupError):
         os.killpg(mission.pid, signal.SIGINT)
 
 
 def node_pids(mission):
-    """Return the nodes that launch has started, by namespace and name, as process numbers."""
+    """Return the process ids of launched nodes, by namespace and name."""
     children = Path(f'/proc/{mission.pid}/task/{mission.pid}/children').read_text().split()
     found = {}
     for child in children:
@@ -68,7 +68,7 @@ def node_pids(mission):
 
 
 def nodes_of_demo(demo):
-    """Return the nodes that a demo has started, by name, as process numbers."""
+    """Return the process ids of a demo's nodes, by name."""
     return {
         name: int(child)
         for child in Path(f'/proc/{demo.pid}/task/{demo.pid}/children').read_text().split()
@@ -77,7 +77,7 @@ def nodes_of_demo(demo):
 
 
 def reports_in(log):
-    """Return how many deployments are reported on disk; 0 before the recorder has begun."""
+    """Return the number of recorded reports; 0 before the recorder has begun."""
     try:
         return len({from_stamp(logged.message.deployment) for logged in read_log(log, [REPORT])})
     except LogError:

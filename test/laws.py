@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many cases of one law in one test, of which the one that fails is named, and bytes gone bad."""
+"""Many cases of one law in one test that names a failing case, and corrupt bytes."""
 
 from collections.abc import Callable, Iterable
 import functools
@@ -10,12 +10,12 @@ from typing import Any
 from hypothesis import strategies as st
 import pytest
 
-# What alone is run: the case of this name, or those with such a value; see `pytest --case`.
+# Selected cases: that of this name, or those with this value; see `pytest --case`.
 alone: str | None = None
 
 
 def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any], Any]:
-    """Run a test for all cases one after another, as one item."""
+    """Run a test for all cases, one after another, as one item."""
     keys = [name.strip() for name in names.split(',')]
     own_cases = [
         dict(zip(keys, case if len(keys) > 1 else (case,), strict=True)) for case in cases
@@ -64,17 +64,17 @@ def for_each(names: str, cases: Iterable[Any], every: int = 1) -> Callable[[Any]
 
 
 def is_called(name: str, arguments: dict[str, Any], told: str) -> bool:
-    """Return whether a case has this name, or a value that is called so."""
+    """Return whether a case or one of its values has this name."""
     return told == name or told in (str(called(value)) for value in arguments.values())
 
 
 def called(value: Any) -> Any:
-    """Return what a case's value is called: of functions and classes the name."""
+    """Return the name of a value; of functions and classes their own."""
     return getattr(value, '__name__', value)
 
 
 def spoilt(content: bytes) -> st.SearchStrategy[bytes]:
-    """Return a strategy of these bytes with some changed, and the end perhaps cut off."""
+    """Return a strategy for these bytes with some changed, perhaps truncated."""
 
     def change(changes: list[tuple[int, int]], end: int) -> bytes:
         changed = bytearray(content)
@@ -82,7 +82,7 @@ def spoilt(content: bytes) -> st.SearchStrategy[bytes]:
             changed[place] = value
         return bytes(changed[:end])
 
-    # What says the most stands at the start.
+    # The start is the most informative part.
     place = st.integers(0, min(80, len(content) - 1)) | st.integers(0, len(content) - 1)
     changes = st.lists(st.tuples(place, st.integers(0, 255)), min_size=1, max_size=6)
     return st.builds(change, changes, st.just(len(content)) | st.integers(0, len(content)))

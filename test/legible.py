@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a figure can be read: by the boxes of its texts and the colours of its lines."""
+"""Legibility of figures, by the boxes of texts and the colours of lines."""
 
 from itertools import combinations
 
@@ -11,18 +11,18 @@ from matplotlib.text import Text
 # Severity 100 of the models of Machado et al. (2009): protanopia, deuteranopia and tritanopia.
 VISIONS = ('protanomaly', 'deuteranomaly', 'tritanomaly')
 
-# In CAM02-UCS, where 1 is about what can be told apart side by side.
+# In CAM02-UCS, where 1 is about the least noticeable difference.
 LEAST = 10.0
 
-# More lines than this in a panel cannot be followed.
+# Maximum number of lines in a panel.
 MAX_LINES = 6
 
-# What touches does not overlap: in pixels.
+# Pixels: boxes that touch do not overlap.
 MARGIN = 1.0
 
 
 def check_texts(figure):
-    """See that no two texts overlap, as the renderer places them."""
+    """Check that no two texts overlap, as rendered."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     renderer = canvas.get_renderer()
@@ -44,7 +44,7 @@ def check_texts(figure):
 
 
 def hidden_texts(figure):
-    """Return the texts that are not drawn: of hidden axes, and of ticks beyond their range."""
+    """Return texts that are not drawn: of hidden axes, and of ticks outside the limits."""
     hidden = set()
     for axes in figure.axes:
         if not axes.get_visible():
@@ -58,10 +58,10 @@ def hidden_texts(figure):
 
 
 def check_lines(figure):
-    """See that lines of a panel are few, and that each two differ in colour or in line style."""
+    """Check that a panel has few lines, and that any two differ in colour or style."""
     for axes in figure.axes:
         lines = [line for line in axes.lines if len(line.get_xdata()) > 1]
-        # What has no label is a mark to compare with, as a diagonal.
+        # A line without a label is a reference, such as a diagonal.
         named = [line.get_label() for line in lines if not line.get_label().startswith('_')]
         assert len(named) <= MAX_LINES, named
         for one, other in combinations(lines, 2):
@@ -75,12 +75,12 @@ def check_lines(figure):
 
 
 def dash_pattern(line):
-    """Return a line's style: where it is drawn and where not."""
+    """Return the dash pattern of a line's style."""
     return line._unscaled_dash_pattern
 
 
 def as_seen(colour, vision):
-    """Return a colour as it looks, by its sRGB values from 0 to 1."""
+    """Return a colour as seen with a colour vision; sRGB values from 0 to 1."""
     if vision is None:
         return colour
     space = {'name': 'sRGB1+CVD', 'cvd_type': vision, 'severity': 100}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program on the network of a mission that is no ROS node: Cyclone DDS alone."""
+"""A participant in the mission's network that is no ROS node: Cyclone DDS only."""
 
-# Without annotations from the future: Cyclone DDS reads them.
+# No annotations from __future__: Cyclone DDS evaluates them.
 
 import ctypes
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic
 
-# As config/loopback.xml has Fast DDS: this machine only, and no multicast.
+# Same as config/loopback.xml for Fast DDS: this machine only, no multicast.
 LOOPBACK = """
 <CycloneDDS><Domain>
   <General>
@@ -32,7 +32,7 @@ LOOPBACK = """
 
 LATCHED = Qos(Policy.Durability.TransientLocal, Policy.Reliability.Reliable(0))
 
-# Names of types that are no message's, as they go over the wire.
+# Type names on the wire that belong to no message.
 HOSTILE = (
     'unittest::__main__::dds_::X_',
     'planted::msg::dds_::X_',
@@ -58,16 +58,16 @@ HOSTILE = (
 
 
 class BareParticipant:
-    """Announces writers under any names, which rclpy would not."""
+    """Announces writers with names that rclpy refuses."""
 
     def __init__(self, domain):
-        # It has a domain of DDS for itself in this process, with the same number.
+        # A separate DDS domain entity in this process, with the same number.
         self._domain = Domain(domain, LOOPBACK)
         self._participant = DomainParticipant(domain)
         self._writers = []
 
     def announce(self, topic, type_name):
-        """Be one who publishes a topic, and publish a text on it."""
+        """Announce a publisher of a topic, and publish a text on it."""
         text = text_type(type_name)
         writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=LATCHED)
         writer.write(text(data='x'))
@@ -92,7 +92,7 @@ def text_type(type_name):
 
 
 def not_utf8(text):
-    """Return a text that ends in é; what Python hands to C ends in two bytes FF instead."""
+    """Return a text that ends in é; passed to C it ends in two bytes FF."""
     size = ctypes.c_ssize_t()
     utf8 = ctypes.pythonapi.PyUnicode_AsUTF8AndSize
     utf8.restype, utf8.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_void_p]

@@ -38,7 +38,7 @@ import numpy as np
 from tqdm import tqdm
 from unbroken import draw_faults, draw_parameters, KINDS, NODES
 
-# What can be found, and how a table calls it.
+# Kinds of findings, and their columns in the table.
 FINDINGS = {
     'stuck': 'missions that did not end', 'lost': 'deployments lost',
     'false': 'reports of robots that did not depart, or came home',
@@ -52,7 +52,7 @@ Run = Callable[[tuple[int, str, Path]], 'Outcome']
 
 @dataclass
 class Outcome:
-    """What became of a mission."""
+    """Result of a mission."""
 
     seed: int
     kind: str
@@ -74,7 +74,7 @@ def run_mission(
     processes: type[Processes] = Processes,
     has_robots: bool = False,
 ) -> Outcome:
-    """Run the mission of a seed with faults of a kind, perhaps with robots that crash."""
+    """Run the mission of a seed under faults of a kind, perhaps with robots that crash."""
     seed, kind, folder = job
     rng = np.random.default_rng(seed)
     parameters = draw_parameters(rng)
@@ -112,9 +112,9 @@ def run_mission(
 def run_missions(
     jobs: list[tuple[int, str, Path]], parallel: int = 2, run: Run = run_mission
 ) -> list[Outcome]:
-    """Run missions, some at a time, and say at once which of them went wrong."""
+    """Run missions, some in parallel, and print each failure at once."""
     outcomes = []
-    # A process that has been on a ROS domain does not forget it.
+    # A new process each: one that joined a ROS domain keeps its state.
     with get_context('spawn').Pool(parallel, maxtasksperchild=1) as pool:
         bar = tqdm(total=len(jobs), unit='mission', disable=None)
         for outcome in pool.imap_unordered(run, jobs):
@@ -150,7 +150,7 @@ def table(outcomes: list[Outcome]) -> str:
 
 
 def run_forged_missions(missions: int, seed: int, scale: float, folder: Path) -> int:
-    """Run missions that all forgeries come to, say what became of them; return 1 if any fails."""
+    """Run missions under all forgeries and print results; return 1 if any fails."""
     undisturbed = run_forged(folder / 'undisturbed', ())
     outcomes = []
     failed = []
@@ -177,7 +177,7 @@ def run_forged_missions(missions: int, seed: int, scale: float, folder: Path) ->
 
 
 def main() -> int:
-    """Run the command; return 1 if anything was found."""
+    """Run the command; return 1 if there is a finding."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--missions', type=int, default=200, help='how many; default 200')
     parser.add_argument('--seed', type=int, default=1, help='of the first; default 1')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission of real nodes for a test that strikes them itself."""
+"""Missions of real nodes for tests that inject faults."""
 
 from contextlib import ExitStack
 
@@ -11,13 +11,13 @@ import pytest
 
 @pytest.fixture(scope='session')
 def processes(server):
-    """Return the type of what starts nodes: it forks them where it can."""
+    """Return the class that starts nodes: forked where possible."""
     return Processes if COVERED else ForkedProcesses
 
 
 @pytest.fixture
 def set_out(processes, tmp_path, monkeypatch):
-    """Return a function that makes a mission, none of its nodes started, on a free domain."""
+    """Return a function that makes a mission on a free domain, with no node started."""
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain())
         for name, value in environment(domain).items():

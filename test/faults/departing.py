@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission with robots that refuse and crash, under a base whose nodes are killed as well."""
+"""A mission with robots that refuse and crash, while nodes of its base are killed."""
 
 import json
 import subprocess
@@ -21,15 +21,15 @@ SILENT = {
 }  # fmt: skip
 
 
-# The most agents of a mission.
+# Maximum number of agents of a mission.
 MAX_AGENTS = 3
 
-# How long robots may take to be heard again, in seconds.
+# Seconds for a restarted robot to publish again.
 HEARD_AGAIN = 120.0
 
 
 class DepartingMission(Mission):
-    """A base, and robots in processes that are started again when they crash."""
+    """A base, and robots in processes that are restarted after crashes."""
 
     def __init__(self, domain, folder, seed):
         self._rng = np.random.default_rng(seed)
@@ -70,7 +70,7 @@ class DepartingMission(Mission):
                 self._start_robot(agent)
 
     def live(self, _):
-        """Run the mission with faults of the base, and return these."""
+        """Run the mission under faults of the base; return the faults."""
         for agent in self._own['agents']:
             self._start_robot(agent)
         self.start(*BASE)
@@ -80,14 +80,14 @@ class DepartingMission(Mission):
                 del fault.pauses[node]
             self.suffer(fault)
         self.until_over()
-        # Those that were given up may still come home.
+        # Robots that were given up may still return.
         deadline = time.monotonic() + HEARD_AGAIN
         while time.monotonic() < deadline and not self._is_taken_in(self.logged()):
             self.wait(0.5)
         return faults
 
     def _is_taken_in(self, logged):
-        """Say whether all robots that come home are in the log, and what it says is believed."""
+        """Return whether all returned robots are in the log and the belief."""
         return not self._unheard(logged) and self._is_believed(logged)
 
     def _is_believed(self, logged):
@@ -95,7 +95,7 @@ class DepartingMission(Mission):
         return np.asarray(self.onlooker.belief.joint).tobytes() == given
 
     def _unheard(self, logged):
-        """Return the deployments from which robots come home that were not heard of yet."""
+        """Return the deployments that returned but are not yet received."""
         reports = logged.reports
         return [
             key
@@ -105,7 +105,7 @@ class DepartingMission(Mission):
         ]
 
     def journals(self):
-        """Return what the robots know of their orders, by deployment."""
+        """Return the robots' journals, by deployment."""
         told = {}
         for agent in self._own['agents']:
             path = self._journal(agent)
@@ -115,7 +115,7 @@ class DepartingMission(Mission):
         return told
 
     def findings(self):
-        """End all nodes and return what is not as it must be, as `Mission.findings` does."""
+        """End all nodes and return findings, as `Mission.findings` does."""
         codes = self.processes.stop()
         found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
         found += [('exit', f'{n}: {self.said(n)}') for n in BASE if 'Traceback' in self.said(n)]

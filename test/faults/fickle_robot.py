@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A robot written by the contract alone, which refuses orders and crashes wherever it can.
+A robot written by the contract alone, which refuses orders and crashes anywhere.
 
-    python3 fickle_robot.py AGENT NAMESPACE FIELD.json JOURNAL
-
-What becomes of an order is drawn from its stamp. After a crash the next life goes on with the
-journal: the robot of a field that destroyed one is another, and says the same of its orders.
+`python3 fickle_robot.py AGENT NAMESPACE FIELD.json JOURNAL`. The fate of an order is drawn from
+its stamp. After a crash the restarted process resumes with the journal: in place of a destroyed
+robot comes another, which repeats the reports on its orders.
 """
 
 import json
@@ -24,7 +23,7 @@ import numpy as np
 import rclpy
 from std_msgs.msg import Bool
 
-# Where an order ends, and how probably.
+# Stages at which an order ends, with probabilities.
 FATES = {
     'home': 0.3, 'late': 0.1, 'refuse': 0.15, 'crash before': 0.1, 'crash before and refuse': 0.05,
     'crash at the gate': 0.1, 'crash in the field': 0.1, 'crash at home': 0.1,
@@ -32,12 +31,12 @@ FATES = {
 # The exit code of crashes.
 CRASHED = 9
 
-# How long a late robot is away, in seconds: it has been given up by then.
+# Seconds that a late robot is away: it has been given up by then.
 LATE = 3.0
 
 
 class Robot:
-    """An agent and its robots; its journal has a line for each thing that it cannot take back."""
+    """An agent and its robots; its journal has a line for each irreversible event."""
 
     def __init__(self, agent, namespace, field, journal):
         self._agent, self._journal = agent, Path(journal)
@@ -56,7 +55,7 @@ class Robot:
         node.create_subscription(PathMessage, 'path', self._on_path, qos.EVIDENCE)
 
     def _read_journal(self):
-        """Say again what was said, and end what the life before had begun."""
+        """Publish all recorded events again, and finish those of the process before."""
         lines = self._journal.read_text().splitlines() if self._journal.exists() else []
         for stamp, what, value in map(json.loads, lines):
             self._orders.setdefault(stamp, {})[what] = value
@@ -100,7 +99,7 @@ class Robot:
             self._waiting[key.stamp] = [int(cell) for cell in cells], content_hash(message)
 
     def go_on(self):
-        """Hear what comes, and obey what may be obeyed."""
+        """Handle messages, and execute orders that may start."""
         self._listen()
         for stamp, (cells, content) in list(self._waiting.items()):
             if (stamp, content) in self._recorded and not self._held:
@@ -108,7 +107,7 @@ class Robot:
                 self._obey(stamp, cells)
 
     def _obey(self, stamp, cells):
-        """Do with an order what its stamp says; a crash is like a loss of power."""
+        """Execute an order as its stamp says; a crash is like a power loss."""
         rng = np.random.default_rng((self._seed, stamp % 2**63, len(self._agent)))
         fate = str(rng.choice([*FATES], p=[*FATES.values()]))
         self._say(stamp, OrderState.ACCEPTED, stamp)
@@ -123,7 +122,7 @@ class Robot:
         self._write(stamp, 'departed', stamp)
         content = self._say(stamp, OrderState.DEPARTED, stamp)
         if fate == 'crash at the gate':
-            # With or without that on the base's disk.
+            # With or without the departure on the base's disk.
             time.sleep(rng.uniform(0.0, 0.1))
             os._exit(CRASHED)
         while (stamp, content) not in self._recorded:

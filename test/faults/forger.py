@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Somebody on the network of a mission who sends what no node of it would, and what follows."""
+"""A participant that publishes what no node of the mission would."""
 
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -30,13 +30,13 @@ from rclpy.serialization import serialize_message
 from unbroken import core_mission, NODES, with_defaults
 from visualization_msgs.msg import Marker
 
-# The time that ends all times.
+# The latest representable time.
 END = Time(sec=2**31 - 1, nanosec=999_999_999)
 
-# How long the missions are flooded with bad paths, in seconds.
+# Seconds of the flood of bad paths.
 FLOOD = 20.0
 
-# The topics that bytes are sent on.
+# Topics that random bytes are published on.
 TOPICS = {
     f'{AGENT}/path': (Path, qos.EVIDENCE), f'{AGENT}/report': (DeploymentReport, qos.EVIDENCE),
     f'{AGENT}/recorded': (Recorded, qos.EVIDENCE), f'{AGENT}/readings': (Marker, qos.LATCHED),
@@ -45,12 +45,12 @@ TOPICS = {
     '/diagnostics': (DiagnosticArray, qos.DIAGNOSTICS),
 }  # fmt: skip
 
-# The methods that are kinds of forgery.
+# Methods of `Forger`, each a kind of forgery.
 FORGERIES = ('late', 'parameters', 'flood', 'at_once', 'garbage', 'bag', 'random', 'topics')
 
 
 class Forger:
-    """Sends forged messages of many kinds."""
+    """Publishes forged messages of many kinds."""
 
     def __init__(self, mission, namespace, parameters, rng):
         self._mission = mission
@@ -72,7 +72,7 @@ class Forger:
         return self._publishers[topic]
 
     def _publish_at_once(self, kind, topic, profile, messages):
-        """Publish as soon as the publisher is made, which stays."""
+        """Publish as soon as the publisher exists; it is kept."""
         name = topic if topic.startswith('/') else f'{self._namespace}/{topic}'
         publisher = self._node.create_publisher(kind, name, profile)
         for message in messages:
@@ -88,15 +88,15 @@ class Forger:
         )
 
     def _newest(self):
-        """Return the newest deployment on disk, which is none of the forged, and its cells."""
+        """Return the newest recorded deployment that is not forged, and its cells."""
         onlooker = self._mission.onlooker
         key = max(onlooker.recorded & onlooker.evidence.paths.keys())
-        # Of a scrambled message with fewer poses the longest is the true one.
+        # A scrambled path has fewer poses: the longest is the true one.
         positions = max(onlooker.evidence.paths[key], key=len)
         return key, self._grid.cells_at(positions)
 
     def late(self, scale):
-        """Send times that no others can follow."""
+        """Publish times that no later time can follow."""
         paths, reports, _ = self._evidence()
         path = path_message(self._grid, [0, 1, 0], 1)
         path.header.stamp = END
@@ -113,7 +113,7 @@ class Forger:
         return key, Observation(cells, False), 1
 
     def flood(self, scale):
-        """Send 12,000 bad paths in 20 s."""
+        """Publish 12,000 bad paths in 20 s."""
         paths, *_ = self._evidence()
         bad = path_message(self._grid, [0, self._grid.cells - 1, 0], 1)
         number, begun = 0, time.monotonic()
@@ -128,7 +128,7 @@ class Forger:
         return {'agent': count, 'estimator': count}
 
     def at_once(self, scale):
-        """Send with each publisher as soon as it is made, before anybody counts it."""
+        """Publish with each new publisher before anybody discovers it."""
         belief = deepcopy(self._mission.onlooker.belief)
         mission = from_stamp(belief.mission)
         belief.deployments = self._robots
@@ -150,7 +150,7 @@ class Forger:
         return {'planner': 1, 'recorder': 2}
 
     def garbage(self, scale):
-        """Send 100 messages of bytes drawn at random on each topic, at once."""
+        """Publish 100 messages of random bytes on each topic, in one burst."""
         count = round(100 * scale)
         for topic, (kind, profile) in TOPICS.items():
             drawn = [self._rng.bytes(self._rng.integers(4, 200)) for _ in range(count)]
@@ -163,11 +163,11 @@ class Forger:
         types = [*HOSTILE, *('strangers::msg::dds_::Unknown_',) * round(1000 * scale)]
         for number, type_name in enumerate(types):
             self._stranger.announce(f'rt{self._namespace}/stranger_{number}', type_name)
-        # Of very many it looks at some after others.
+        # The recorder inspects a large number of topics in turns.
         return {'recorder': min(len(types), 1000)}
 
     def parameters(self, scale):
-        """Send what no parameter is, and what no node is called."""
+        """Publish bad values of parameters and bad names of nodes."""
         events = self._node.create_publisher(ParameterEvent, '/parameter_events', 10)
         self._mission.wait(1.0)
         events.publish(ParameterEvent(node='/bad name!'))
@@ -182,7 +182,7 @@ class Forger:
         return {'agent': 1, 'recorder': 3, 'estimator': 1, 'planner': 1}
 
     def _answer_badly(self):
-        """Be a node of the mission that gives its parameters a type of which there is none."""
+        """Run a node of the mission whose parameter service returns an unknown type."""
 
         def names(_, response):
             response.result.names = ['odd']
@@ -226,7 +226,7 @@ class Forger:
         return {'agent': count, 'estimator': count, 'planner': 1, 'recorder': count + 1}
 
     def random(self, scale):
-        """Send 1,000 messages on each topic: bytes drawn at random, and true ones changed."""
+        """Publish 1,000 messages on each topic: random bytes, and scrambled true messages."""
         publishers = [self._publisher(kind, name, how) for name, (kind, how) in TOPICS.items()]
         count = round(1000 * scale)
         for _ in range(count):
@@ -236,7 +236,7 @@ class Forger:
         return {'agent': count, 'estimator': 2 * count, 'planner': count, 'recorder': 2 * count}
 
     def _scrambled(self, kind):
-        """Return bytes that are drawn at random, or those of a message with some changed."""
+        """Return random bytes, or a message's bytes with some changed."""
         if self._rng.random() < 0.5:
             return self._rng.bytes(self._rng.integers(4, 200))
         key, cells = self._newest()
@@ -244,35 +244,35 @@ class Forger:
         if kind is Path:
             message = path_message(self._grid, cells, key.stamp)
         elif kind is DeploymentReport:
-            # Whatever it is about, a robot that came back has readings.
+            # Of any deployment: a returned robot has readings.
             message = report_message(*self._lost())
             message.survived = True
         elif kind is BeliefMaps:
             message = deepcopy(self._mission.onlooker.belief)
             message.lethality = 2.0
         data = bytearray(serialize_message(message))
-        # In what says whose it is: no true message is left, which anybody could send.
+        # In the fields that identify it: a true message could be sent by anyone.
         for place in self._rng.integers(4, min(len(data), 24), size=4):
             data[place] = self._rng.integers(256)
         return bytes(data)
 
 
-# Missions that forged messages come to, and what must hold at their end.
+# Missions under forgeries, and what must hold at their end.
 
 
-# A mission that lasts as long as the forgeries do: a robot takes half a second.
+# A mission that outlasts the forgeries: a robot takes half a second.
 PARAMETERS = {
     'grid.width': 5, 'grid.height': 5, 'max_steps': 10, 'robots': 12, 'planner': 'relaxed',
     'step_period': 0.05, 'seed': 5,
 }  # fmt: skip
 
-# By how many megabytes a node may grow beyond what it has in an undisturbed mission.
+# Megabytes by which a node may grow beyond an undisturbed mission.
 GROWTH = 50.0
 
 
 @dataclass
 class Forged:
-    """What became of a mission that forged messages came to."""
+    """Result of a mission under forgeries."""
 
     kinds: tuple[str, ...]
     findings: list[tuple[str, str]] = field(default_factory=list)
@@ -281,7 +281,7 @@ class Forged:
     memory: dict[str, float] = field(default_factory=dict)
 
     def compare_memory(self, undisturbed):
-        """Find nodes that have much more in memory than in a mission without forgeries."""
+        """Find nodes that use much more memory than in a mission without forgeries."""
         for name, now in self.memory.items():
             if now > undisturbed.memory[name] + GROWTH:
                 words = f'{name} has {now:.0f} MB, undisturbed {undisturbed.memory[name]:.0f} MB'
@@ -316,7 +316,7 @@ def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
 
 
 def _forge(mission, parameters, outcome, scale):
-    """Send the forgeries, and wait until the mission is over and all were refused."""
+    """Send the forgeries; wait until the mission is over and all are refused."""
     onlooker = mission.onlooker
     mission.until(lambda: onlooker.evidence.reports, 'report')
     forger = Forger(mission, NAMESPACE, parameters, np.random.default_rng(parameters['seed']))
@@ -341,7 +341,7 @@ def _forge(mission, parameters, outcome, scale):
 
 
 def wrong_beliefs(log, parameters):
-    """Yield what is wrong with the beliefs on record; of views anybody may have sent some."""
+    """Yield findings on recorded beliefs; views may also be a stranger's."""
     report = replay(log)
     topic = f'{NAMESPACE}/belief'
     for mismatch in report.mismatches:

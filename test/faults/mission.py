@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission whose nodes are killed, stopped and started again, and what must hold at its end."""
+"""A mission whose nodes are killed, stopped and restarted, and what must hold at its end."""
 
 from collections import Counter
 from contextlib import ExitStack
@@ -25,13 +25,13 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 from unbroken import core_mission, folded, NODES, true_values, with_defaults
 
-# How long anything may take to happen, in seconds: nothing takes a fifth of it unless it is stuck.
+# Timeout in seconds: nothing takes a fifth of it unless it is stuck.
 PATIENCE = 180.0
 
-# After how many seconds a call without an answer is made again: its planner may have been killed.
+# Seconds before an unanswered call is repeated: the planner may have been killed.
 ANSWERED = 12.0
 
-# The recorder does not listen in on what is outside.
+# The recorder runs without topics outside the mission.
 NAMESPACE = '/mission'
 
 AWAITED = {
@@ -43,11 +43,11 @@ AWAITED = {
 
 
 class StuckError(Exception):
-    """A mission does not go on, or a node ended that nobody killed."""
+    """The mission is stuck, or a node ended without being killed."""
 
 
 class Mission:
-    """Four nodes and an onlooker on a domain of their own, set in the environment."""
+    """Four nodes and an onlooker on their own domain, set in the environment."""
 
     def __init__(
         self,
@@ -71,7 +71,7 @@ class Mission:
         self._struck = set()
         self._clients = {}
         self._is_ended = False
-        # How often robots ended, by exit code.
+        # Number of robots' exits, by exit code.
         self.ended = Counter()
         with ExitStack() as stack:
             context = rclpy.Context()
@@ -89,7 +89,7 @@ class Mission:
             self._stack = stack.pop_all()
 
     def __enter__(self):
-        """Return this mission, none of its nodes started."""
+        """Return this mission, with no node started."""
         return self
 
     def __exit__(self, *_):
@@ -99,7 +99,7 @@ class Mission:
         self._stack.close()
 
     def start(self, *names):
-        """Start nodes; those that can go on with the log of those before them."""
+        """Start nodes; they resume from the log if they can."""
         for name in names:
             self._struck.discard(name)
             self.onlooker.forget(full_name(name, self._namespace))
@@ -120,11 +120,11 @@ class Mission:
                 )
 
     def said(self, name):
-        """Return what a node wrote to its terminal, in all its lives."""
+        """Return the console output of a node over all its restarts."""
         return (self._folder / f'{name}.txt').read_text()
 
     def memory(self):
-        """Return what each node has in memory, in megabytes, by its name in ROS."""
+        """Return the memory of each node in megabytes, by its full name."""
         memory = {}
         for name, process in self.processes.started.items():
             status = Path(f'/proc/{process.pid}/status').read_text()
@@ -136,18 +136,18 @@ class Mission:
         self.processes.started[full_name(name, self._namespace)].send_signal(number)
 
     def halt(self, name):
-        """Make a node stand still; it may still be killed."""
+        """Stop a node (SIGSTOP); it may still be killed."""
         self._struck.add(name)
         self._signal(name, signal.SIGSTOP)
 
     def kill(self, name):
-        """End a node without warning."""
+        """Kill a node."""
         self._struck.add(name)
         self._signal(name, signal.SIGKILL)
         self.processes.started[full_name(name, self._namespace)].wait()
 
     def forget_remaps(self):
-        """Have nodes that are started from now on the usual names of topics."""
+        """Start nodes with the usual names of topics from now on."""
         self._remaps = {}
 
     def restart(self, name):
@@ -156,7 +156,7 @@ class Mission:
         self.start(name)
 
     def live(self, faults, *, is_ended=False):
-        """Run the mission with these faults, perhaps until its operator ends it; return them."""
+        """Run the mission under these faults, perhaps until its operator ends it; return them."""
         self.start(*NODES)
         for fault in faults:
             self.suffer(fault)
@@ -166,7 +166,7 @@ class Mission:
         return faults
 
     def end(self):
-        """Have the operator end the mission while its agent is killed, until nobody is out."""
+        """End the mission as its operator while its agent is killed; wait for robots in flight."""
         self._ask('end_mission')
         self.restart('agent')
         self._have_done('end_mission')
@@ -176,7 +176,7 @@ class Mission:
         self._parameters['robots'] = len(self.onlooker.evidence.reports)
 
     def _ask(self, service, **request):
-        """Ask the planner for something, unless it is not there; return the future answer."""
+        """Call a service of the planner if it exists; return the future answer."""
         kind = {'pause': SetBool, 'end_mission': Trigger}[service]
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, f'{self._namespace}/{service}')
@@ -185,7 +185,7 @@ class Mission:
         return self._clients[service].call_async(kind.Request(**request))
 
     def _have_done(self, service, **request):
-        """Ask the planner until something is done."""
+        """Call a service of the planner until it succeeds."""
         answer, asked_at = Future(), -inf
 
         def is_done():
@@ -201,7 +201,7 @@ class Mission:
         self.until(is_done, f'answer of {service}')
 
     def suffer(self, fault):
-        """Wait for a fault's moment, and let it happen."""
+        """Wait for a fault's moment, and inject it."""
         reports = self.onlooker.evidence.reports
         self.until(lambda: len(reports) >= fault.reports, f'report {fault.reports}')
         self.wait(fault.delay)
@@ -222,14 +222,14 @@ class Mission:
             self._have_done('pause', data=False)
 
     def wait(self, seconds):
-        """Handle messages for a while."""
+        """Handle messages for some seconds."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, 0.02))
             self._check_alive()
 
     def until(self, condition, what):
-        """Handle messages until something holds."""
+        """Handle messages until a condition holds."""
         deadline = time.monotonic() + PATIENCE
         while not condition():
             if time.monotonic() > deadline:
@@ -249,7 +249,7 @@ class Mission:
                 raise StuckError(f'{name} ended with {code}: {self.said(name)}')
 
     def until_over(self):
-        """Wait until all robots are deployed and every node knows, whenever it was started."""
+        """Wait until all robots are deployed and every node knows it, also restarted ones."""
         robots, states, heard = self._parameters['robots'], self.onlooker.states, self.onlooker
         self.until(lambda: heard.held == robots, 'belief in all deployments')
         self.until(lambda: len(heard.evidence.reports) >= robots, 'word of them all')
@@ -259,15 +259,15 @@ class Mission:
             'done planner',
         )
         if with_defaults(self._parameters)['silent_loss']:
-            # Who was given up may be on its way, and an agent that has just come back knows.
+            # Robots that were given up may be under way, and a restarted agent knows it.
             self.wait(1.0)
-        # A recorder that has just come back catches up with what was said while it was away.
+        # A restarted recorder catches up with messages sent meanwhile.
         deadline = time.monotonic() + 30.0
         while time.monotonic() < deadline and missing(self.onlooker.evidence, self.logged()):
             self.wait(0.2)
 
     def logged(self):
-        """Return the evidence that is in the log."""
+        """Return the evidence in the log."""
         evidence = Evidence()
         for role, logged in MissionLog(self.log).read('path', 'report'):
             if role.name == 'report':
@@ -287,11 +287,11 @@ class Mission:
 
     @property
     def unused(self):
-        """Return how many paths no robot took: a path is sent anew that was not on disk."""
+        """Return the number of unused paths: a path that was not on disk is sent anew."""
         return len(self.onlooker.evidence.paths.keys() - self.onlooker.evidence.reports.keys())
 
     def findings(self):
-        """End all nodes and return what is not as it must be."""
+        """End all nodes and return all violations."""
         robots = self._parameters['robots']
         codes = self.processes.stop()
         found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
@@ -314,7 +314,7 @@ class Mission:
             )
             if len(said) != robots
         ]
-        # A silent robot that was given up may have come home after all.
+        # A silent robot that was given up may have returned.
         late = with_defaults(self._parameters)['silent_loss']
         found += contradictions('heard', heard, late) + contradictions('logged', logged, late)
         if not reproduced:
@@ -326,20 +326,20 @@ class Mission:
             if self._is_ended:
                 return found
             unbroken = core_mission(self._parameters)[-1].belief.joint.tobytes()
-            # What a rolling team plans depends on which of its robots happens to be back first,
-            # and what a silent one's base plans on which robots are given up that come home late.
+            # Plans depend on timing if the team is rolling (which robot returns first) or silent
+            # (which robots are given up but return late).
             if given != unbroken and not (late or with_defaults(self._parameters)['rolling']):
                 found.append(('belief', 'the belief given by the log is not that of core'))
         return found
 
 
 def full_name(name, namespace=NAMESPACE):
-    """Return what a node of a mission is called in ROS."""
+    """Return a node's full name."""
     return f'{namespace.rstrip("/")}/{name}'
 
 
 def missing(heard, logged):
-    """Return the deployments heard reported that a log lacks, and what of them it lacks."""
+    """Return received deployments that a log lacks, and the missing parts."""
     lacking = []
     for key, reports in heard.reports.items():
         if not heard.paths.get(key, set()) <= logged.paths.get(key, set()):
@@ -350,7 +350,7 @@ def missing(heard, logged):
 
 
 def contradictions(where, evidence, late):
-    """Return the deployments of which two things are said; if `late`, a loss and then a return."""
+    """Return deployments with contradicting reports; if `late`, only a loss before a return."""
     returns = {
         key: {report for report in versions if report.survived}
         for key, versions in evidence.reports.items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What somebody who listens to a mission from outside gets to know of it."""
+"""A node outside the mission that keeps what it receives."""
 
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -13,30 +13,30 @@ from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 
-# The agent of a mission whose parameters name none.
+# Agent of a mission whose parameters name none.
 AGENT = 'scout_1'
 
 
 @dataclass
 class Evidence:
-    """The paths and reports of deployments, each said any number of times."""
+    """Paths and reports of deployments, each with repetitions."""
 
     paths: dict[DeploymentKey, set[tuple[tuple[float, float], ...]]] = field(default_factory=dict)
     reports: dict[DeploymentKey, set[Report]] = field(default_factory=dict)
 
     def take_path(self, key, message):
-        """Keep the positions of a nav_msgs/Path, as received or as decoded from a log."""
+        """Keep the positions of a nav_msgs/Path, received or decoded from a log."""
         positions = (pose.pose.position for pose in message.poses)
         self.paths.setdefault(key, set()).add(tuple((each.x, each.y) for each in positions))
 
     def take_report(self, message):
-        """Keep what a DeploymentReport says, whenever it was said."""
+        """Keep the content of a DeploymentReport, without its stamp."""
         key, report = read_report(message)
         self.reports.setdefault(key, set()).add(report)
 
 
 class Onlooker:
-    """A node that hears everything and says nothing."""
+    """A node that subscribes to everything and publishes nothing."""
 
     def __init__(self, node, namespace, agents):
         self.node = node
@@ -65,7 +65,7 @@ class Onlooker:
         self.evidence.take_path(DeploymentKey(agent, from_stamp(message.header.stamp)), message)
 
     def _on_report(self, message):
-        # Somebody may send what none of the nodes would.
+        # Strangers may publish messages that no node would.
         with suppress(ValueError):
             self.evidence.take_report(message)
 
@@ -82,12 +82,12 @@ class Onlooker:
             self.refused[status.name] = int(values['refused'])
 
     def forget(self, name):
-        """Forget what a node said that is started again."""
+        """Forget the state of a node that is restarted."""
         self.states.pop(name, None)
         if name.endswith('/estimator'):
             self.belief = None
 
     @property
     def held(self):
-        """Return how many deployments the newest belief holds; -1 before the first."""
+        """Return the number of deployments in the newest belief; -1 before the first."""
         return -1 if self.belief is None else self.belief.deployments

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No fault loses a deployment or counts one twice, and nothing that is sent spoils a belief."""
+"""No fault loses or duplicates a deployment, and no forged message corrupts a belief."""
 
 from collections import Counter
 from functools import partial
@@ -20,12 +20,12 @@ from onlooker import AGENT
 import pytest
 from unbroken import folded, NODES, STRUCK, with_defaults
 
-# Seeds of missions with faults of all kinds, of one agent and of four.
+# Seeds of missions with mixed faults, of one agent and of four.
 EVERY_KIND = (9, 22)
 
 
 def check(outcomes):
-    """See that missions ended as if nothing had struck, and that everything did."""
+    """Check that missions ended as undisturbed ones, and that every fault was injected."""
     assert not [str(outcome) for outcome in outcomes if outcome.findings]
     faults = sum((outcome.faults for outcome in outcomes), start=Counter())
     assert faults.keys() == {*STRUCK, 'held'}
@@ -50,29 +50,29 @@ def test_many_missions_under_faults_end_as_if_unbroken(tmp_path):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_no_robot_is_lost_that_stayed_and_none_forgotten_that_left(tmp_path):
+def test_robots_that_stay_are_not_lost_and_departed_ones_not_forgotten(tmp_path):
     jobs = [(seed, 'mixed', tmp_path) for seed in (1, 2)]
     outcomes = run_missions(jobs, run=partial(run_mission, has_robots=True))
     assert not [str(outcome) for outcome in outcomes if outcome.findings]
     assert any(outcome.crashes[CRASHED] for outcome in outcomes)
 
 
-# A share of the campaign: nothing that somebody sends stops a mission or makes it wrong.
+# A part of the campaign: forged messages neither stop a mission nor change it.
 
 
-# Of the messages of the campaign: its flood alone takes 20 s.
+# Forgeries of the campaign but its flood, which takes 20 s.
 SCALE = 0.1
 
 
 @pytest.fixture(scope='module')
 def undisturbed(processes, tmp_path_factory):
-    """Run a mission that nothing is sent to."""
+    """Run a mission without forgeries."""
     return run_forged(tmp_path_factory.mktemp('undisturbed'), (), processes=processes)
 
 
 @pytest.mark.processes
 @pytest.mark.parametrize('kind', some(sorted(FORGERIES, key='random'.__ne__), len(FORGERIES)))
-def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, processes, undisturbed, kind):
+def test_forged_messages_are_refused_and_change_nothing(tmp_path, processes, undisturbed, kind):
     outcome = run_forged(tmp_path, [kind], SCALE, processes=processes)
     outcome.compare_memory(undisturbed)
     assert not outcome.findings, outcome
@@ -80,7 +80,7 @@ def test_what_is_forged_is_refused_and_changes_nothing(tmp_path, processes, undi
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_a_mission_survives_all_of_it(tmp_path, processes, undisturbed):
+def test_a_mission_survives_all_forgeries(tmp_path, processes, undisturbed):
     outcome = run_forged(tmp_path, FORGERIES, SCALE, seed=2, processes=processes)
     outcome.compare_memory(undisturbed)
     assert not outcome.findings, outcome
@@ -94,16 +94,16 @@ def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
     assert not outcome.findings, outcome
 
 
-# No robot leaves on a path that nobody could read in the log after a crash.
+# No robot departs on a path that would be lost in a crash.
 
 
-# The search for a path takes long enough to stop the recorder meanwhile.
+# The search takes long enough to stop the recorder meanwhile.
 SLOW = {
     'grid.width': 6, 'grid.height': 6, 'max_steps': 14, 'robots': 4, 'beam_width': 40, 'seed': 13,
 }  # fmt: skip
 
 
-def test_a_path_that_only_the_agent_remembers_is_not_taken(set_out):
+def test_a_path_that_only_the_agent_has_is_not_accepted(set_out):
     mission = set_out(SLOW)
     mission.start(*NODES)
     topic = f'{NAMESPACE}/{AGENT}/path'
@@ -118,14 +118,14 @@ def test_a_path_that_only_the_agent_remembers_is_not_taken(set_out):
     mission.until(lambda: mission.onlooker.evidence.paths, 'path')
     for name in ('recorder', 'estimator', 'planner'):
         mission.kill(name)
-    # The prior of another estimator has another stamp, and so has the first path of this planner.
+    # The prior of another estimator has another stamp, and so has this planner's first path.
     mission.start('estimator', 'planner', 'recorder')
     mission.until_over()
     assert mission.unused == 1
     assert not mission.findings()
 
 
-# A robot given up for lost that comes back after all: the test plays the agent.
+# A robot that was given up returns: the test plays the agent.
 
 
 PARAMETERS = {
@@ -134,7 +134,7 @@ PARAMETERS = {
 
 
 class Agent:
-    """An agent whose robots fare as the test says."""
+    """An agent whose robots have the fates given by the test."""
 
     def __init__(self, mission, parameters):
         self._mission = mission
@@ -145,7 +145,7 @@ class Agent:
         )
 
     def report(self, number, survived):
-        """Report on a deployment, from 0, and wait until the belief is that of all reports."""
+        """Report on a deployment, from 0; wait until the belief includes all reports."""
         mission, evidence = self._mission, self._mission.onlooker.evidence
         mission.until(lambda: len(evidence.paths) > number, f'path {number}')
         key, (positions,) = sorted(evidence.paths.items())[number]
@@ -160,7 +160,7 @@ class Agent:
         self.until_believed()
 
     def until_believed(self):
-        """Wait until the belief is that of all that was reported, a return before a loss."""
+        """Wait until the belief includes all reports, a return before a loss."""
         onlooker = self._mission.onlooker
         expected = folded(self._parameters, onlooker.evidence).joint.tobytes()
         self._mission.until(
@@ -179,7 +179,7 @@ def test_a_late_return_beats_the_loss_that_was_assumed(set_out, method):
         agent.report(number, survived=number in (0, 3))
     agent.report(1, survived=True)
     assert mission.onlooker.held == 5
-    # Whoever has not heard of the return says again that the robot is lost.
+    # A restarted agent that missed the return reports the loss again.
     agent.report(1, survived=False)
     for number in range(5, 8):
         agent.report(number, survived=number == 6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission of any kind, unbroken or killed, ends with the belief that core has."""
+"""Missions of all kinds, undisturbed or killed, end with the belief of the core."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -26,7 +26,7 @@ SMALL = {
     'agents': ['scout_1', 'scout_2'], 'sensor.lethality': 0.7, 'world.hazard_density': 0.4,
 }  # fmt: skip
 
-# A dear robot with a good camera, and a cheap blind one that does not go far.
+# An expensive robot with a good camera, and a cheap blind one with a short range.
 TYPES = {
     'team.scout_1.sensor.true_positive': 0.99,
     'team.scout_1.loss_cost': 0.2,
@@ -39,7 +39,7 @@ PRIOR_MAP = {'resolution': 2.5, 'occupied_thresh': 1.0, 'free_thresh': 0.0, 'mod
 
 
 def write_map(folder, name, gray, values):
-    """Write a map, its bottom row first, and return its YAML file."""
+    """Write a map, bottom row first, and return its YAML file."""
     Image.fromarray(gray[::-1].astype(np.uint8)).save(folder / f'{name}.png')
     lines = [f'image: {name}.png', 'origin: [-7.5, 2.5, 0.0]', 'negate: 0']
     lines += [f'{key}: {value}' for key, value in values.items()]
@@ -55,7 +55,7 @@ def on_a_map(folder):
         gray[slice(row, row + 4), slice(column, column + 8)] = 0
     gray[60:, 100:] = 205
     gray[36:44, 56:64] = 254
-    # Darker is likelier: hazards in the east, targets in the north, known more coarsely.
+    # Darker is likelier: hazards in the east, targets in the north, at a coarser resolution.
     hazard = np.broadcast_to(np.linspace(250, 100, 12), (8, 12))
     target = np.broadcast_to(np.linspace(195, 120, 8)[:, None], (8, 12))
     return {
@@ -71,7 +71,7 @@ def on_a_map(folder):
     }
 
 
-# A wall, and a base in two of the corners of a turned field.
+# A wall, and bases in two corners of a turned field.
 BASES = {
     'grid.width': 9, 'grid.height': 7, 'grid.blocked': [13, 22, 31],
     'grid.origin': [10.0, -5.0, 0.6], 'max_steps': 12, 'sensor.lethality': 0.3,
@@ -83,12 +83,12 @@ LEARNING = {'method': 'kappa_bnitp_sampled', 'learn.numbers': ['lethality', 'haz
 
 
 def moves(deployments):
-    """Say whether the hazards of a mission were not the same for all robots."""
+    """Return whether the hazards of a mission changed between robots."""
     return any((each.world.hazard != deployments[0].world.hazard).any() for each in deployments)
 
 
-def keeps_off_what_is_occupied(deployments, parameters):
-    """Say by the pixels that no robot touched what is occupied or unknown."""
+def avoids_occupied_cells(deployments, parameters):
+    """Return whether no robot touched an occupied or unknown pixel."""
     field, grid = read_map(parameters['map']), make_grid(with_defaults(parameters))
     for deployment in deployments:
         for start, end in pairwise(grid.centers(deployment.observation.path)):
@@ -103,7 +103,7 @@ def keeps_off_what_is_occupied(deployments, parameters):
 
 
 def shows_will(deployments):
-    """Yield whether robots were heard of, went longer and shorter ways, and read nothing."""
+    """Yield whether there were last contacts, detours, early returns, and steps without a look."""
     yield any(each.observation.lost_at is not None for each in deployments)
     back = [
         (each.observation, each.plan.path) for each in deployments if each.observation.survived
@@ -113,9 +113,9 @@ def shows_will(deployments):
     yield any((seen.readings == -1).any() for seen, _ in back)
 
 
-# Parameters of each kind, and what shows in a mission that it is of this kind.
+# Parameters of each kind, and a check that a mission is of this kind.
 KINDS = {
-    'map': (on_a_map, keeps_off_what_is_occupied),
+    'map': (on_a_map, avoids_occupied_cells),
     'used_up': ({'hazards.dynamics': 'used_up'}, lambda made, _: moves(made)),
     'bases': (BASES, lambda made, _: {int(each.plan.path[0]) for each in made} == {0, 62}),
     'silent': (SILENT, lambda made, _: not all(each.observation.survived for each in made)),
@@ -166,7 +166,7 @@ KINDS = {
         {'hazards.dynamics': 'used_up', 'objective': 'behavioral', 'alpha': 2.0},
         lambda made, _: moves(made),
     ),
-    # Compared with the belief that its own log gives: who is back first differs.
+    # Compared with the belief of its own log: the order of returns differs.
     'rolling': ({'rolling': True}, lambda made, _: made),
 }  # fmt: skip
 
@@ -179,7 +179,7 @@ def test_a_mission_ends_as_that_of_core(set_out, tmp_path, kind, killed):
     own, is_of_kind = KINDS[kind]
     parameters = {**SMALL, 'seed': 10, **(own(tmp_path) if callable(own) else own)}
     if not with_defaults(parameters)['silent_loss']:
-        # Long enough for nodes to be killed before the mission is over.
+        # Long enough to kill nodes before the mission is over.
         parameters['step_period'] = 0.03
     mission = set_out(parameters)
     mission.start(*NODES)
@@ -217,7 +217,7 @@ def test_missions_in_namespaces_within_each_other_do_not_meet(set_out):
     assert [mission.findings() for mission in missions] == [[], [], []]
 
 
-# All nodes of a mission call these topics so, within and out of their namespace.
+# Topic names for all nodes of a mission, inside and outside its namespace.
 RENAMED = {'belief': '/shared/belief', 'scout_1/path': 'scout_1/plan', 'decision': 'verdict'}
 
 
@@ -268,7 +268,7 @@ def replayed(log):
     return RecordedMission(Grid(1, 1), 1)
 
 
-def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_others(set_out):
+def test_a_mission_resumes_with_its_bases_and_later_missions_may_have_others(set_out):
     parameters = {**SMALL, **BASES, 'robots': 6}
     mission = set_out(parameters)
     mission.start(*NODES)
@@ -279,7 +279,7 @@ def test_a_mission_goes_on_from_the_same_bases_only_and_a_later_one_may_have_oth
         Resumption(MissionLog(mission.log), make_grid(moved), moved, parameters['agents'])
     last = read_belief_maps(mission.onlooker.belief)
     assert [last.agent_base(agent) for agent in parameters['agents']] == [0, 62, 62]
-    # What was a base stays free of hazards, and what becomes one is.
+    # A former base stays free of hazards, and a new base is free.
     prior = earlier_belief(str(mission.log), replace(last.grid, base=8, other_bases=(54,)))
     bases = [0, 8, 54, 62]
     assert prior.hazard[bases].tolist() == [0.0] * 4

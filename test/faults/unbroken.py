@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mission that a broken one must come to, by core alone, and what is done to its nodes."""
+"""The undisturbed mission in the core, and random faults for its nodes."""
 
 from dataclasses import dataclass, replace
 from signal import SIGKILL, Signals, SIGSTOP
@@ -19,7 +19,7 @@ import numpy as np
 
 
 def draw_parameters(rng):
-    """Draw the parameters of a small mission of one or more agents that takes some seconds."""
+    """Draw the parameters of a mission of one or more agents that takes some seconds."""
     side = int(rng.integers(5, 6, endpoint=True))
     method = str(rng.choice(list(METHODS)))
     learn = ['lethality', 'hazard_density'] if method == 'kappa_bnitp_sampled' else []
@@ -32,15 +32,15 @@ def draw_parameters(rng):
         'return_deadline': 0.5, **draw_conduct(rng),
     }  # fmt: skip
     if drawn['silent_loss']:
-        # The simulation refuses robots that are heard of on their way and lost in silence.
+        # The simulation refuses silent losses together with contacts.
         drawn.pop('contact_probability', None)
-        # They are given up by what a step takes.
+        # Robots are given up by the duration of a step.
         drawn['step_period'] = 0.001
     return drawn
 
 
 def draw_conduct(rng):
-    """Draw how robots depart from their orders; in half of the missions they do not."""
+    """Draw deviations of robots from their orders; half of the missions have none."""
     if rng.random() < 0.5:
         return {}
     return {
@@ -57,7 +57,7 @@ def with_defaults(parameters):
 
 
 def true_values(parameters):
-    """Return what agents alone are told, by names that begin with true."""
+    """Return the agents' true values, by names that begin with true."""
     return {
         name.removeprefix('true.'): value
         for name, value in parameters.items()
@@ -66,7 +66,7 @@ def true_values(parameters):
 
 
 def core_mission(parameters):
-    """Return the deployments that core makes with these parameters."""
+    """Return the deployments of the core with these parameters."""
     values = with_defaults(parameters)
     grid = make_grid(values)
     true_dynamics = make_dynamics({**values, **true_values(parameters), 'learn.numbers': ()})
@@ -101,12 +101,12 @@ def core_mission(parameters):
 
 
 def says_more(report):
-    """Return what of two reports is the greater of that which counts."""
+    """Return the more informative of two reports, which counts."""
     return report.survived, report.steps_survived, len(report.lost_at) - sum(report.lost_at)
 
 
 def folded(parameters, evidence):
-    """Return the belief that all deployments give, in their order; a return beats a loss."""
+    """Return the belief after all deployments, in their order; a return beats a loss."""
     values = with_defaults(parameters)
     grid = make_grid(values)
     estimator = make_estimator(values, make_grid(values))
@@ -123,12 +123,12 @@ def folded(parameters, evidence):
     return estimator.belief
 
 
-# What is done to the nodes of a mission, and when: drawn at random, the same for a seed.
+# Faults of nodes and their moments, drawn from a seed.
 
 
 NODES = ('recorder', 'estimator', 'agent', 'planner')
 
-# How many nodes each kind of fault strikes.
+# Number of nodes that each kind of fault hits.
 STRUCK = {'kill': 1, 'stop': 1, 'two': 2, 'all': len(NODES)}
 
 # A mixed mission has faults of all kinds.
@@ -137,7 +137,7 @@ KINDS = (*STRUCK, 'mixed')
 
 @dataclass(frozen=True)
 class Fault:
-    """One or more nodes struck at a moment, each back after a pause."""
+    """One or more nodes hit at a moment, each back after a pause."""
 
     kind: str
     reports: int
@@ -148,12 +148,12 @@ class Fault:
 
     @property
     def signal(self) -> Signals:
-        """Return what strikes: nodes that are stopped go on, those killed are started again."""
+        """Return the signal: stopped nodes continue, killed ones are restarted."""
         return SIGSTOP if self.kind == 'stop' else SIGKILL
 
 
 def draw_faults(rng: np.random.Generator, kind: str, robots: int) -> list[Fault]:
-    """Draw one to five faults of a kind, in the order of the reports they wait for."""
+    """Draw one to five faults of a kind, ordered by the number of reports they wait for."""
     reports_at = rng.integers(0, robots, size=2)
     faults = []
     for reports in sorted(rng.choice(reports_at, size=rng.integers(1, 6)).tolist()):

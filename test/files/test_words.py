@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors are said in words, and YAML is read as PyYAML reads it."""
+"""Errors are sentences, and YAML is read as PyYAML reads it."""
 
 from pathlib import Path
 
@@ -42,13 +42,13 @@ def test_a_disk_that_cannot_be_written_to_is_named(tmp_path):
 
 
 def test_a_file_that_cannot_be_read_to_its_end_is_named():
-    # The first page of no process can be read.
+    # The first page of a process's memory cannot be read.
     with pytest.raises(OSError) as refusal:
         read_yaml('/proc/self/mem')
     assert in_words(refusal.value) == '/proc/self/mem: Input/output error (check the disk)'
 
 
-def test_other_errors_are_said_as_they_are():
+def test_other_errors_keep_their_text():
     assert in_words(FileExistsError('it is there already:\nname another')) == (
         'it is there already: name another'
     )
@@ -64,7 +64,7 @@ def test_a_line_names_some_of_many():
     assert some('abcde', named=4) == 'a, b, c, d and 1 more'
 
 
-# YAML is read as PyYAML reads it, with the numbers of ROS, or refused.
+# YAML is read like PyYAML, with the numbers of ROS, or refused.
 
 
 ROOT = Path(__file__).parents[2]
@@ -78,7 +78,7 @@ contents = st.recursive(
 @pytest.mark.slow
 @given(contents)
 @settings(max_examples=100 if FULL else 40)
-def test_what_pyyaml_writes_is_read_back(content):
+def test_yaml_by_pyyaml_is_read_back(content):
     assert parse_yaml(yaml.safe_dump(content)) == content
 
 
@@ -103,7 +103,7 @@ def test_numbers_are_written_as_for_ros(text, number):
     assert (value, type(value)) == (number, type(number))
 
 
-def test_aliases_and_merges_mean_what_they_mean():
+def test_aliases_and_merges_are_resolved():
     text = 'base: &base {a: 1, b: [&two 2]}\nmine: {<<: *base, a: *two}\n'
     assert parse_yaml(text) == {'base': {'a': 1, 'b': [2]}, 'mine': {'a': 2, 'b': [2]}}
 
@@ -141,7 +141,7 @@ def test_a_key_may_stand_in_several_mappings():
     '{[a]: 1}',
     'a: 1\n---\na: 2',
 ])  # fmt: skip
-def test_what_is_not_yaml_is_refused_in_one_sentence(text):
+def test_bad_yaml_is_refused_in_one_sentence(text):
     with pytest.raises(NotYamlError, match='^it is not YAML: .') as refusal:
         parse_yaml(text)
     assert '\n' not in str(refusal.value)

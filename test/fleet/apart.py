@@ -22,7 +22,7 @@ import pytest
 
 SUBNET = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}
 
-# By which nodes on different networks find each other.
+# Environment of nodes that discover each other across networks.
 ENVIRONMENT = {**SUBNET, **udp_only(SUBNET, share('config'))}
 
 # From linux/sched.h.
@@ -30,11 +30,11 @@ CLONE_NEWNET = 0x40000000
 
 
 class NoNetworksError(Exception):
-    """Networks cannot be made here."""
+    """This machine cannot make networks."""
 
 
 def ip(*arguments):
-    """Run `ip` and return what it says; raise NoNetworksError if it cannot do it."""
+    """Run `ip` and return its output; raise NoNetworksError if it fails."""
     try:
         made = subprocess.run(['ip', *arguments], capture_output=True, text=True)
     except FileNotFoundError as error:
@@ -45,7 +45,7 @@ def ip(*arguments):
 
 
 class Networks:
-    """A network for the base and one for each robot, on one bridge."""
+    """A network for the base and one for each robot, joined by a bridge."""
 
     def __init__(self, robots, multicast=True):
         mark = f'k{os.getpid() % 10_000}'
@@ -55,7 +55,7 @@ class Networks:
         self._multicast = multicast
 
     def make(self):
-        """Make them; raise NoNetworksError if that is impossible."""
+        """Make the networks; raise NoNetworksError if that is impossible."""
         bridge = self._bridge
         ip('netns', 'add', bridge)
         ip('-n', bridge, 'link', 'add', 'bridge', 'type', 'bridge')
@@ -86,26 +86,26 @@ class Networks:
         ip('-n', name, 'route', 'add', '224.0.0.0/4', 'dev', 'inner')
 
     def delete(self):
-        """Delete those that were made."""
+        """Delete the networks."""
         for name in (self._bridge, self.base, *self.robots):
             subprocess.run(['ip', 'netns', 'delete', name], capture_output=True)
 
     def switch(self, robot, state):
-        """Take the link of a robot, counted from 1, 'up' or 'down'."""
+        """Set the link of a robot, counted from 1, 'up' or 'down'."""
         ip('-n', self._bridge, 'link', 'set', f'outer{robot}', state)
-        # The kernel takes up to a second to tell the other end.
+        # The kernel takes up to a second to notify the other end.
         while (' state UP ' in ip('-n', self.robots[robot - 1], 'link', 'show', 'inner')) != (
             state == 'up'
         ):
             time.sleep(0.02)
 
     def readdress(self):
-        """Give the first robot another address."""
+        """Change the address of the first robot."""
         ip('-n', self.robots[0], 'address', 'flush', 'dev', 'inner')
         self._address(self.robots[0], 77)
 
     def join(self):
-        """Have this process, and all that it starts, be on the network of the base."""
+        """Move this process, and all that it starts, to the network of the base."""
         with Path('/run/netns', self.base).open() as network:
             if ctypes.CDLL(None, use_errno=True).setns(network.fileno(), CLONE_NEWNET):
                 raise NoNetworksError(f'{self.base}: {os.strerror(ctypes.get_errno())}')
@@ -113,7 +113,7 @@ class Networks:
 
 @contextmanager
 def networks(robots, multicast=True):
-    """Have a network for the base and one for each robot, with multicast or without."""
+    """Provide a network for the base and one for each robot, with multicast or without."""
     made = Networks(robots, multicast)
     try:
         made.make()
@@ -122,7 +122,7 @@ def networks(robots, multicast=True):
         made.delete()
 
 
-# Base and robots on networks of their own, joined by links that can be taken down.
+# Base and robots on separate networks, whose links can be cut.
 
 
 ROOT = Path(__file__).parents[2]
@@ -152,7 +152,7 @@ class Apart:
             address, port = discovery['ROS_DISCOVERY_SERVER'].split(':')
             server = ['fast-discovery-server', '-i', '0', '-l', address, '-p', port]
             self._started.append(subprocess.Popen(['ip', 'netns', 'exec', base, *server]))
-        # Each robot has targets elsewhere, so that reports tell which it was.
+        # The targets of each robot identify its reports.
         others = sorted(set(range(GRID.cells)) - set(TARGETS))
         self._simulators = []
         self._robots = []
@@ -192,7 +192,7 @@ class Apart:
         self._robots.append((self._started[-1], number, network, parameters))
 
     def _start_again(self):
-        """Start robots again whose computers have new links, as launch does."""
+        """Restart robots whose computers have new links, as launch does."""
         for started in self._robots.copy():
             process, *robot = started
             if process.poll() == NEW_LINKS:
@@ -200,16 +200,16 @@ class Apart:
                 self._start_robot(*robot)
 
     def switch(self, state):
-        """Take the links of the robots 'up' or 'down'."""
+        """Set the links of all robots 'up' or 'down'."""
         for number in range(1, len(self._networks.robots) + 1):
             self._networks.switch(number, state)
 
     def readdress(self):
-        """Give the first robot another address."""
+        """Change the address of the first robot."""
         self._networks.readdress()
 
     def reboot(self):
-        """Cut the power of the robots' computers, and switch them on again."""
+        """Cut the power of the robots' computers and switch them on again."""
         for process in self._robots_computers():
             process.kill()
             process.wait()
@@ -224,7 +224,7 @@ class Apart:
         return [*(each[0] for each in self._simulators), *(each[0] for each in self._robots)]
 
     def _simulation(self, number, targets):
-        """Write what a simulator needs to know, and return its file."""
+        """Write the configuration of a simulator, and return its file."""
         folder = self._folder / str(number)
         folder.mkdir()
         file = folder / 'simulation.json'
@@ -274,11 +274,11 @@ class Apart:
             time.sleep(0.02)
 
     def count(self, words):
-        """Return how often the robots have said something."""
+        """Return how often the robots have published a message."""
         return sum(said.read_text().count(words) for said in self._robots_said)
 
     def reports(self):
-        """Return the stamps of the deployments of all reports on record."""
+        """Return the deployment stamps of all recorded reports."""
         try:
             return [from_stamp(each.message.deployment) for each in read_log(self.log, [REPORT])]
         except LogError:
@@ -294,7 +294,7 @@ class Apart:
 
 @contextmanager
 def apart(folder, robots, namesakes=1, discovery=None, **planner):
-    """Have a mission run whose base is apart from its robots; it is over when this is left."""
+    """Run a mission whose base is on another network than its robots; end it on exit."""
     with ExitStack() as stack:
         try:
             made = stack.enter_context(networks(namesakes, multicast=not discovery))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real `robot` nodes whose robots a simulator drives in a process of its own."""
+"""Real `robot` nodes whose robots a simulator drives in its own process."""
 
 from collections import defaultdict
 from dataclasses import replace
@@ -23,7 +23,7 @@ from std_msgs.msg import Bool, String
 
 SIMULATOR = Path(__file__).with_name('simulator.py')
 
-# 12 m by 12 m with four obstacles; robots keep off the corners of these.
+# 12 m by 12 m with four obstacles, whose corners robots avoid.
 GRID = Grid(12, 12, blocked=[26, 27, 50, 64], through_corners=False)
 FIELD = {
     'grid.width': 12, 'grid.height': 12, 'grid.blocked': sorted(GRID.blocked),
@@ -31,12 +31,12 @@ FIELD = {
 }  # fmt: skip
 TARGETS = [2, 14, 25, 38, 52, 65]
 
-# How near the middle of a cell a robot that is sent there comes, in metres.
+# Metres from the centre of a cell within which a robot that is sent there arrives.
 NEAR = 0.25
 
 
 class Fleet:
-    """Robots on a field, with everything they do truly on record."""
+    """Robots in a field, with a record of all their true motion."""
 
     SOURCES = Path(__file__).parent
 
@@ -125,7 +125,7 @@ class Fleet:
         return self.field.folder / 'track.jsonl'
 
     def truth(self):
-        """Return where each robot was, moment by moment, x and y."""
+        """Return the true x and y of each robot over time."""
         places = defaultdict(list)
         if self._track.exists():
             for line in self._track.read_text().splitlines():
@@ -134,7 +134,7 @@ class Fleet:
         return places
 
     def walked(self, name='scout_1', since=0, near=NEAR):
-        """Return the cells that a robot truly was so near the middle of, one after another."""
+        """Return the cells whose centres a robot truly came near, in order."""
         cells = [
             int(y) * GRID.width + int(x)
             for x, y in self.truth()[name][since:]
@@ -143,11 +143,11 @@ class Fleet:
         return moves(cells)
 
     def see_that_it_is_true(self, report, since=0, name='scout_1'):
-        """Compare a report with where the simulator drove a robot, and with what is there."""
+        """Compare a report with the simulated motion and the true targets."""
         self.see_that_all_is_true([report], since, name)
 
     def see_that_all_is_true(self, reports, since=0, name='scout_1'):
-        """Compare reports of one deployment after another as `see_that_it_is_true` does one."""
+        """Compare reports of successive deployments as `see_that_it_is_true` does one."""
         cells = [GRID.base]
         for report in reports:
             GRID.check_path([GRID.base, *(cell for cell, _ in report.readings)])
@@ -158,15 +158,15 @@ class Fleet:
         assert is_within(self.walked(name, since), moves(cells))
 
     def inject(self, what, name='scout_1'):
-        """Have something go wrong with a robot's next goal, or go on as it should."""
+        """Inject a failure into a robot's next goal, or end it."""
         self._talker(String, f'/{name}/inject', 10).publish(String(data=what))
 
     def hold(self, is_held):
-        """Have no robot depart, or let them."""
+        """Publish whether departures are held."""
         self._hold.publish(Bool(data=is_held))
 
     def wait(self, seconds):
-        """Handle messages for some time."""
+        """Handle messages for some seconds."""
         end = time.monotonic() + seconds
         self.field.until(lambda: time.monotonic() > end, 'moment', seconds + 60)
 
@@ -183,7 +183,7 @@ class Fleet:
         return DeploymentKey(name, number * 10**9)
 
     def send(self, number, cells, name='scout_1', mission=5):
-        """Send a robot along a path that is on disk."""
+        """Send a path that is on disk to a robot."""
         key = self.key(number, name)
         path = path_message(self.grid, cells, key.stamp, mission)
         self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(path)
@@ -201,7 +201,7 @@ class Fleet:
 
     @classmethod
     def simulated(cls, field, **options):
-        """Return a fleet whose robots are simulated, and what the first of them reports."""
+        """Return a fleet of simulated robots, and the list of the first one's reports."""
         fleet = cls(field, **options)
         reports = fleet.reports()
         fleet.simulate()
@@ -211,7 +211,7 @@ class Fleet:
         return self.field.listen(DeploymentReport, f'{self._mission}/{name}/report')
 
     def wait_for_report(self, reports, key, patience=60.0):
-        """Wait for the report of a deployment, and return what it says; all there are agree."""
+        """Wait for the report of a deployment and return it; repetitions must agree."""
 
         def found():
             return [each for each in reports if from_stamp(each.deployment) == key.stamp]
@@ -231,7 +231,7 @@ class Fleet:
 
 
 def is_within(few, many):
-    """Say whether some cells come in others, in their order."""
+    """Return whether some cells are in others, in their order."""
     rest = iter(many)
     return all(cell in rest for cell in few)
 

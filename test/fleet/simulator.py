@@ -59,13 +59,13 @@ EARTH = Geod(ellps='WGS84')
 
 TICK = 0.02  # seconds
 
-# How many ticks a detector takes to find what is in a picture.
+# Ticks that a detector takes to process an image.
 LATE = 5
 
-# How near a robot must come to a pose, in metres, and to the last one, as Nav2 has it by default.
+# Distance in metres to a pose, and to the last one, at which Nav2 counts it as reached by default.
 NEAR, GOAL = 0.2, 0.15
 
-# How the frame odom lies in the frame map: somewhere and turned, as after a start.
+# Pose of the frame odom in the frame map: shifted and turned, as after a start.
 ODOM = (3.0, -2.0, 0.7)
 
 JUMP = 4.0
@@ -94,21 +94,21 @@ ACTIONS = {
 
 
 def in_map(placed, x, y):
-    """Return where a point of the simulated world is in the frame map."""
+    """Return the position of a point of the simulated world in the frame map."""
     begin_x, begin_y, turn = placed
     at = complex(begin_x, begin_y) + exp(1j * turn) * complex(x, y)
     return at.real, at.imag
 
 
 def in_world(placed, x, y):
-    """Return where a point of the frame map is in the simulated world."""
+    """Return the position of a point of the frame map in the simulated world."""
     begin_x, begin_y, turn = placed
     at = exp(-1j * turn) * (complex(x, y) - complex(begin_x, begin_y))
     return at.real, at.imag
 
 
 class Goal:
-    """What a robot is driving."""
+    """A goal that a robot drives to."""
 
     def __init__(self, handle, kind, wrong, placed):
         self.handle = handle
@@ -123,7 +123,7 @@ class Goal:
 
 
 class Robot:
-    """One robot in a world of its own."""
+    """A robot in its own world."""
 
     def __init__(self, node, namespace, begin, config, folder):
         self._node = node
@@ -177,7 +177,7 @@ class Robot:
                 self._node,
                 kind,
                 f'{self._namespace}/{name}',
-                # Goals are executed by `_end`, each with a function of its own.
+                # Goals are executed by `_end`, each with its own function.
                 print,
                 goal_callback=self._judge,
                 handle_accepted_callback=partial(self._take, kind),
@@ -202,7 +202,7 @@ class Robot:
             self._wrong = message.data
 
     def _take_wrong(self):
-        """Return what is to go wrong with this goal."""
+        """Return the failure to inject into this goal."""
         wrong = self._wrong
         if not wrong.endswith('!'):
             self._wrong = ''
@@ -217,13 +217,13 @@ class Robot:
         return GoalResponse.ACCEPT
 
     def _take(self, kind, handle):
-        """Drive a goal from now on; the one before is given up for it, as Nav2 does."""
+        """Drive to a goal from now on; it replaces the one before, as in Nav2."""
         if self._goal is not None:
             self._end('abort', 'preempted by another goal')
         self._goal = Goal(handle, kind, self._take_wrong(), self._config['placed'])
 
     def _end(self, how, why=''):
-        """Say how a goal ended: to rclpy it is executed only now, all at once."""
+        """End a goal: for rclpy its execution happens only now, in one step."""
         goal, self._goal = self._goal, None
 
         def execute(handle):
@@ -245,7 +245,7 @@ class Robot:
         return x, y, yaw
 
     def tick(self):
-        """Simulate a moment."""
+        """Simulate a tick."""
         x, y, yaw = self.place
         linear = turn = 0.0
         goal = self._goal
@@ -278,7 +278,7 @@ class Robot:
         return linear, 12 * off
 
     def tell(self):
-        """Publish where the robot is and what it sees, and keep the truth."""
+        """Publish position and detections, and record the truth."""
         x, y, yaw = self.place
         self._track.write(f'{json.dumps([self._namespace, x, y])}\n')
         self._track.flush()
@@ -305,7 +305,7 @@ class Robot:
             self._detections.publish(self._pictures.popleft())
 
     def _fix(self, x, y):
-        """Return what a good receiver says, by the geodesic from the datum."""
+        """Return the fix of an accurate receiver, by the geodesic from the datum."""
         latitude, longitude, heading = self._config['datum']
         azimuth = 90 - degrees(heading + atan2(y, x))
         fix = NavSatFix(position_covariance_type=NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN)
@@ -317,7 +317,7 @@ class Robot:
         return fix
 
     def _picture(self, sees):
-        """Return what a detector says: there are rocks all over, some a little like targets."""
+        """Return a detector's objects: rocks everywhere, some with a small target score."""
         rock = [hypothesis('rock', 0.9), hypothesis('target', 0.1)]
         detections = [Detection2D(results=rock)]
         if sees:
@@ -339,12 +339,12 @@ class Robot:
 
 
 def hypothesis(name, score):
-    """Return that an object is of a class."""
+    """Return the hypothesis that an object is of a class."""
     return ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(class_id=name, score=score))
 
 
 def simulate(path):
-    """Simulate what a file of a configuration says until a signal comes, and return 0."""
+    """Simulate the configuration in a file until a signal comes; return 0."""
     config = json.loads(path.read_text())
     signals = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -363,7 +363,7 @@ def simulate(path):
             robot.tick()
             robot.tell()
         due += TICK
-        # Callbacks until the next moment is due; time that was lost is not made up for.
+        # Handle callbacks until the next tick; lost time is not made up for.
         due = max(due, time.monotonic() - TICK)
         while (left := due - time.monotonic()) > 0:
             executor.spin_once(timeout_sec=left)

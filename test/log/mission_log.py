@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mission publishes, made without ROS running, and logs of it."""
+"""Messages of a mission, made without running ROS, and logs of them."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -54,13 +54,13 @@ class Sent:
 
     @property
     def type_name(self):
-        """Such as 'nav_msgs/msg/Path'."""
+        """Return the type's name, such as 'nav_msgs/msg/Path'."""
         kind = type(self.message)
         return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
 
     @cached_property
     def data(self):
-        """Return the bytes on the wire; what pads the fields differs from time to time."""
+        """Return the serialized bytes; padding differs from call to call."""
         return serialize_message(self.message)
 
 
@@ -90,7 +90,7 @@ class Mission:
         self.start_estimator()
 
     def start_estimator(self):
-        """Publish the prior, as an estimator does when it is started."""
+        """Publish the prior, like an estimator that starts."""
         self.new = NewEvidence()
         estimator = Estimator(
             self.prior,
@@ -106,12 +106,12 @@ class Mission:
         self.publish_belief()
 
     def publish(self, topic, message):
-        """Send a message."""
+        """Publish a message."""
         self.now += 1000
         self.sent.append(Sent(f'{self.namespace}/{topic}', message, self.now))
 
     def publish_belief(self):
-        """Send the belief and its views."""
+        """Publish the belief and its views."""
         belief = belief_maps(self.ledger, self.started, NO_MISSION, *self.new.take(self.ledger))
         self.publish('belief', belief)
         stamp = from_stamp(belief.header.stamp)
@@ -122,36 +122,36 @@ class Mission:
             self.publish('model', model_belief(self.ledger, stamp))
 
     def send_out(self, path, agent='scout_1'):
-        """Send a robot along a path; return the deployment's key."""
+        """Send a robot on a path; return the deployment's key."""
         key = DeploymentKey(agent, self.now)
         self.publish(f'{agent}/path', path_message(self.grid, path, key.stamp))
         return key
 
     def come_back(self, key, observation):
-        """Report how a deployment ended."""
+        """Report the end of a deployment."""
         self.publish(f'{key.agent}/report', report_message(key, observation, self.now))
         key, report = read_report(self.sent[-1].message)
         return key, replace(report, content=content_hash(self.sent[-1].message))
 
     def assimilate(self, path, key, report):
-        """Let the estimator assimilate a deployment."""
+        """Assimilate a deployment in the estimator."""
         self.hear_path(key, path)
         assert self.hear_report(key, report)
 
     def hear_path(self, key, path):
-        """Let the estimator hear a path."""
+        """Record a path in the estimator's ledger."""
         content = content_hash(path_message(self.grid, path, key.stamp))
         self.ledger.record_path(key, path, content)
 
     def hear_report(self, key, report):
-        """Let the estimator hear a report; return whether it says something new."""
+        """Record a report and publish the belief if it changed; return whether it did."""
         if changed := self.ledger.record_report(key, report):
             self.new.add(key)
             self.publish_belief()
         return changed
 
     def deploy(self, observation, agent='scout_1', orders=None):
-        """Do all of it; a robot without orders of its own is sent the way that it goes."""
+        """Deploy a robot and assimilate its report; by default its orders are its path."""
         orders = observation.path if orders is None else orders
         key = self.send_out(orders, agent)
         self.assimilate(orders, *self.come_back(key, observation))
@@ -206,7 +206,7 @@ def record(path, sent, qos=QOS):
 
 
 def record_to(log, sent, qos=QOS, synced=False):
-    """Write messages to a log, adding topics as they appear."""
+    """Write messages to a log, adding topics at their first message."""
     known = set()
     for message in sent:
         if message.topic not in known:
@@ -228,7 +228,7 @@ def without(sent, *unwanted):
 
 
 def instead(sent, old, message):
-    """Return all messages, one of them replaced."""
+    """Return all messages, with one of them replaced."""
     return [replace(each, message=message) if each is old else each for each in sent]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read logs and write bags with the tools of users, and compare what comes out with what is in."""
+"""Read logs and write bags with the tools of users, and compare the messages."""
 
 import base64
 from importlib import import_module
@@ -46,7 +46,7 @@ NODE = ['node', Path(__file__).with_name('read_mcap.mjs')]
 
 
 class Read(NamedTuple):
-    """A message as a library reads it; None is what the library does not tell."""
+    """A message as a library reads it; None where the library has no value."""
 
     topic: str
     type_name: str
@@ -60,7 +60,7 @@ class Read(NamedTuple):
 
 
 def with_mcap(path):
-    """Yield the messages of a finished file as mcap and mcap-ros2-support read them."""
+    """Yield the messages of a finished file, read by mcap and mcap-ros2-support."""
     with path.open('rb') as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for decoded in reader.iter_decoded_messages():
@@ -78,7 +78,7 @@ def with_mcap(path):
 
 
 def with_node(path):
-    """Yield the messages of a finished file as @mcap/core and Foxglove's libraries read them."""
+    """Yield the messages of a finished file, read by @mcap/core and Foxglove's libraries."""
 
     def exact(fields):
         return int(fields['bigint']) if 'bigint' in fields else SimpleNamespace(**fields)
@@ -101,7 +101,7 @@ def with_node(path):
 
 
 def deserialized(store, data, type_name):
-    """Return the message that rosbags reads."""
+    """Return the message deserialized by rosbags."""
     definition = store.get_msgdef(type_name)
     message, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, store)
     assert len(data) - 4 - end < 24
@@ -109,7 +109,7 @@ def deserialized(store, data, type_name):
 
 
 def with_rosbags(path):
-    """Yield the messages of a finished file, or of a folder that is a bag, as rosbags does."""
+    """Yield the messages of a finished file, or of a bag's folder, read by rosbags."""
     with Reader(path) as reader:
         store = get_typestore(Stores.EMPTY)
         for connection in reader.connections:
@@ -127,7 +127,7 @@ def with_rosbags(path):
 
 
 def plain(qos):
-    """Return a QoS profile of rosbags as it stands in a file."""
+    """Return a QoS profile of rosbags in the notation of a file."""
 
     def duration(time):
         return {'sec': time.sec, 'nsec': time.nsec}
@@ -146,7 +146,7 @@ def plain(qos):
 
 
 def check_same(read, written):
-    """Check that a library read all that was written, field by field."""
+    """Check that a library read all written messages, field by field."""
     read = sorted(read, key=lambda each: (each.log_time, each.topic, each.data))
     written = [each for each in written if isinstance(each, RecordedMessage)]
     written.sort(key=lambda each: (each.log_time, each.channel.topic, each.data))
@@ -164,7 +164,7 @@ def check_same(read, written):
 
 
 def check_all_read(log):
-    """Check that all libraries read all of a log: each file singly, and the folder as a bag."""
+    """Check that all libraries read a whole log: each file singly, and the folder as a bag."""
     for part in log_parts(log):
         for library in (with_mcap, with_node, with_rosbags):
             check_same(library(part), read_part(part))
@@ -172,7 +172,7 @@ def check_all_read(log):
 
 
 def write_bag(folder, sent, storage='mcap', version=9, compression=None):
-    """Write messages to a bag, in a version of rosbag2's metadata, with rosbags' compression."""
+    """Write a bag by rosbags, with a version of rosbag2's metadata and a compression."""
     writer = Writer(folder, version=version, storage_plugin=STORAGES[storage])
     if compression:
         writer.set_compression(*compression)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write logs that test_recorded.py has: of kinds of hazards, located losses and a late return."""
+"""Write logs of test_recorded.py: kinds of hazards, located losses and a late return."""
 
 from pathlib import Path
 import sys
@@ -10,7 +10,7 @@ from kbnitp_ros.log.read import RUN
 from kbnitp_ros.log.write import LogWriter
 from mission_log import GRID, Mission, mission, record_to
 
-# How often each step survived is heard of.
+# Probability that each survived step is received.
 HEARD = Execution(contact=0.5)
 
 KINDS = {
@@ -28,7 +28,7 @@ KINDS = {
 
 
 def late_return():
-    """Return a mission of a team of which a robot that timed out comes home late."""
+    """Return a mission of a team in which a robot that timed out returns late."""
     whole = Mission('kappa_bnitp')
     orders = [2, 7, 12, 7, 2]
     late = whole.deploy(Observation(orders, False), 'scout_1')
