@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags by other programs are read and replayed like the mission's own log."""
+"""Bags of other programs are read and replayed like the mission's own log."""
 
 from functools import partial
 from pathlib import Path
@@ -30,7 +30,7 @@ def sent(whole_mission):
 
 
 def check(path, sent):
-    """Check that all is read, and that it replays."""
+    """Check that all messages are read and that the log replays."""
     read = list(read_log(path))
     assert [(each.topic, each.type_name, each.log_time, each.data) for each in read] == [
         (each.topic, each.type_name, each.time + 500, each.data) for each in sent
@@ -44,7 +44,7 @@ def check(path, sent):
 
 
 def split_bag(tmp_path, sent):
-    """Return a bag of two files, as ``ros2 bag record`` names and lists them."""
+    """Return a bag of two files, named and listed like by ``ros2 bag record``."""
     folder = tmp_path / 'bag'
     folder.mkdir()
     for number, half in enumerate((sent[:20], sent[20:])):
@@ -56,7 +56,7 @@ def split_bag(tmp_path, sent):
 
 
 def described(folder, **values):
-    """Change what metadata.yaml says of a bag."""
+    """Change the metadata.yaml of a bag."""
     path = folder / 'metadata.yaml'
     content = yaml.safe_load(path.read_text())
     content['rosbag2_bagfile_information'].update(values)
@@ -65,14 +65,14 @@ def described(folder, **values):
 
 
 def renamed(folder):
-    """Give the files names that do not tell their order."""
+    """Rename the files so that their names do not give their order."""
     for old, new in (('bag_0', 'night'), ('bag_1', 'day')):
         folder.joinpath(f'{old}.mcap').rename(folder / f'{new}.mcap')
     return described(folder, relative_file_paths=['night.mcap', 'day.mcap'])
 
 
 def with_list(left):
-    """Return a change: a recorder that was killed left this list of files, or none."""
+    """Return a change: a killed recorder left this list of files, or none."""
 
     def change(folder):
         if left is None:
@@ -98,7 +98,7 @@ def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, options, mo
 @for_each('change', [
     described,
     renamed,
-    # As in bags before Galactic.
+    # Like bags before Galactic.
     partial(described, relative_file_paths=['bag/bag_0.mcap', 'bag/bag_1.mcap']),
     # By a recorder that was killed.
     partial(described, relative_file_paths=['bag_0.mcap']),
@@ -152,7 +152,7 @@ def test_a_bag_that_cannot_be_read_whole_is_refused(sent, tmp_path, change, told
 
 
 @for_each('mode', [CompressionMode.FILE, CompressionMode.MESSAGE])
-def test_what_rosbag2_compressed_is_refused(sent, tmp_path, mode):
+def test_bags_compressed_by_rosbag2_are_refused(sent, tmp_path, mode):
     folder = write_bag(tmp_path / 'bag', sent, compression=(mode, CompressionFormat.ZSTD))
     with pytest.raises(LogError, match=r'bag is compressed, mode \w+: decompress it with ros2'):
         list(read_log(folder))
@@ -175,7 +175,7 @@ def test_a_log_converted_by_rosbags_is_read(sent, tmp_path):
     check(convert(folder, tmp_path / 'converted'), sent)
 
 
-def test_a_date_is_no_number_of_a_part(sent, tmp_path):
+def test_a_date_is_not_a_part_number(sent, tmp_path):
     for name in ('mission.mcap', 'mission_20261120.mcap'):
         record(tmp_path / name, sent)
         check(tmp_path / name, sent)
@@ -189,7 +189,7 @@ def test_a_bag_becomes_a_log_by_repair(sent, tmp_path):
 
 
 @pytest.mark.processes
-def test_a_bag_of_sqlite_is_refused_with_what_converts_it(sent, tmp_path, capsys):
+def test_an_sqlite_bag_is_refused_with_the_conversion_command(sent, tmp_path, capsys):
     folder = write_bag(tmp_path / 'bag', sent, 'sqlite3')
     told = f'{folder / "bag.db3"} is a SQLite bag: convert it to MCAP with ros2 bag convert'
     out = ['--out', str(tmp_path / 'page')]
@@ -204,7 +204,7 @@ def test_a_bag_of_sqlite_is_refused_with_what_converts_it(sent, tmp_path, capsys
 
 @pytest.mark.slow
 @for_each('damaged', [20, 35])
-def test_commands_show_what_is_before_an_error_and_fail(sent, tmp_path, damaged, capsys):
+def test_commands_show_messages_before_an_error_and_fail(sent, tmp_path, damaged, capsys):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:
         record_to(log, sent, synced=True)

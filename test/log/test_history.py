@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A log's deployments and departures are each told once, by what is known in the end."""
+"""Deployments and departures of a log are each counted once, by their final reports."""
 
 from collections import Counter
 from dataclasses import replace
@@ -52,7 +52,7 @@ def told(path):
     ]
 
 
-def test_deployments_are_in_their_order_and_a_return_outdoes_a_loss(tmp_path):
+def test_deployments_are_in_order_and_a_return_beats_a_loss(tmp_path):
     whole = Mission()
     first, second, third = (
         whole.send_out(path, agent)
@@ -73,7 +73,7 @@ def test_deployments_are_in_their_order_and_a_return_outdoes_a_loss(tmp_path):
     assert len(read_history(path).beliefs) == 2 * 5
 
 
-def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
+def test_reports_of_another_agent_are_refused(tmp_path):
     whole = Mission(namespace='/north')
     lost, out = whole.deploy(Observation(NEAR, False), 'scout_2'), whole.send_out(NEAR, 'scout_2')
     for key in (lost, out):
@@ -93,7 +93,7 @@ def test_who_answers_for_another_agent_tells_nothing_of_it(tmp_path):
 
 
 def reports_that_do_not_fit(key, whole):
-    """Return what an estimator refuses of a robot on the way NEAR."""
+    """Return messages about a robot on the path NEAR that an estimator refuses."""
     elsewhere = Observation([2, 10, 2], True, [True, True])
     unread, spoken = (report_message(key, Observation(NEAR, False), whole.now) for _ in range(2))
     unread.survived = True
@@ -120,7 +120,7 @@ def reports_that_do_not_fit(key, whole):
     ),
 )
 def test_a_refused_report_displaces_no_other(tmp_path, what, when):
-    """All who read the log judge it as the estimator did."""
+    """All readers of the log validate it as the estimator did."""
     whole = Mission()
     whole.deploy(Observation(FAR, True, [True, False, False, True]))
     key = DeploymentKey('scout_1', whole.now + 1000)
@@ -172,20 +172,20 @@ def test_a_refused_path_displaces_no_other(tmp_path):
     assert len(report.evidence.refused) == 3
 
 
-def test_a_mission_on_another_grid_is_not_gone_on_with(whole_mission, tmp_path):
+def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
     log = record(tmp_path / 'mission.mcap', whole_mission.sent)
     with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* say Grid\(width=9'):
         read_resumed(MissionLog(log), Grid(9, 9), MAX_STEPS)
 
 
-def test_maps_of_others_are_no_truth(whole_mission, tmp_path):
+def test_maps_of_strangers_are_no_truth(whole_mission, tmp_path):
     other = on(whole_mission.sent, '/belief/hazard')[0]
     others = [replace(other, topic=f'/camera/truth/{name}') for name in ('floor', 'ceiling')]
     path = record(tmp_path / 'mission.mcap', [*whole_mission.sent, *others])
     assert read_history(path).world is None
 
 
-# The mission of a log is the one that its beliefs state, whatever paths came before.
+# The mission of a log is stated by its beliefs, whatever paths came before.
 
 
 NARROW = Grid(3, 1)
@@ -214,9 +214,9 @@ def path_entry(mission, stamp=1):
     ([path_entry(FOREIGN), belief_entry(OWN)], OWN, []),
     ([path_entry(FOREIGN), belief_entry(OWN), path_entry(OWN)], OWN, [OWN + 1]),
     ([belief_entry(OWN), path_entry(FOREIGN), path_entry(OWN)], OWN, [OWN + 1]),
-    # A path may come before its belief.
+    # A path may arrive before its belief.
     ([path_entry(FOREIGN), path_entry(OWN), belief_entry(OWN)], OWN, [OWN + 1]),
-    # An estimator starts anew before the first robot leaves, and after it.
+    # An estimator restarts before the first departure, and after it.
     ([belief_entry(OWN), belief_entry(LATER), path_entry(LATER)], LATER, [LATER + 1]),
     ([belief_entry(OWN), path_entry(OWN), belief_entry(LATER)], OWN, [OWN + 1]),
     ([*(path_entry(each * 10**12) for each in range(1, 101)), belief_entry(OWN), path_entry(OWN)],
@@ -234,7 +234,7 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
     ]
 
 
-# What becomes of orders, by what agents say in any order in which it is heard.
+# The state of orders, from status messages received in any order.
 
 
 KEY = DeploymentKey('scout_1', 70)
@@ -275,7 +275,7 @@ def test_a_status_comes_back_and_bad_ones_are_refused_by_name():
 
 @for_each('seed', range(200))
 def test_departures_and_reports_mean_the_same_in_any_order(seed):
-    """As a node hears them that starts late, by each topic's own order."""
+    """As a node that starts late receives them: in order by topic only."""
     rng = np.random.default_rng(seed)
     statuses = [each for each in (ACCEPTED, DEPARTED) if rng.random() < 0.7]
     has_report = DEPARTED in statuses and rng.random() < 0.7
@@ -285,7 +285,7 @@ def test_departures_and_reports_mean_the_same_in_any_order(seed):
         if [each for each in order if each != 'report'] != statuses:
             continue
         departures = Departures()
-        # What is heard twice says nothing new.
+        # Duplicates change nothing.
         for event in (*order, *order):
             if event == 'report':
                 departures.end(KEY, HOME)
@@ -297,7 +297,7 @@ def test_departures_and_reports_mean_the_same_in_any_order(seed):
     assert ends == [(out, is_at_base)] * len(ends)
 
 
-def test_what_contradicts_is_refused_and_changes_nothing():
+def test_contradictions_are_refused_and_change_nothing():
     other = AgentStatus(OrderState.DEPARTED, 91, content=4)
     late = AgentStatus(OrderState.DEPARTED, HOME + 1, content=5)
     for before, status, told in (
@@ -321,7 +321,7 @@ def test_what_contradicts_is_refused_and_changes_nothing():
         assert (departures.status(KEY), departures.out) == known
 
 
-def test_a_robot_that_stays_is_not_lost_and_one_that_returns_was_away():
+def test_a_robot_at_its_base_is_not_lost_and_a_returned_one_has_departed():
     departures = Departures()
     departures.take(KEY, REFUSED)
     with pytest.raises(ValueError, match='its robot stays at the base: a newer path came'):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log is read by the tools that its users have: all of it, field by field."""
+"""Tools of users read the whole log, field by field."""
 
 from functools import partial
 import shutil
@@ -25,7 +25,7 @@ import yaml
 
 @pytest.fixture(scope='module')
 def sent():
-    """Return a mission's messages, with those that are only for people."""
+    """Return a mission's messages, including views for people."""
     whole = mission(robots=5)
     whole.publish(
         'scout_1/readings',
@@ -46,7 +46,7 @@ def sent():
 
 
 def check(log, sent):
-    """Check that all libraries read what was sent."""
+    """Check that all libraries read all messages."""
     assert [each.data for each in read_log(log)] == [each.data for each in sent]
     check_all_read(log)
 
@@ -54,7 +54,7 @@ def check(log, sent):
 @pytest.mark.processes
 @for_each('library', [with_mcap, with_node, with_rosbags])
 def test_the_comparison_can_fail(sent, library, tmp_path):
-    """A message that is missing, changed or of other QoS is found."""
+    """A missing or changed message or QoS is found."""
     path = tmp_path / 'mission.mcap'
     record(path, sent)
     read = list(library(path))
@@ -95,7 +95,7 @@ def repaired(path, sent):
 
 
 def with_other_qos(path, sent):
-    """Write a topic with several, in one file and from file to file."""
+    """Write a topic with several QoS, within one file and across files."""
     with LogWriter(path) as log:
         for depth, each in enumerate(sent[:1] * 3, 1):
             log.add_topic(
@@ -119,7 +119,7 @@ def test_all_libraries_read_a_log(sent, tmp_path, write):
     check(path, write(path, sent))
 
 
-def test_the_bag_says_what_is_in_it(sent, tmp_path):
+def test_the_metadata_describes_the_bag(sent, tmp_path):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)
@@ -137,8 +137,8 @@ def test_the_bag_says_what_is_in_it(sent, tmp_path):
     assert sum(messages for _, messages in files) == len(sent)
 
 
-def test_each_file_says_what_is_in_it(sent, tmp_path):
-    """The record that ros2 bag info reads when it is given a file."""
+def test_each_file_describes_its_content(sent, tmp_path):
+    """The record that ros2 bag info reads from a single file."""
     path = tmp_path / 'mission.mcap'
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reader takes what there is, and has one kind of error."""
+"""The reader reads as much as is intact, and raises one kind of error."""
 
 from collections import Counter
 import struct
@@ -17,7 +17,7 @@ from mcap.writer import Writer
 from mission_log import on, QOS, record, record_to, same
 import pytest
 
-# Bytes of a chunk before its messages: its head, times, sizes, checksum and name of compression.
+# Bytes of a chunk before its messages: header, times, sizes, checksum, compression name.
 CHUNK_START = 60
 
 
@@ -37,17 +37,17 @@ def files(whole_mission, tmp_path_factory):
 
 
 def messages(path):
-    """Return what is read before the end or an error, and the error."""
+    """Return the messages before the end or an error, and the error."""
     read = []
     try:
-        read.extend(read_log(path))  # keeps what came before an error
+        read.extend(read_log(path))  # keeps messages before an error
     except LogError as error:
         return read, error
     return read, None
 
 
 def is_prefix(read, sent):
-    """Return whether these are the first messages that were sent."""
+    """Return whether these are the first of the sent messages."""
     return len(read) <= len(sent) and all(
         (one.topic, one.type_name, one.publish_time, one.log_time)
         == (each.topic, each.type_name, each.time, each.time + 500)
@@ -80,7 +80,7 @@ def test_positions_grow_to_the_size_of_the_file(files):
 
 
 def records(content):
-    """Yield (start, end) of the records of an MCAP file, the last one perhaps not all there."""
+    """Yield (start, end) of an MCAP file's records; the last may be truncated."""
     start = 8
     while start + 9 <= len(content):
         (length,) = struct.unpack_from('<Q', content, start + 1)
@@ -89,12 +89,12 @@ def records(content):
 
 
 def chunks(content):
-    """Return (start, end) of the chunks that lie whole in the first bytes of an MCAP file."""
+    """Return (start, end) of the complete chunks in the first bytes of an MCAP file."""
     whole = ((start, end) for start, end in records(content) if end <= len(content))
     return [(start, end) for start, end in whole if content[start] == 6]
 
 
-def test_what_rosbag2_compressed_is_refused(tmp_path):
+def test_files_compressed_by_rosbag2_are_refused(tmp_path):
     path = tmp_path / 'bag_0.mcap'
     path.write_bytes(b'\x28\xb5\x2f\xfd and so on')
     with pytest.raises(LogError, match=r'bag_0.mcap is compressed: decompress it with zstd -d'):
@@ -102,9 +102,9 @@ def test_what_rosbag2_compressed_is_refused(tmp_path):
 
 
 def changed(content, draw):
-    """Return the bytes of a log with some cut, changed, left out, put in or said again."""
+    """Return a log's bytes with some removed, changed, inserted or repeated."""
     start, end = draw(st.sampled_from(list(records(content[:-8]))))
-    # Lengths and kinds of records are rare among the bytes and matter most.
+    # Lengths and kinds of records are few of the bytes but matter most.
     place = min(start + draw(st.integers(0, 60) | st.integers(0, end - start - 1)), end - 1)
     what = draw(st.sampled_from(['cut', 'flip', 'flip', 'delete', 'insert', 'repeat']))
     before, after = content[:place], content[place:]
@@ -122,10 +122,10 @@ def changed(content, draw):
 @pytest.mark.slow
 @given(st.data())
 @settings(max_examples=400 if FULL else 100, phases=[Phase.generate])
-def test_of_changed_bytes_what_was_written_is_read_or_an_error_told(
+def test_corrupt_logs_are_read_correctly_or_raise_an_error(
     files, whole_mission, tmp_path_factory, data
 ):
-    """Nothing is lost or changed in silence, no other error is raised, and no log gone on with."""
+    """No silent loss or change, no other error, and no resumed log."""
     name = data.draw(st.sampled_from(['finished.mcap', 'compressed.mcap', 'unfinished.mcap']))
     content = (files / name).read_bytes()
     what, place, content_now = changed(content, data.draw)
@@ -158,8 +158,8 @@ def test_of_changed_bytes_what_was_written_is_read_or_an_error_told(
         assert [*path.parent.iterdir()] == [path]
 
 
-def test_replay_says_what_a_cut_log_lacks(files, whole_mission, tmp_path):
-    """It knows of the deployments in the part that is left, and that there may be more."""
+def test_replay_states_the_gaps_of_a_truncated_log(files, whole_mission, tmp_path):
+    """Replay knows the deployments in the remaining part, and that some may be missing."""
     content = (files / 'unfinished.mcap').read_bytes()
     path = tmp_path / 'mission.mcap'
     ends = [end for _, end in chunks(content)]
@@ -203,13 +203,13 @@ def test_a_corrupt_chunk_is_an_error_after_those_before(files, tmp_path, place, 
     assert 'corrupt.mcap is corrupt after byte ' in str(error)
     assert 'replay --repair saves what is before, mcap recover may save more' in str(error)
     assert len(found) == read
-    # If wanted, the error is no exception.
+    # On request the error is returned, not raised.
     assert len(list(read_log(path, None, corrupt := []))) == read
     assert len(corrupt) == 1
 
 
-def test_a_chunk_that_is_missing_is_missed(files, tmp_path):
-    """Also where there are no checksums, as in bags by rosbag2."""
+def test_a_missing_chunk_is_noticed(files, tmp_path):
+    """Also without checksums, as in bags by rosbag2."""
     content = bytearray((files / 'finished.mcap').read_bytes())
     (data_end,) = (start for start, _ in records(content[:-8]) if content[start] == 15)
     start, end = data_end + 9, data_end + 13
@@ -245,8 +245,8 @@ def test_a_large_message_of_another_writer_is_read(tmp_path):
     assert read.data == data
 
 
-def test_a_tail_of_zeros_is_none_of_the_log(files, whole_mission, tmp_path):
-    """A file system may have made room for what it never got to write."""
+def test_a_tail_of_zeros_is_ignored(files, whole_mission, tmp_path):
+    """A file system may have reserved space that was never written."""
     path = tmp_path / 'mission.mcap'
     path.write_bytes((files / 'unfinished.mcap').read_bytes() + bytes(5000))
     read, error = messages(path)
@@ -254,7 +254,7 @@ def test_a_tail_of_zeros_is_none_of_the_log(files, whole_mission, tmp_path):
     assert len(read) == len(whole_mission.sent)
 
 
-def test_a_log_that_grows_meanwhile_is_read_as_it_was(files, whole_mission, tmp_path):
+def test_a_growing_log_is_read_up_to_its_size_at_the_start(files, whole_mission, tmp_path):
     content = (files / 'finished.mcap').read_bytes()
     end = len(content) // 2
     path = tmp_path / 'mission.mcap'
@@ -268,7 +268,7 @@ def test_a_log_that_grows_meanwhile_is_read_as_it_was(files, whole_mission, tmp_
     assert 1 < len(both) < len(whole_mission.sent)
 
 
-def test_bytes_that_are_no_message_are_an_error(tmp_path):
+def test_bytes_that_cannot_be_deserialized_are_an_error(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         log.add_topic('/scout_1/path', 'nav_msgs/msg/Path', qos_profiles_yaml([QOS]))
         log.write('/scout_1/path', b'\0\1\0\0abc', 1, 1)
@@ -278,7 +278,7 @@ def test_bytes_that_are_no_message_are_an_error(tmp_path):
 
 
 @for_each('schema', [0, 1])
-def test_what_is_no_ros_message_is_an_error_only_when_asked_for(tmp_path, schema):
+def test_other_encodings_are_an_error_only_if_requested(tmp_path, schema):
     path = tmp_path / 'mission.mcap'
     with path.open('wb') as file:
         writer = Writer(file)

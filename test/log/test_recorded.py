@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Logs that replay for ever.
+Recorded logs that every later version must replay.
 
-Those named after a method are of `demo --robots 8 --size 5x4 --max-steps 8 --seed 3 --method
+Logs named after a method are of `demo --robots 8 --size 5x4 --max-steps 8 --seed 3 --method
 METHOD` by the first version with these messages; that of `kappa_bnitp_sampled` learns two numbers.
-Those of kinds of hazards and `late_return` are by `recorded_logs.py`.
-Whoever changes what a method computes gives it a new version and keeps the one that these are
-replayed by.
+Those of kinds of hazards and `late_return` are by `recorded_logs.py`. A change to the results of a
+method needs a new version of it; the old one stays to replay these.
 """
 
 from collections import Counter
@@ -29,10 +28,10 @@ from recorded_logs import KINDS
 
 RECORDED = Path(__file__).with_name('recorded')
 NAMES = sorted(path.name.partition('.')[0] for path in RECORDED.glob('*.mcap.gz'))
-# What numpy uses of this processor beside what all have.
+# Instructions that numpy uses beyond the baseline.
 EXTENSIONS = np.show_config(mode='dicts')['SIMD Extensions'].get('found')
 
-# A Python in which nothing of ROS is installed.
+# A Python without ROS.
 WITHOUT_ROS = """
 from pathlib import Path
 import sys
@@ -58,7 +57,7 @@ for log in sys.argv[1:]:
         write_report(Path(log).parent / 'report', mission, mission_curves(mission))
 """
 
-# The command, for one log after another; each answer ends with its exit code.
+# The replay of one log after another; each output ends with the exit code.
 REPLAY = """
 import sys
 from kbnitp_ros.__main__ import main
@@ -73,14 +72,14 @@ def test_there_is_one_of_each_method_and_kind_of_hazards():
 
 
 def log(name, folder):
-    """Return a log, as it was recorded."""
+    """Return a log as recorded."""
     path = folder / 'mission.mcap'
     path.write_bytes(gzip.decompress((RECORDED / f'{name}.mcap.gz').read_bytes()))
     return path
 
 
 def logs(tmp_path):
-    """Return all logs, each in a folder of its own."""
+    """Return all logs, each in its own folder."""
     for name in NAMES:
         tmp_path.joinpath(name).mkdir()
     return [log(name, tmp_path / name) for name in NAMES]
@@ -92,7 +91,7 @@ def test_it_is_reproduced(name, tmp_path):
     assert report.grade != Grade.DIFFERENT, report.mismatches
     assert report.not_compared == report.repeated == report.evidence.refused == []
     assert report.passed_over == report.not_yet_held == []
-    # The prior, one after each deployment, and one more for a late return.
+    # The prior, one per deployment, and one more for a late return.
     beliefs = 7 if name == 'late_return' else 9
     assert report.compared == Counter(
         dict.fromkeys(('/belief', '/belief/hazard', '/belief/target', '/belief/kappa'), beliefs)
@@ -101,7 +100,7 @@ def test_it_is_reproduced(name, tmp_path):
 
 
 @for_each('name', NAMES)
-def test_its_deployments_can_be_gone_on_with(name, tmp_path):
+def test_its_deployments_can_be_resumed(name, tmp_path):
     path = log(name, tmp_path)
     history = read_history(path)
     resumed = read_resumed(MissionLog(path), history.evidence.grid, 8)
@@ -112,7 +111,7 @@ def test_its_deployments_can_be_gone_on_with(name, tmp_path):
 
 
 def answers(script, paths, **environment):
-    """Return what a script prints of each log, and what it complains of."""
+    """Return a script's output for each log, and its errors."""
     done = subprocess.run(
         [sys.executable, '-c', script, *paths],
         env=os.environ | environment,
@@ -125,12 +124,12 @@ def answers(script, paths, **environment):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_it_is_read_where_ros_is_not_installed(tmp_path):
+def test_it_is_read_without_ros(tmp_path):
     paths = logs(tmp_path)
     lines = answers(WITHOUT_ROS, paths).splitlines()
     assert len(lines) == len(NAMES)
     assert all(line.startswith(('IDENTICAL', 'EQUAL')) for line in lines), lines
-    # That which shows all there is.
+    # The most detailed output.
     shown = [path for path in paths if path.with_name('report').joinpath('report.html').exists()]
     assert [path.parent.name for path in shown] == ['clustered', 'kappa_bnitp_sampled']
 
@@ -138,7 +137,7 @@ def test_it_is_read_where_ros_is_not_installed(tmp_path):
 @pytest.mark.processes
 @pytest.mark.skipif(not EXTENSIONS, reason='numpy knows one way to compute on this processor')
 def test_another_processor_reproduces_it_up_to_rounding(tmp_path):
-    """One that can do less, for which numpy computes logarithms otherwise."""
+    """A simpler processor, on which numpy computes logarithms differently."""
     without = ' '.join(EXTENSIONS)
     *replays, end = answers(REPLAY, logs(tmp_path), NPY_DISABLE_CPU_FEATURES=without).split('\0')
     assert len(replays) == len(NAMES)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is intact of a log becomes a finished file, and no two processes write one."""
+"""Intact messages of a log become a finished file, and only one process writes a log."""
 
 import errno
 import fcntl
@@ -10,7 +10,7 @@ import sys
 
 from disk import room_for
 from kbnitp_ros.cli.replay import main
-from kbnitp_ros.log.files import log_parts, LogError
+from kbnitp_ros.log.files import LogError, log_parts
 from kbnitp_ros.log.mcap_file import repair
 from kbnitp_ros.log.read import is_finished, read_log, read_metadata, read_part, RecordedMessage
 from kbnitp_ros.log.schema import BagFile, write_metadata
@@ -23,7 +23,7 @@ import pytest
 
 @pytest.fixture
 def folder(whole_mission, tmp_path):
-    """Return a folder with a log in three parts, the second of which was never finished."""
+    """Return a folder with a log in three parts, the second of which is unfinished."""
     folder = tmp_path / 'run'
     folder.mkdir()
     sent = whole_mission.sent
@@ -41,7 +41,7 @@ def folder(whole_mission, tmp_path):
 
 
 def content(*files):
-    """Return all that is said of the messages of some files, but where they stand."""
+    """Return the messages of some files with all their fields but offsets."""
     recorded = (each for file in files for each in read_part(file))
     messages = [each for each in recorded if isinstance(each, RecordedMessage)]
     return [
@@ -61,7 +61,7 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
     assert content(target) == content(*log_parts(folder))
     assert read_metadata(target)['run'] == {'seed': '8'}
     check_all_read(target)
-    # A log that is named by its folder may be repaired into it.
+    # A log named by its folder may be repaired into it.
     parts = content(*log_parts(folder))
     repair(folder, folder / 'whole.mcap')
     assert content(folder / 'whole.mcap') == parts
@@ -72,7 +72,7 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
     ('x.db3', "x.db3' is no name for a log: it must end in .mcap"),
     ('mission_3.mcap', 'would be taken for a part'),
 ])  # fmt: skip
-def test_a_bad_target_is_refused_and_what_is_there_is_kept(folder, capsys, name, told):
+def test_a_bad_target_is_refused_and_left_alone(folder, capsys, name, told):
     before = {file: file.read_bytes() for file in folder.iterdir()}
     assert main([str(folder), '--repair', str(folder / name)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -80,7 +80,7 @@ def test_a_bad_target_is_refused_and_what_is_there_is_kept(folder, capsys, name,
     assert {file: file.read_bytes() for file in folder.iterdir()} == before
 
 
-def test_a_disk_that_has_no_room_is_left_without_the_file(folder, tmp_path):
+def test_a_full_disk_leaves_no_partial_file(folder, tmp_path):
     target = tmp_path / 'repaired' / 'mission.mcap'
     target.parent.mkdir()
     with room_for(10_000), pytest.raises(OSError, match=f'File too large: {str(target)!r}'):
@@ -90,14 +90,14 @@ def test_a_disk_that_has_no_room_is_left_without_the_file(folder, tmp_path):
 
 def test_a_log_that_cannot_be_described_is_not_left_half_repaired(folder, tmp_path):
     target = tmp_path / 'repaired' / 'mission.mcap'
-    # In the place of what is to be written.
+    # In place of the output.
     target.parent.joinpath('mission.mcap.metadata.yaml.new').mkdir(parents=True)
     with pytest.raises(OSError, match=r'metadata\.yaml\.new'):
         repair(folder, target)
     assert not target.exists()
 
 
-def test_a_disk_that_has_no_room_for_the_description_keeps_the_old_one(folder):
+def test_a_full_disk_keeps_the_old_metadata(folder):
     before = folder.joinpath('metadata.yaml').read_text()
     names = sorted(folder.iterdir())
     with room_for(100), pytest.raises(OSError, match=r'File too large: .*metadata\.yaml\.new'):
@@ -118,7 +118,7 @@ def test_the_command_repairs_and_replays(folder, whole_mission, tmp_path, capsys
     assert not any('the log is unfinished' in line for line in said)
 
 
-def test_what_comes_before_an_error_is_saved_of_each_part(folder, whole_mission, tmp_path):
+def test_messages_before_an_error_are_saved_from_each_part(folder, whole_mission, tmp_path):
     path = folder / 'mission.mcap'
     damaged = bytearray(path.read_bytes())
     damaged[damaged.index(whole_mission.sent[10].data) + 20] ^= 1
@@ -134,7 +134,7 @@ def test_what_comes_before_an_error_is_saved_of_each_part(folder, whole_mission,
 
 
 @for_each('cut', [0, 5, 8, 100])
-def test_nothing_is_made_of_nothing(whole_mission, tmp_path, cut, capsys):
+def test_an_empty_log_is_not_repaired(whole_mission, tmp_path, cut, capsys):
     path = record(tmp_path / 'mission.mcap', whole_mission.sent)
     path.write_bytes(path.read_bytes()[:cut])
     assert main([str(path), '--repair', str(tmp_path / 'repaired.mcap')]) == 2
@@ -142,7 +142,7 @@ def test_nothing_is_made_of_nothing(whole_mission, tmp_path, cut, capsys):
     assert not (tmp_path / 'repaired.mcap').exists()
 
 
-# No two processes write a log, and none writes one that has been taken away from it.
+# Only one process writes a log, and none a log that was moved or deleted.
 
 
 HELD = 'mission.mcap is being written by another recorder: end that one before'
@@ -161,7 +161,7 @@ sys.stdin.read()
 
 @pytest.fixture
 def elsewhere():
-    """Return a function that has another process write three parts of a log and hold it."""
+    """Return a function by which another process writes three parts of a log and keeps it open."""
     processes = []
 
     def write(*arguments):
@@ -182,13 +182,13 @@ def elsewhere():
 
 
 def file_contents(folder):
-    """Return what is in the files of a folder."""
+    """Return the contents of a folder's files."""
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
 @pytest.mark.processes
 @pytest.mark.parametrize('resumed, was_finished', [(False, False), (True, False), (True, True)])
-def test_a_log_that_is_being_written_is_not_gone_on_with(
+def test_a_log_that_is_being_written_is_not_resumed(
     tmp_path, whole_mission, elsewhere, resumed, was_finished
 ):
     path = tmp_path / 'mission.mcap'
@@ -205,14 +205,14 @@ def test_a_log_that_is_being_written_is_not_gone_on_with(
     messages = [each.data for each in read_log(path)]
     writer.kill()
     writer.wait()
-    # The lock is gone with its holder, and so it is with a writer that was closed.
+    # The lock ends with its process, and with a closed writer.
     for count in (1, 2):
         with LogWriter(path, resume=True) as log:
             record_to(log, whole_mission.sent[:1])
         assert [each.data for each in read_log(path)][:-count] == messages
 
 
-def test_of_a_name_and_a_link_to_it_one_can_be_written(tmp_path, whole_mission):
+def test_a_log_and_a_link_to_it_have_one_writer(tmp_path, whole_mission):
     with LogWriter(tmp_path / 'mission.mcap'):
         (tmp_path / 'other').mkdir()
         link = tmp_path / 'other' / 'mission.mcap'
@@ -222,9 +222,7 @@ def test_of_a_name_and_a_link_to_it_one_can_be_written(tmp_path, whole_mission):
 
 
 @for_each('which, how', product(['first', 'current'], ['removed', 'replaced', 'renamed']))
-def test_what_is_written_to_a_log_that_is_gone_is_not_said_to_be_safe(
-    tmp_path, whole_mission, which, how
-):
+def test_messages_to_a_deleted_log_are_not_acknowledged(tmp_path, whole_mission, which, how):
     log = LogWriter(tmp_path / 'mission.mcap', max_file_size=1)
     record_to(log, whole_mission.sent[:3], synced=True)
     file = log.path if which == 'first' else log.current_path

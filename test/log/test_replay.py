@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A log's beliefs are computed again, and whatever is not reproduced is said."""
+"""Beliefs of a log are recomputed, and every difference is reported."""
 
 from array import array
 from contextlib import suppress
@@ -88,7 +88,7 @@ def beliefs(sent):
 
 
 def indices(findings):
-    """Return which beliefs some findings are about."""
+    """Return the indices of the beliefs that some findings concern."""
     return [each.index for each in findings if each.topic == '/belief']
 
 
@@ -131,8 +131,8 @@ def test_a_mission_is_reproduced(replayed, options):
 
 
 @for_each('kind, gone', product(['contact', 'return'], [(), (2,), (3,), (2, 3)]))
-def test_what_is_heard_later_is_reproduced(replayed, kind, gone):
-    """Beliefs before it have what was heard first; some may be missing."""
+def test_late_reports_are_reproduced(replayed, kind, gone):
+    """Earlier beliefs contain the first report; some beliefs may be missing."""
     whole, tour, other = Mission(), [2, 7, 12, 7, 2], Observation([2, 7, 6, 2], False)
     first, then = {
         'contact': [Observation(tour, False, steps_survived=steps) for steps in (1, 3)],
@@ -153,7 +153,7 @@ def test_what_is_heard_later_is_reproduced(replayed, kind, gone):
 
 
 def test_a_report_that_changes_with_another_s_first_is_assimilated(replayed):
-    """One belief names both, and of the two the one that changes is not its newest."""
+    """One belief names both, and the report that changes is not its newest."""
     whole, tour, other = Mission(), [2, 7, 12, 7, 2], [2, 7, 6, 2]
     key = whole.deploy(Observation(tour, False))
     second = whole.send_out(other, 'scout_2')
@@ -175,7 +175,7 @@ def test_a_report_that_changes_with_another_s_first_is_assimilated(replayed):
 @pytest.mark.slow
 @for_each('method', METHODS)
 def test_the_order_of_assimilation_is_that_of_the_deployments(replayed, method):
-    """However late the reports come, and for a restarted estimator too."""
+    """Even if reports are late, and for a restarted estimator."""
     unknowns = LEARNT if method == 'kappa_bnitp_sampled' else KNOWN
     whole, told = Mission(method, unknowns=unknowns), []
     for deployment in observations(6, seed=3):
@@ -199,7 +199,7 @@ def test_the_order_of_assimilation_is_that_of_the_deployments(replayed, method):
 @given(st.data())
 @settings(max_examples=40 if FULL else 10, deadline=None)
 def test_the_order_between_topics_does_not_matter(whole_mission, tmp_path_factory, data):
-    """A recorder hears each topic in order, but one may be far behind another."""
+    """A recorder receives each topic in order, but one may be far behind another."""
     queues = [on(whole_mission.sent, topic) for topic in {s.topic for s in whole_mission.sent}]
     shuffled = []
     while any(queues):
@@ -226,7 +226,7 @@ def test_the_estimators_order_counts_not_the_recorders(replayed, order):
     _, after_one, after_both = beliefs(whole.sent)
     assert after_one.message.agent == f'scout_{order[0] + 1}'
 
-    # The other one's belief is another one, and of both there is only one.
+    # The other estimator's belief differs, and each is there only once.
     own = ('agent', 'deployment', 'header', 'taken_in')
     wrong = changed(after_one.message, **{name: getattr(after_both.message, name) for name in own})
     (mismatch,) = replayed(instead(whole.sent, after_one, wrong)).mismatches[:1]
@@ -237,11 +237,11 @@ def test_the_estimators_order_counts_not_the_recorders(replayed, order):
 @pytest.mark.slow
 @for_each('gone, is_sent_anew', [
     ((0,), False), ((0, 1), False), ((0, 2), False), ((0, 1, 2), False),
-    # With (0, 1, 2) nothing on record would tell that the estimator was restarted.
+    # With (0, 1, 2) nothing on record would show the restart.
     ((0,), True), ((0, 1), True), ((0, 2), True),
 ])  # fmt: skip
 def test_counts_of_a_restarted_estimator_are_its_own(replayed, gone, is_sent_anew):
-    """It holds two deployments again, as the one before did, and not yet their late returns."""
+    """It has two deployments again, as before the restart, and not yet their late returns."""
     whole, told = Mission(), []
     for tour in ([2, 7, 12, 7, 2], [2, 7, 6, 2]):
         key = whole.send_out(tour)
@@ -260,14 +260,14 @@ def test_counts_of_a_restarted_estimator_are_its_own(replayed, gone, is_sent_ane
     again = beliefs(without(whole.sent, *before))
     assert [each.message.since for each in again] == [0, 0, 1, 2, *[3] * is_sent_anew, 0]
     sent = without(whole.sent, *(again[index] for index in gone))
-    # Now and then the bytes are the same: what pads the fields differs.
+    # Sometimes the bytes are equal: only padding differs.
     same = beliefs(before)[1]
     sent = [same if each is again[1] else each for each in sent]
     report = replayed(sent)
     assert report.mismatches == report.passed_over == []
     assert report.compared['/belief'] == len(beliefs(before)) + 1
     assert len(report.repeated) == (1 not in gone)
-    # Of the views of one time those of a belief that is not compared may be the only ones.
+    # A belief that is not compared may have the only views of its time.
     stamps = [beliefs(sent)[each.index].message.header.stamp for each in report.not_compared]
     shown = [each for each in on(before, *VIEWS) if each.message.header.stamp in stamps]
     assert is_sent_anew or shown
@@ -279,10 +279,10 @@ flown = cache(observations)
 
 @pytest.mark.slow
 @given(st.booleans(), st.data())
-# Making a case smaller takes minutes, and a case is small.
+# Shrinking takes minutes, and cases are small.
 @settings(max_examples=100 if FULL else 15, deadline=None, phases=[Phase.generate])
-def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_factory, silent, data):
-    """It hears what each publisher said in its order, and not all its beliefs are recorded."""
+def test_the_catch_up_of_a_restarted_estimator_is_reproduced(tmp_path_factory, silent, data):
+    """It receives each publisher in order, and some of its beliefs are not recorded."""
     whole = Mission()
     told = {}
     conduct = data.draw(st.sampled_from([AS_ORDERED, WILFUL]))
@@ -302,12 +302,12 @@ def test_what_a_restarted_estimator_catches_up_with_is_reproduced(tmp_path_facto
     while publishers := [publisher for publisher in told if told[publisher]]:
         path, key, report = told[data.draw(st.sampled_from(publishers))].pop(0)
         whole.hear_path(key, path)
-        # A loss says nothing new after the return.
+        # A loss changes nothing after the return.
         whole.hear_report(key, report)
     if data.draw(st.booleans()):
         whole.deploy(Observation([2, 7, 2], False))
     again = [each for each in whole.sent[first_run:] if each.topic == '/belief']
-    # The last one is latched, so that a recorder hears it.
+    # The last belief is latched, so a recorder receives it.
     gone = [again[index] for index in data.draw(st.sets(st.integers(0, len(again) - 2)))]
     evidence = [each for each in whole.sent if re.search('path|report', each.topic)]
     sent = [*without(whole.sent, *gone), *evidence]
@@ -358,13 +358,13 @@ def test_one_flipped_bit_is_found(tmp_path, capsys, method, field):
 @given(st.data())
 @settings(max_examples=60 if FULL else 20, deadline=None)
 def test_any_flipped_bit_is_found(whole_mission, learnt_mission, tmp_path_factory, data):
-    """One of the last bits of a joint or a number may look like rounding, and is said anyway."""
+    """A flip of a last bit could be taken for rounding, and is reported too."""
     sent = data.draw(st.sampled_from([whole_mission, learnt_mission])).sent
     original = data.draw(st.sampled_from(on(sent, '/belief', *VIEWS, '/model')))
     numbers = ['mean', 'sd', 'quantile_5', 'effective_sample_size']
     names = {'/belief': ['joint', 'hazard', 'target', 'kappa'], '/model': numbers}
     field = data.draw(st.sampled_from(names.get(original.topic, ['data'])))
-    # A prior's joint is where the replay starts: the last bit may get lost in the first update.
+    # Replay starts from a prior's joint, whose last bit may vanish in the first update.
     assume((original, field) != (beliefs(sent)[0], 'joint'))
     values = getattr(original.message, field)
     index = data.draw(st.integers(0, len(values) - 1))
@@ -428,16 +428,16 @@ def test_the_sign_of_a_zero_in_a_map_is_found(whole_mission, replayed, field):
     assert indices(report.mismatches) == [4]
 
 
-# Whole logs that lack something, or have more than they should
+# Whole logs with missing or additional messages.
 
 
 def drop(topic, *which):
-    """Return a change that takes messages of a topic away."""
+    """Return a change that removes messages of a topic."""
     return lambda whole: without(whole.sent, *(on(whole.sent, topic)[each] for each in which))
 
 
 def edit(topic, which, change):
-    """Return a change of a message, as a function of it."""
+    """Return a change that applies a function to a message."""
 
     def edited(whole):
         original = on(whole.sent, topic)[which]
@@ -456,7 +456,7 @@ def swapped(whole):
 
 
 def heard_again(which):
-    """Return what a restarted recorder hears: the last belief, latched paths and reports."""
+    """Return messages that a restarted recorder receives: last belief, latched paths, reports."""
     return lambda whole: [
         *whole.sent,
         *on(whole.sent, '/scout_1/path', '/scout_1/report'),
@@ -479,7 +479,7 @@ def sent_out(whole):
 
 
 def not_held(late, then):
-    """Return a change: the estimator takes no return in, perhaps a late one, but what follows."""
+    """Return a change: the estimator misses a return, perhaps a late one, but not later ones."""
 
     def change(whole):
         key = whole.deploy(Observation([2, 7, 2], False)) if late else whole.send_out([2, 7, 2])
@@ -496,7 +496,7 @@ def with_others(*others):
 
 
 def contradicted(whole):
-    """Publish another return and a loss of a robot that returned, a second path, and no name."""
+    """Publish another return and a loss of a returned robot, a second path, and an empty name."""
     returned = next(e.message for e in on(whole.sent, '/scout_1/report') if e.message.survived)
     key = read_report(returned)[0]
     cells = [2, *(reading.cell for reading in returned.readings)]
@@ -510,7 +510,7 @@ def contradicted(whole):
 
 
 def misfit(whole):
-    """Publish reports without their last reading: the first of a deployment, and the only one."""
+    """Publish reports without their last reading: a deployment's first, and an only one."""
     first = Observation([2, 3, 2], True, [True] * 2)
     for correct in (True, False):
         key = whole.send_out(first.path)
@@ -528,7 +528,7 @@ def flip_reading(report):
 
 TRUTH = occupancy_grid(GRID, np.zeros(20), START)
 ADDS = 'deployments that it adds to is missing'
-# Exit code, beliefs compared, different and not compared, and what is printed.
+# Exit code, beliefs compared, different and not compared, and printed lines.
 CHANGES = {
     'nothing': (lambda whole: whole.sent, 0, 9, [], [], [
         '/belief: 9 of 9 messages reproduced\n/belief/hazard: 9 of 9 messages reproduced\n'
@@ -579,7 +579,7 @@ CHANGES = {
 
 @pytest.mark.slow
 @for_each('changed', CHANGES, every=2)
-def test_what_is_changed_in_a_log_is_said(whole_mission, tmp_path, capsys, changed):
+def test_changes_to_a_log_are_reported(whole_mission, tmp_path, capsys, changed):
     change, code, compared, different, left, told = CHANGES[changed]
     whole = deepcopy(whole_mission)
     path = record(tmp_path / 'mission.mcap', change(whole))
@@ -595,13 +595,13 @@ def test_what_is_changed_in_a_log_is_said(whole_mission, tmp_path, capsys, chang
         assert sentence.format(*keys(whole.sent)) in printed
 
 
-def test_a_model_of_another_namespace_is_none_of_the_mission(learnt_mission, replayed):
+def test_a_model_of_another_namespace_is_ignored(learnt_mission, replayed):
     other = Sent('/other/model', on(learnt_mission.sent, '/model')[0].message, START)
     assert replayed([other, *learnt_mission.sent]).reproduced
 
 
-def test_a_belief_that_names_all_ends_a_gap(replayed):
-    """As to a recorder that was away for some beliefs, and to one that starts late."""
+def test_a_belief_with_all_names_ends_a_gap(replayed):
+    """As for a recorder that missed beliefs, or started late."""
     whole = Mission()
     for number, deployment in enumerate(observations(ROBOTS)):
         if number in (3, 6):
@@ -618,7 +618,7 @@ def test_a_belief_that_names_all_ends_a_gap(replayed):
     assert report.passed_over == report.not_yet_held == []
 
 
-def test_one_belief_of_a_few_dozen_names_all():
+def test_every_few_dozen_beliefs_one_has_all_names():
     whole = Mission()
     for _number in range(2 * COMPLETE_EVERY + 2):
         whole.deploy(Observation([2, 7, 2], False))
@@ -642,15 +642,15 @@ def reported_twice():
 
 
 @for_each('is_heard_late, is_complete', product([False, True], repeat=2))
-def test_beliefs_of_a_report_that_was_made_again_are_not_compared(
+def test_beliefs_of_a_repeated_report_are_not_compared(
     reported_twice, tmp_path, capsys, is_heard_late, is_complete
 ):
-    """A recorder that starts again may hear the belief after the report that was made again."""
+    """A restarted recorder may receive the belief after the repeated report."""
     whole, key, first = reported_twice
     sent = without(whole.sent, first)
     _, one, two, _ = beliefs(sent)
     if is_complete:
-        # Then it names the report itself, as the one before does.
+        # Then it names the report itself, like the one before.
         taken_in = one.message.taken_in + two.message.taken_in
         sent = instead(sent, two, changed(two.message, since=0, taken_in=taken_in))
     if is_heard_late:
@@ -673,12 +673,12 @@ def test_beliefs_of_a_report_that_was_made_again_are_not_compared(
     assert f'not compared: /belief message 1 (after {key}): {missing}\n' in told
 
 
-def test_what_follows_a_report_that_was_made_again_is_compared(reported_twice, replayed):
+def test_beliefs_after_a_repeated_report_are_compared(reported_twice, replayed):
     whole, key, first = reported_twice
     last = beliefs(whole.sent)[-1]
     spoiled = instead(whole.sent, last, flipped(last.message, 'hazard', 7, bit=0))
     assert indices(replayed(without(spoiled, first)).mismatches) == [3]
-    # Other contents are found as well.
+    # Other contents are found too.
     other = deepcopy(first.message)
     flip_reading(other)
     (mismatch, *_) = replayed(instead(whole.sent, first, other)).mismatches
@@ -690,7 +690,7 @@ def test_what_follows_a_report_that_was_made_again_is_compared(reported_twice, r
 def test_any_number_of_reports_of_one_deployment_is_read_once_each(
     whole_mission, tmp_path, capsys, monkeypatch, first
 ):
-    """However many there are, each is compared with few others."""
+    """Each is compared with few others, however many there are."""
     whole = deepcopy(whole_mission)
     key = DeploymentKey('scout_1', whole.now + 10**9)
     tour = [2, 7, 2]
@@ -723,15 +723,15 @@ def test_any_number_of_reports_of_one_deployment_is_read_once_each(
     assert main([str(log)]) == 0
     refused = [line for line in capsys.readouterr().out.splitlines() if 'refused: ' in line]
     if first == 'path':
-        # Of each instant the return that does not fit, and none of the losses.
+        # At each time the return that does not fit, and no loss.
         assert len(report.evidence.refused) == len(junk) / 3
         assert len(refused) == 21
         assert refused[-1] == f'refused: {len(junk) // 3 - 20} more'
 
 
 @for_each('heard, at_once', product([(0, 1), (1, 0)], [False, True]))
-def test_of_two_returns_the_same_counts_however_they_were_heard(replayed, heard, at_once):
-    """Two robots of one name; then the estimator goes on with the log."""
+def test_the_same_of_two_returns_counts_in_any_order(replayed, heard, at_once):
+    """Two robots of one name; then the estimator resumes from the log."""
     whole = Mission()
     path = [2, 7, 2]
     key = whole.send_out(path)
@@ -754,11 +754,11 @@ def test_of_two_returns_the_same_counts_however_they_were_heard(replayed, heard,
     assert report.compared['/belief'] == (5 if heard == (0, 1) else 6)
 
 
-# What is refused
+# Refused logs
 
 
 def refused(path, capsys):
-    """Return the one line on standard error with which a file is refused."""
+    """Return the one line on stderr that refuses a file."""
     assert main([str(path)]) == 2
     captured = capsys.readouterr()
     assert captured.out == ''
@@ -767,7 +767,7 @@ def refused(path, capsys):
 
 
 def every_belief(**fields):
-    """Return a change of all beliefs."""
+    """Return a change to all beliefs."""
     return lambda sent: [
         replace(each, message=changed(each.message, **fields)) if each.topic == '/belief' else each
         for each in sent
@@ -787,7 +787,7 @@ def test_a_log_that_cannot_be_replayed_is_refused(whole_mission, tmp_path, capsy
     assert re.search(told, refused(path, capsys))
 
 
-def test_what_is_no_log_is_refused(tmp_path, capsys):
+def test_other_files_are_refused(tmp_path, capsys):
     assert 'cannot be read: No such file' in refused(tmp_path / 'gone.mcap', capsys)
     assert 'holds no log: there is no file' in refused(tmp_path, capsys)
     path = tmp_path / 'notes.txt'
@@ -796,7 +796,7 @@ def test_what_is_no_log_is_refused(tmp_path, capsys):
 
 
 def rewritten(path, sent, edit):
-    """Write messages as a program does that has another definition of beliefs."""
+    """Write messages as a program with another definition of beliefs does."""
     with path.open('wb') as file:
         log = ros2.Writer(file)
         schemas = {}
@@ -821,7 +821,7 @@ def newest_round(path):
 
 
 class Later:
-    """A belief with a field that nobody has yet."""
+    """A belief with a field of a later version."""
 
     def __init__(self, belief):
         self._belief = belief
@@ -839,7 +839,7 @@ class Later:
     (lambda definition: definition.replace('\nfloat64[] pri', '\nuint8 relays\nfloat64[] pri', 1),
      'was recorded by a later version, its beliefs have relays: read it with that version'),
 ])  # fmt: skip
-def test_a_log_of_another_version_is_refused_and_told_what_reads_it(
+def test_a_log_of_another_version_is_refused_with_the_version_that_reads_it(
     whole_mission, tmp_path, capsys, read, edit, told
 ):
     sent = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The decisions of a log are made again, and whatever is not reproduced is said."""
+"""Decisions of a log are recomputed, and every difference is reported."""
 
 from copy import deepcopy
 
@@ -63,10 +63,10 @@ def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     ('hazards_95', 9.0, Grade.DIFFERENT),
     ('goal', 'area', Grade.DIFFERENT),
     ('path', None, Grade.DIFFERENT),
-    # The operator may have asked for another confidence.
+    # The operator may have required another confidence.
     ('reached', True, Grade.IDENTICAL),
 ])  # fmt: skip
-def test_what_is_not_decided_so_is_said(tmp_path_factory, sent, field, value, grade):
+def test_changed_decisions_are_reported(tmp_path_factory, sent, field, value, grade):
     original = on(sent, '/decision')[2]
     message = deepcopy(original.message)
     if field == 'path':
@@ -80,7 +80,7 @@ def test_what_is_not_decided_so_is_said(tmp_path_factory, sent, field, value, gr
     assert [(each.topic, each.index) for each in found] == [('/decision', 2)] * (grade > 0)
 
 
-def test_decisions_on_beliefs_that_are_missing_are_not_compared(tmp_path, sent):
+def test_decisions_on_missing_beliefs_are_not_compared(tmp_path, sent):
     report = replayed(tmp_path, without(sent, on(sent, '/belief')[2]))
     assert report.compared['/decision'] < ROBOTS
     left = [each for each in report.not_compared if each.topic == '/decision']

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics and parameters of a log are of the mission."""
+"""Topics and parameters of a log that belong to the mission."""
 
 from array import array
 from dataclasses import replace
@@ -51,7 +51,7 @@ ROLES = Roles.of('/m', ['scout_1'])
 
 
 def write(path, sent, roles=ROLES):
-    """Write messages to a log, with the roles of its mission if it states them."""
+    """Write messages to a log; `roles`, if given, are those of its mission."""
     with LogWriter(path) as log:
         if roles is not None:
             log.add_metadata(RECORD, roles.record)
@@ -60,7 +60,7 @@ def write(path, sent, roles=ROLES):
 
 
 def shown(value):
-    """Return all that an object holds, in words."""
+    """Return all values of an object as text."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
@@ -71,7 +71,7 @@ def shown(value):
 
 
 def read(path):
-    """Return what each reader of a log takes from it, and what they leave out."""
+    """Return the values that each reader takes from a log, and the refused ones."""
     log = MissionLog(path)
     record = read_resumed(log, GRID, MAX_STEPS)
     report, history, page = replay(log), read_history(log), read_mission(path)
@@ -94,7 +94,7 @@ def read(path):
 
 @pytest.fixture(scope='module')
 def whole():
-    """Return a mission in a namespace, with a robot that is out at its end."""
+    """Return a mission in a namespace that ends with a robot in flight."""
     whole = mission(5, namespace='/m')
     key = whole.send_out(NEAR)
     whole.publish('scout_1/status', status_message(key, OrderState.DEPARTED, whole.now))
@@ -138,7 +138,7 @@ def of_all(whole):
 
 
 @pytest.mark.slow
-def test_what_has_no_role_changes_nothing_wherever_it_stands(whole, tmp_path):
+def test_messages_without_a_role_change_nothing(whole, tmp_path):
     expected, _ = read(write(tmp_path / 'clean.mcap', whole.sent))
     sent = [
         replace(whole.sent[0], topic=f'/m/{name}' if name != 'operator' else '/operator',
@@ -147,7 +147,7 @@ def test_what_has_no_role_changes_nothing_wherever_it_stands(whole, tmp_path):
     ]  # fmt: skip
     for number, place in enumerate((0, len(whole.sent) // 2, len(whole.sent))):
         mixed = [*whole.sent[:place], *sent, *whole.sent[place:]]
-        # What is another type on a topic of the mission no recorder of ours takes.
+        # Our recorder never records another type on a topic of the mission.
         log = tmp_path / f'{number}.mcap'
         with LogWriter(log) as writer:
             writer.add_metadata(RECORD, ROLES.record)
@@ -178,9 +178,7 @@ NAN = float('nan')
     ('scout_1/path', path_message(GRID, [], 9), 'poses is empty'),
     ('belief', Mission(grid=Grid(2, 2)).sent[0].message, 'joint has'),
 ])  # fmt: skip
-def test_what_is_wrong_in_a_role_is_left_out_by_all_and_named(
-    whole, tmp_path, topic, message, told
-):
+def test_bad_messages_in_a_role_are_refused_by_all_readers(whole, tmp_path, topic, message, told):
     if topic == 'truth/hazard':
         message.header.frame_id = ''
     if topic == 'belief':
@@ -191,7 +189,7 @@ def test_what_is_wrong_in_a_role_is_left_out_by_all_and_named(
     log = write(tmp_path / 'mission.mcap', [*whole.sent[:place], wrong, *whole.sent[place:]])
     found, refused = read(log)
     if topic in ('decision', 'model', 'belief'):
-        # It was to be computed again.
+        # It should have been recomputed.
         assert told in str(replay(log).mismatches)
         found['replay'] = expected['replay']
     else:
@@ -211,7 +209,7 @@ def test_a_log_of_several_missions_is_read_by_the_namespace_that_is_named(tmp_pa
         assert f'{name}/belief: 4 of 4 messages reproduced' in capsys.readouterr().out
         own = MissionLog(log, name)
         assert read_ledger(own).belief.joint.tobytes() == whole.ledger.belief.joint.tobytes()
-    # What it says itself needs no name.
+    # A log that states its roles needs no name.
     stated = write(tmp_path / 'stated.mcap', sent, Roles.of('/m/n', ['scout_1']))
     assert replay(stated).compared.keys() >= {'/m/n/belief'}
 
@@ -222,9 +220,7 @@ def test_a_log_of_several_missions_is_read_by_the_namespace_that_is_named(tmp_pa
     ('/m', ['scout_2'], {}, 'agent scout_2 is none of agents, which names scout_1'),
     ('/m', ['scout_1'], {'belief': '/shared/belief'}, 'belief is /shared/belief, and not /m/b'),
 ])  # fmt: skip
-def test_only_the_mission_of_a_log_is_gone_on_with(
-    whole, tmp_path, namespace, agents, remapped, told
-):
+def test_only_the_mission_of_a_log_is_resumed(whole, tmp_path, namespace, agents, remapped, told):
     def resolve(role):
         return remapped.get(role, f'{namespace.rstrip("/")}/{role}')
 
@@ -239,7 +235,7 @@ def test_only_the_mission_of_a_log_is_gone_on_with(
             assert told in str(error.value)
 
 
-# A log says how its run was configured.
+# A log contains the configuration of its run.
 
 
 ROOT = Path(__file__).parents[2]
@@ -259,7 +255,7 @@ def test_the_run_names_its_versions():
 
 
 @pytest.mark.processes
-def test_what_is_not_installed_has_no_version():
+def test_a_missing_package_has_no_version():
     assert run_record('rmw_of_nobody')['rmw_of_nobody'] == 'unknown'
 
 
@@ -298,7 +294,7 @@ def test_parameters_come_back_as_they_were(tmp_path):
 
 
 def test_a_record_that_is_changed_repeats_nothing(tmp_path):
-    """Some tools warn of each name that stands in two records."""
+    """Some tools warn about a name that is in two records."""
     name = f'{PARAMETERS}/planner'
     with LogWriter(tmp_path / 'mission.mcap') as log:
         for values in ({'seed': 1, 'robots': 5}, {'seed': 1}, {'robots': 5, 'rolling': True}):
@@ -328,7 +324,7 @@ def test_parameters_of_0_3_are_read_by_the_names_of_today(tmp_path):
     assert read_parameters(log.path) == {'/planner': dict(zip(now, then.values()))}
 
 
-def test_a_corrupt_record_is_told(tmp_path):
+def test_a_corrupt_record_is_reported(tmp_path):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:
         log.add_metadata(f'{PARAMETERS}/agent', {'seed': 'one'})

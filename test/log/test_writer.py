@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the writer promises of the file, as far as its own project can tell."""
+"""Guarantees of the log writer, as far as this project's reader can check them."""
 
 from itertools import product
 import os
@@ -58,7 +58,7 @@ EMPTY_MAP = rclpy.serialization.serialize_message(OccupancyGrid())
     ('folder', {'resume': True}, LogError, 'holds no log'),
     ('mission.mcap', {'resume': True}, LogError, 'cannot be resumed: No such file'),
 ])  # fmt: skip
-def test_what_cannot_be_written_is_refused(tmp_path, whole_mission, name, options, error, told):
+def test_bad_messages_are_refused(tmp_path, whole_mission, name, options, error, told):
     (tmp_path / 'folder').mkdir()
     path = record(tmp_path / 'run_2.mcap', whole_mission.sent)
     content, there = path.read_bytes(), sorted(tmp_path.iterdir())
@@ -76,7 +76,7 @@ def test_a_topic_of_unknown_type_leaves_the_log_as_it_was(tmp_path):
     assert [each.topic for each in read_log(log.path)] == [TOPIC]
 
 
-def test_what_is_synced_can_be_read_by_others(tmp_path, whole_mission):
+def test_synced_messages_can_be_read_by_others(tmp_path, whole_mission):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         for count in (0, 1, 5, 0):
             before = len(list(read_log(log.path)))
@@ -89,7 +89,7 @@ def test_what_is_synced_can_be_read_by_others(tmp_path, whole_mission):
 
 
 def test_a_sync_reaches_the_disk(tmp_path, whole_mission, monkeypatch):
-    """Everything is in the file when the system is asked to put it onto the disk."""
+    """All bytes are in the file when the system is asked to sync it."""
     synced = []
 
     def keep(descriptor):
@@ -181,8 +181,8 @@ def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compres
         assert read_metadata(part)['run'] == {'seed': '7'}
 
 
-def test_what_a_file_begins_with_does_not_count(tmp_path):
-    """Types that take more than the limit give no message a file of its own."""
+def test_the_start_of_a_file_does_not_count_towards_the_size_limit(tmp_path):
+    """Definitions and parameters beyond the limit do not give each message its own file."""
     with LogWriter(tmp_path / 'mission.mcap', max_file_size=4000) as log:
         log.add_metadata('run', {'parameters': 'x' * 100_000})
         log.add_topic(TOPIC, TYPE, '[]')
@@ -215,8 +215,8 @@ def test_the_largest_message_is_read_again(tmp_path, compression):
 
 
 @for_each('share', [0.0, 0.3, 0.8, 1.0])
-def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
-    """What was written before is kept as it was, wherever the writer was killed."""
+def test_a_log_is_resumed(tmp_path, whole_mission, share):
+    """Earlier messages are unchanged, wherever the writer was killed."""
     path = tmp_path / 'mission.mcap'
     half = len(whole_mission.sent) // 2
     with LogWriter(path) as log:
@@ -247,7 +247,7 @@ def test_a_log_is_gone_on_with(tmp_path, whole_mission, share):
         assert read_metadata(path)['run'] == {'seed': '7'}
 
 
-def test_another_bag_in_the_folder_keeps_its_description(tmp_path, whole_mission):
+def test_another_bag_in_the_folder_keeps_its_metadata(tmp_path, whole_mission):
     record(tmp_path / 'first.mcap', whole_mission.sent[:3])
     described = (tmp_path / 'metadata.yaml').read_text()
     with LogWriter(tmp_path / 'second.mcap') as log:
@@ -258,9 +258,7 @@ def test_another_bag_in_the_folder_keeps_its_description(tmp_path, whole_mission
     assert (tmp_path / 'metadata.yaml').read_text() != described
 
 
-def test_a_renamed_log_is_read_and_gone_on_with_beside_its_old_description(
-    tmp_path, whole_mission
-):
+def test_a_renamed_log_is_read_and_resumed_beside_its_old_metadata(tmp_path, whole_mission):
     record(tmp_path / 'mission.mcap', whole_mission.sent[:3])
     (tmp_path / 'mission.mcap').rename(tmp_path / 'good.mcap')
     with LogWriter(tmp_path, resume=True) as log:
@@ -272,7 +270,7 @@ def test_a_renamed_log_is_read_and_gone_on_with_beside_its_old_description(
 
 @for_each('compression, room', [('none', 30_000), ('zstd', 10_000)])
 @for_each('batch', [1, 7])
-def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, compression, room):
+def test_a_full_disk_keeps_synced_messages(tmp_path, whole_mission, batch, compression, room):
     path = tmp_path / 'mission.mcap'
     log = LogWriter(path, compression=compression)
     synced = 0
@@ -302,14 +300,14 @@ def test_a_full_disk_leaves_what_was_synced(tmp_path, whole_mission, batch, comp
     assert [each.data for each in read_log(path)] == [each.data for each in whole_mission.sent]
 
 
-def test_a_disk_that_has_no_room_for_the_start_of_a_file_is_left_without_it(tmp_path):
+def test_a_full_disk_leaves_no_started_file(tmp_path):
     log = tmp_path / 'mission.mcap'
     with room_for(10), pytest.raises(OSError, match=f'File too large: {str(log)!r}'):
         LogWriter(log)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_has_no_room_for_the_end_of_the_file_keeps_the_rest(tmp_path, whole_mission):
+def test_a_full_disk_keeps_an_unfinished_file(tmp_path, whole_mission):
     log = LogWriter(tmp_path / 'mission.mcap')
     record_to(log, whole_mission.sent, synced=True)
     with room_for(log.path.stat().st_size + 10):
@@ -320,7 +318,7 @@ def test_a_disk_that_has_no_room_for_the_end_of_the_file_keeps_the_rest(tmp_path
     assert not is_finished(log.path)
 
 
-def test_a_folder_that_vanishes_stops_the_log_at_the_next_file(tmp_path, whole_mission):
+def test_a_moved_folder_stops_the_log_at_the_next_file(tmp_path, whole_mission):
     folder = tmp_path / 'runs'
     folder.mkdir()
     log = LogWriter(folder / 'mission.mcap', max_file_size=40_000)
@@ -334,7 +332,7 @@ def test_a_folder_that_vanishes_stops_the_log_at_the_next_file(tmp_path, whole_m
     assert len(read) > 5
 
 
-def test_a_corrupt_later_part_is_not_gone_on_with(whole_mission, tmp_path):
+def test_a_corrupt_later_part_is_not_resumed(whole_mission, tmp_path):
     path = tmp_path / 'mission.mcap'
     record(path, whole_mission.sent[:6])
     with LogWriter(path, resume=True) as log:
@@ -347,7 +345,7 @@ def test_a_corrupt_later_part_is_not_gone_on_with(whole_mission, tmp_path):
         LogWriter(path, resume=True)
 
 
-# How topics are described in a log.
+# Descriptions of topics in a log.
 
 
 TYPES = [
@@ -380,7 +378,7 @@ def test_a_definition_is_complete(type_name):
 
 @for_each('type_name', TYPES)
 def test_the_hash_is_that_of_the_definition(type_name):
-    """As computed by another implementation of REP-2011, from the text that is recorded."""
+    """Computed by another implementation of REP-2011 from the recorded text."""
     store = get_typestore(Stores.EMPTY)
     description = describe(type_name)
     store.register(get_types_from_msg(description.definition, type_name))
@@ -388,12 +386,12 @@ def test_the_hash_is_that_of_the_definition(type_name):
 
 
 @for_each('type_name', ['no_such_msgs/msg/Path', 'nav_msgs/msg/NoSuchType'])
-def test_a_type_that_is_not_installed_is_no_topic(type_name):
+def test_a_topic_of_a_missing_type_is_refused(type_name):
     with pytest.raises(LookupError):
         describe(type_name)
 
 
-def test_a_type_that_is_defined_in_idl_alone_is_no_topic(tmp_path, monkeypatch):
+def test_a_topic_of_a_type_in_idl_only_is_refused(tmp_path, monkeypatch):
     described = Path(get_package_share_directory('std_msgs'), 'msg', 'String.json')
     (tmp_path / 'msg').mkdir()
     shutil.copy(described, tmp_path / 'msg')
