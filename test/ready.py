@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What forked nodes begin with: all modules, and kernels as they are after the first plan."""
+"""Modules and compiled kernels that forked nodes start with."""
 
 from importlib import import_module
 

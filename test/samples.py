@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths and reports on a small grid, sound ones and others."""
+"""Paths and reports on a small grid, valid ones and others."""
 
 from copy import deepcopy
 
@@ -35,7 +35,7 @@ def path(number, cells=HOME):
 
 
 def on_disk(message):
-    """Return what the recorder says of a path, or of a departure, that it has on disk."""
+    """Return the recorder's message that a path, or a departure, is on disk."""
     stamp = getattr(message, 'deployment', message.header.stamp)
     return Recorded(stamp=stamp, content=content_hash(message))
 
@@ -106,5 +106,5 @@ BAD_PATHS = [
 
 
 def over_the_wire(message):
-    """Return what a subscriber gets."""
+    """Return the message that a subscriber receives."""
     return deserialize_message(serialize_message(message), type(message))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of strangers: a folder on Python's path, with what pip would install into it."""
+"""Packages of strangers: a folder on Python's path, as pip would install into it."""
 
 from collections.abc import Mapping
 import os
@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 def install(
     folder: Path, name: str, source: str, added: Mapping[str, Mapping[str, str]]
 ) -> dict[str, str]:
-    """Make a distribution of one module, and return an environment that has it."""
+    """Make a distribution of one module; return an environment that has it."""
     folder.joinpath(f'{name}.py').write_text(source)
     info = folder / f'{name}-1.0.dist-info'
     info.mkdir()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps lie over grids: of priors, datums and pictures."""
+"""Maps over grids: of priors, datums and images."""
 
 from base64 import b64decode
 from io import BytesIO
@@ -63,7 +63,7 @@ def test_one_threshold_makes_certainties_alone(tmp_path):
     assert read_probabilities(path, Grid(4, 1), elsewhere=0.5).tolist() == [0.0, 0.0, 1.0, 1.0]
 
 
-def test_cells_beyond_the_map_or_transparent_keep_the_number(tmp_path):
+def test_cells_outside_the_map_or_transparent_keep_the_number(tmp_path):
     pixels = np.zeros((2, 2, 4), dtype=np.uint8)
     pixels[..., 3] = [[255, 0], [255, 255]]
     path = write(tmp_path, pixels, x=1.0)
@@ -95,7 +95,7 @@ def test_means_are_weighted_by_area(tmp_path, seed):
 
 
 @for_each('seed', range(30))
-def test_a_map_that_is_turned_with_its_grid_gives_the_same(tmp_path, seed):
+def test_a_map_turned_with_its_grid_has_the_same_values(tmp_path, seed):
     rng = np.random.default_rng(seed)
     pixels = rng.integers(0, 256, rng.integers(1, 12, 2))
     yaw, (x, y) = rng.uniform(-np.pi, np.pi), rng.uniform(-2, 2, 2)
@@ -107,7 +107,7 @@ def test_a_map_that_is_turned_with_its_grid_gives_the_same(tmp_path, seed):
     assert read_probabilities(path, turned, 0.25) == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_map_that_is_turned_otherwise_is_refused(tmp_path):
+def test_a_map_turned_differently_is_refused(tmp_path):
     path = write(tmp_path, [[0]], yaw=0.2)
     with pytest.raises(MapError, match='turned by 0.2 rad, and the field by 0.1.*rows of the fie'):
         read_probabilities(path, Grid(2, 2, yaw=0.1), 0.5)
@@ -151,7 +151,7 @@ def test_bad_arrays_are_refused(tmp_path, array, message):
 
 
 @given(st.data())
-def test_a_spoilt_array_is_read_or_refused_in_a_line(tmp_path_factory, data):
+def test_a_corrupt_array_is_read_or_refused_in_a_line(tmp_path_factory, data):
     path = tmp_path_factory.mktemp('array') / 'prior.npy'
     np.save(path, np.full((2, 2), 0.25))
     path.write_bytes(data.draw(spoilt(path.read_bytes())))
@@ -173,12 +173,12 @@ def test_other_files_are_refused(tmp_path):
         read_probabilities(write(tmp_path, [[0]], resolution=0), Grid(2, 2), 0.5)
 
 
-# Positions on the earth are those of geodesics, and of plain geometry nearby.
+# Positions on the earth equal geodesics, and plain geometry nearby.
 
 
 EARTH = Geod(ellps='WGS84')
 
-# Semi-major axis in metres, and flattening, of WGS84.
+# WGS84: semi-major axis in metres, and flattening.
 AXIS, FLATTENING = 6378137.0, 1 / 298.257223563
 
 datums = st.builds(
@@ -191,7 +191,7 @@ points = st.tuples(st.floats(-2e4, 2e4), st.floats(-2e4, 2e4))
 
 
 @given(datums, points)
-def test_a_point_lies_on_the_geodesic_that_its_direction_begins(datum, point):
+def test_a_point_lies_on_the_geodesic_in_its_direction(datum, point):
     x, y = point
     azimuth = 90.0 - np.degrees(datum.heading + np.arctan2(y, x))
     longitude, latitude, _ = EARTH.fwd(datum.longitude, datum.latitude, azimuth, hypot(x, y))
@@ -202,7 +202,7 @@ def test_a_point_lies_on_the_geodesic_that_its_direction_begins(datum, point):
 
 
 def earth_centred(latitude, longitude):
-    """Return x, y and z of a point on the ellipsoid, in metres from the centre of the earth."""
+    """Return the earth-centred x, y, z of a point on the ellipsoid, in metres."""
     phi, lam = np.radians([latitude, longitude])
     squared = FLATTENING * (2 - FLATTENING)
     normal = AXIS / np.sqrt(1 - squared * np.sin(phi) ** 2)
@@ -229,7 +229,7 @@ def test_a_pole_is_a_place(latitude):
     assert abs(found) == pytest.approx(89.0, abs=1e-4)
 
 
-def test_without_numbers_there_is_none():
+def test_without_numbers_there_is_no_datum():
     assert Datum.of(()) is None
     assert Datum.of([55.9, -3.2, 0.1]) == Datum(55.9, -3.2, 0.1)
 
@@ -243,7 +243,7 @@ def test_without_numbers_there_is_none():
     ([0.0, 0.0], r'parameter datum is \[0.0, 0.0\]: it must be .latitude, longitude, head'),
     ([0.0, 0.0, 0.0, 0.0], 'parameter datum is'),
 ])  # fmt: skip
-def test_what_is_no_place_on_the_earth_is_refused(numbers, message):
+def test_a_bad_datum_is_refused(numbers, message):
     with pytest.raises(ValueError, match=message):
         Datum.of(numbers)
 
@@ -253,7 +253,7 @@ def test_a_field_beyond_the_earth_is_refused():
         Datum(0.0, 0.0, 0.0).on_earth([(1e8, 0.0)])
 
 
-# The image of a map as a page shows it.
+# The image of a map on a page.
 
 
 IMAGE_YAML = """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps are read as map_server reads them, and become grids."""
+"""Maps are read like map_server does, and become grids."""
 
 from itertools import pairwise, product
 
@@ -56,7 +56,7 @@ def write_yaml(folder, **changes):
 
 
 def published(pixel, mode, negate, occupied, free):
-    """Return what map_server makes of one pixel, worked out in its single precision."""
+    """Return map_server's value of a pixel, computed in its single precision."""
     if mode == 'raw':
         return pixel if pixel <= 100 else -1
     p = np.float32(pixel) / np.float32(255)
@@ -139,14 +139,14 @@ def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
 
 
 @for_each('name', ['map.bmp', 'map.png', 'map.pgm'])
-def test_a_format_is_known_by_its_content(tmp_path, name):
+def test_formats_are_recognised_by_content(tmp_path, name):
     Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / name)
     (tmp_path / name).rename(tmp_path / 'map')
     assert read_map(write_yaml(tmp_path, image='map')).data.tolist() == [[100, 0]]
 
 
 @for_each('form', ['EPS', 'GIF', 'ICNS', 'ICO', 'PDF', 'SPIDER', 'TGA', 'TIFF', 'WEBP'])
-def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, monkeypatch):
+def test_other_formats_are_not_decoded_under_any_name(tmp_path, form, monkeypatch):
     started = tmp_path / 'started'
     ghostscript = tmp_path / 'gs'
     ghostscript.write_text(f'#!/bin/sh\ntouch {started}\n')
@@ -154,7 +154,7 @@ def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, 
     monkeypatch.setenv('PATH', str(tmp_path), prepend=':')
     mode = 'F' if form == 'SPIDER' else 'RGB'
     other = tmp_path / 'map.other'
-    # Pillow writes every later file of the suffix that SPIDER was written under as SPIDER.
+    # After one save as SPIDER, Pillow saves every file of that suffix as SPIDER.
     Image.new(mode, (32, 32)).save(other, format=form)
     other.rename(tmp_path / 'map.png')
     with pytest.raises(MapError, match='map.png is no image in PGM, PNG or BMP'):
@@ -166,7 +166,7 @@ def test_no_other_format_is_decoded_whatever_the_file_is_called(tmp_path, form, 
 @pytest.mark.filterwarnings('ignore::PIL.Image.DecompressionBombWarning')
 @given(st.data())
 @settings(max_examples=800 if FULL else 150, phases=[Phase.generate])
-def test_a_spoilt_map_is_read_or_refused_in_a_line(tmp_path_factory, data):
+def test_a_corrupt_map_is_read_or_refused_in_a_line(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp('map')
     name = data.draw(st.sampled_from(['map.bmp', 'map.png', 'map.pgm', 'ascii.pgm', 'map.yaml']))
     pixels = np.random.default_rng(4).integers(256, size=(9, 11))
@@ -231,11 +231,11 @@ def test_a_missing_file_is_refused(tmp_path):
         read_map(tmp_path / 'nothere.yaml')
 
 
-# The grid of a map keeps robots away from what is occupied.
+# The grid of a map keeps robots away from occupied pixels.
 
 
 def random_map(rng):
-    """Draw a map of up to 30x30 pixels, a fifth of them unknown or occupied, in clumps."""
+    """Draw a map of up to 30x30 pixels, a fifth of them unknown or occupied, in clusters."""
     coarse = rng.choice([0, 0, 0, 0, 0, 0, 50, 100, -1], rng.integers(1, 11, 2))
     data = coarse.repeat(rng.integers(1, 4), axis=0).repeat(rng.integers(1, 4), axis=1)
     yaw = rng.choice([0.0, rng.uniform(-np.pi, np.pi)])
@@ -249,12 +249,12 @@ def turned(points, angle):
 
 
 def touched_pixels(field, points):
-    """Return the values of all pixels that the straight lines between points cross or touch."""
+    """Return the values of all pixels crossed or touched by straight lines between points."""
     values = []
     for start, end in pairwise(points):
         along = np.linspace(start, end, 201)
         pixel = turned(along - np.array(field.origin), -field.yaw) / field.resolution
-        # A line on the edge of a pixel touches both.
+        # A line on the edge of a pixel touches both pixels.
         for nudge in ((-1e-9, -1e-9), (-1e-9, 1e-9), (1e-9, -1e-9), (1e-9, 1e-9)):
             column, row = np.floor(pixel + nudge).astype(int).T
             inside = (row < field.data.shape[0]) & (column < field.data.shape[1])
@@ -263,7 +263,7 @@ def touched_pixels(field, points):
 
 
 def random_grid(rng, connectivity, unknown_blocks):
-    """Draw a map and the grid of it around a base that is free."""
+    """Draw a map and its grid around a free base."""
     side = rng.choice([0.25, 0.5, 0.6, 0.75, 1.0])
     while True:
         field = random_map(rng)
@@ -293,7 +293,7 @@ def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
 @pytest.mark.slow
 @for_each('seed', range(200), every=4)
 def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
-    """Neither by its orders nor by the detours that it makes."""
+    """Neither on its orders nor on detours."""
     rng = np.random.default_rng(seed)
     field, grid = random_grid(rng, int(rng.choice([4, 8])), True)
     world = World.random(grid, rng, 0.1, 0.8, 0.3)
@@ -315,7 +315,7 @@ def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
 
 
 def test_a_plan_keeps_clear_of_a_wall():
-    # A wall with a gap, and nothing to look for on this side of it.
+    # A wall with a gap, and nothing to explore on this side of it.
     data = np.zeros((6, 6), dtype=np.int8)
     data[2, 1:] = 100
     field = Map(data, 0.5, (0.0, 0.0))
@@ -336,12 +336,12 @@ def test_a_cell_is_blocked_by_any_of_its_pixels():
 
 
 @for_each('value', [-1, 0, 50, 99, 100])
-def test_what_is_neither_occupied_nor_unknown_is_free(value):
+def test_other_pixels_are_free(value):
     data = np.array([[0, value]], dtype=np.int8)
     assert bool(Map(data, 1.0, (0.0, 0.0)).grid().blocked) == (value in (-1, 100))
 
 
-def test_cells_that_reach_beyond_the_map_are_unknown_there():
+def test_cells_that_extend_beyond_the_map_are_unknown_there():
     field = Map(np.zeros((3, 5), dtype=np.int8), 1.0, (0.0, 0.0))
     grid = field.grid(2.0)
     assert (grid.width, grid.height, grid.resolution) == (3, 2, 2.0)
@@ -374,7 +374,7 @@ def test_a_cell_that_shares_part_of_an_occupied_pixel_is_blocked():
     ({'base': 9}, 'base is 9'),
     ({'connectivity': 5}, 'connectivity is 5'),
 ])  # fmt: skip
-def test_what_no_grid_can_be_is_refused(arguments, message):
+def test_bad_grids_of_maps_are_refused(arguments, message):
     data = np.array([[0, 100], [0, 0]], dtype=np.int8)
     with pytest.raises(ValueError, match=message):
         Map(data, 0.5, (0.0, 0.0)).grid(**arguments)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Beliefs and what is learnt come back from their messages, bit for bit."""
+"""Beliefs and learnt numbers are read from their messages bit for bit."""
 
 from array import array
 from math import inf, nan
@@ -80,7 +80,7 @@ def test_the_newest_deployment_is_named():
 
 
 def test_the_same_evidence_gives_the_same_message():
-    """Even if it comes late, and when the estimator was started again."""
+    """Even with late evidence, and after a restart of the estimator."""
     first, second = DeploymentKey('scout_1', 1), DeploymentKey('scout_2', 1)
     ledgers = new_ledger(), new_ledger()
     for ledger, keys in zip(ledgers, ((first, second), (second, first, second))):
@@ -111,11 +111,11 @@ def test_a_belief_comes_back_bit_for_bit(method, seed, numbers, connectivity, th
     assert (snapshot.deployments, snapshot.newest) == (0, None)
 
 
-def test_beliefs_tell_by_default_what_they_meant_before_they_told_it():
+def test_defaults_of_new_fields_keep_their_former_meaning():
     assert (BeliefMaps().connectivity, BeliefMaps().through_corners) == (8, True)
 
 
-def test_what_is_learnt_comes_back_bit_for_bit():
+def test_learnt_numbers_come_back_bit_for_bit():
     ledger = new_ledger(seed=4, method='kappa_bnitp_sampled', unknowns=LEARNT)
     first = read_belief_maps(over_the_wire(belief_maps(ledger, started=9)))
     assert first.unknowns == LEARNT
@@ -123,7 +123,7 @@ def test_what_is_learnt_comes_back_bit_for_bit():
     assert first.prior.joint.tobytes() == ledger.estimator.prior.joint.tobytes()
     assert first.belief.joint.tobytes() == ledger.belief.joint.tobytes()
     assert first.belief.joint.tobytes() != first.prior.joint.tobytes()
-    # So it can be computed again from that message alone.
+    # So it can be recomputed from that message alone.
     again = Estimator(first.prior, first.model, first.method, first.unknowns, first.seed)
     assert again.belief.joint.tobytes() == ledger.belief.joint.tobytes()
     assert again.model == ledger.estimator.model
@@ -137,7 +137,7 @@ def test_what_is_learnt_comes_back_bit_for_bit():
     assert not message.prior
 
 
-def test_rules_are_those_an_estimator_is_started_with():
+def test_rules_are_the_estimators_options_at_the_start():
     def rules(**options):
         options = {'method': 'kappa_bnitp_sampled', 'unknowns': LEARNT, **options}
         return read_belief_maps(belief_maps(new_ledger(**options), started=0)).rules()
@@ -153,22 +153,22 @@ def test_rules_are_those_an_estimator_is_started_with():
         assert rules(**other) != rules()
 
 
-def test_without_unknowns_a_prior_stands_once():
+def test_without_unknowns_the_prior_is_not_repeated():
     for method in METHODS:
         assert not belief_maps(new_ledger(method=method), started=0).prior
 
 
 def unknown(name='kappa', a=1.0, b=1.0, low=0.0, high=1.0):
-    """Return the message of a number that is learnt."""
+    """Return the message of a learnt number."""
     return UnknownNumber(name=name, a=a, b=b, low=low, high=high)
 
 
 def own(agent, name, value=0.5):
-    """Return the message of a number that an agent has of its own."""
+    """Return the message of a number that an agent overrides."""
     return OwnNumber(agent=agent, name=name, value=value)
 
 
-def test_what_agents_have_of_their_own_is_told():
+def test_parameters_of_single_agents_are_included():
     robot_types = {
         'b': RobotType(lethality=0.1, max_steps=4),
         'a': RobotType(true_positive=0.75, loss_cost=2.0),
@@ -244,7 +244,7 @@ def test_an_empty_belief_message_is_refused():
         read_belief_maps(BeliefMaps())
 
 
-# What the message of the numbers that are learnt means.
+# The message of learnt numbers.
 
 
 SOME = Unknowns(lethality=(0.2, 1.0), false_positive=(0.0, 0.5))

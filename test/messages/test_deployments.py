@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths, reports and actions come back from their messages, and bad ones are refused."""
+"""Paths, reports and actions are read from their messages, and bad ones are refused."""
 
 from functools import partial
 from math import inf, nan
@@ -81,8 +81,8 @@ def test_a_pose_stands_for_the_cell_it_lies_in():
     assert read_path(GRID, 'scout_1', message)[1].tolist() == PATH
 
 
-def test_a_path_may_be_what_no_robot_can_take():
-    """Reading says where it leads; whether it is allowed is another question."""
+def test_an_impossible_path_is_read():
+    """Reading returns its cells; whether it is allowed is checked later."""
     assert read_path(GRID, 'a', path_message(GRID, [0, 11], 1))[1].tolist() == [0, 11]
 
 
@@ -171,7 +171,7 @@ READERS = [
 
 
 @given(st.data())
-def test_a_spoilt_message_is_read_or_refused_in_a_line(data):
+def test_a_corrupt_message_is_read_or_refused_in_a_line(data):
     message, read = data.draw(st.sampled_from(READERS))
     try:
         heard = deserialize_message(data.draw(spoilt(serialize_message(message))), type(message))
@@ -186,8 +186,8 @@ def test_a_spoilt_message_is_read_or_refused_in_a_line(data):
     assert len(said) < 1000
 
 
-def test_what_is_said_is_read_even_if_it_makes_no_sense():
-    """Whether readings fit a path can only be said by who knows the path."""
+def test_contradicting_reports_are_read():
+    """Readings can only be checked against the path."""
     message = report_message(KEY, Observation(PATH, True, [True] * 5), STAMP)
     message.survived = False
     assert read_report(message)[1] == Report(False, tuple((cell, True) for cell in PATH[1:]))
@@ -238,7 +238,7 @@ def test_a_report_on_the_topic_of_another_agent_is_refused():
         read_report(message, 'scout_1')
 
 
-# What the operator decides of paths from several bases.
+# Operator actions on paths from several bases.
 
 
 WITH_BASES = Grid(6, 5, base=0, other_bases=(29,))
@@ -258,7 +258,7 @@ def test_paths_from_each_base_are_refused_by_operators():
     ({'action': Action.REFUSE}, "agents is '': action is REFUSE"),
     ({'agents': ['scout_1']}, 'agents has 1 names: paths has 0'),
 ])  # fmt: skip
-def test_actions_that_are_none_are_refused(fields, told):
+def test_bad_actions_are_refused(fields, told):
     message = operator_action_message(WITH_BASES, OperatorAction(7, Action.PAUSE, 3, {}, 0))
     assert read_operator_action(WITH_BASES, message).action is Action.PAUSE
     with pytest.raises(ValueError, match=told):

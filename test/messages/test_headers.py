@@ -75,15 +75,15 @@ def test_another_frame_is_refused(frame_id):
     (Time(sec=-5), 'stamp is -5.000000000 s'),
     (Time(nanosec=10**9), 'nanosec is 1000000000: it must be below'),
 ])  # fmt: skip
-def test_what_is_no_time_that_others_can_follow_is_refused(stamp, told):
+def test_times_that_no_later_time_can_follow_are_refused(stamp, told):
     for read in (read_stamp, read_name):
         with pytest.raises(ValueError, match=told):
             read('stamp', stamp)
 
 
-# What any one message may say leaves room for all names that a mission will ever need.
+# One message is limited so that there is always room for names.
 @given(st.integers(0, LAST), st.lists(st.integers(0, LAST), max_size=3))
-def test_names_can_always_be_counted_on(time, names):
+def test_names_always_have_room(time, names):
     def read(function, nanoseconds):
         try:
             return function('stamp', to_stamp(nanoseconds))
@@ -104,7 +104,7 @@ def test_a_long_text_is_cut():
     assert len(shown('x' * 50_000_000)) < 150
 
 
-# The hash of a message is one of what it says: the same by every decoder, of any padding.
+# The hash covers a message's values: equal for every decoder and any padding.
 
 
 PATH = path_message(Grid(3, 1), [0, 1, 0], stamp=2_000_000_001, mission=1_500_000_000)
@@ -120,7 +120,7 @@ MESSAGES = [PATH, REPORT, BELIEF]
 
 
 def from_log(message: object, data: bytes) -> object:
-    """Return a message as a log's reader decodes it, with no ROS package."""
+    """Return a message decoded by the log's reader, without packages of ROS."""
     package = type(message).__module__.partition('.')[0]
     type_name = f'{package}/msg/{type(message).__name__}'
     definition = describe(type_name).definition.encode()
@@ -139,7 +139,7 @@ def test_all_decoders_agree(message):
 
 def test_padding_does_not_count():
     data = bytearray(serialize_message(REPORT))
-    # Two bytes after each reading but the last one align the cell of the next.
+    # Two bytes of padding after each reading but the last align the next cell.
     cell, detected = (1).to_bytes(4, 'little'), b'\1\0'
     start = data.index(cell + detected, len(data) - 40) + len(cell + detected)
     end = start + 2
@@ -166,13 +166,13 @@ def test_the_same_values_in_other_fields_have_another_hash():
     assert content_hash(late) != content_hash(soon)
 
 
-def test_it_is_the_same_for_ever():
-    """Logs hold these values."""
+def test_the_hash_never_changes():
+    """Logs contain these hashes."""
     assert content_hash(PATH) == 16047722710692970341
     assert content_hash(REPORT.readings[0]) == 9597802225463275365
 
 
-# What a grid message means.
+# Grid messages.
 
 
 @st.composite
@@ -207,7 +207,7 @@ def test_rows_go_up_from_the_origin():
 
 
 def map_metadata(grid):
-    """Return the geometry in the message of a map."""
+    """Return the geometry of a map message."""
     return occupancy_grid(grid, np.zeros(grid.cells), 0).info
 
 
@@ -246,28 +246,28 @@ def test_a_grid_comes_back(grid):
 
 
 @given(st.floats(-1e3, 1e3))
-def test_an_angle_is_told_to_a_part_of_a_million_million(yaw):
+def test_an_angle_is_kept_to_a_relative_1e_12(yaw):
     told = rounded_yaw(yaw)
     assert -pi < told < pi + 1e-11
     assert abs(np.exp(1j * told) - np.exp(1j * yaw)) < 1e-11
     assert rounded_yaw(told) == told
 
 
-def test_an_orientation_that_nobody_set_is_no_turn():
+def test_an_unset_orientation_is_no_turn():
     info = MapMetaData(resolution=1.0, width=1, height=1)
     info.origin.orientation.w = 0.0
     assert read_map_metadata(info) == Grid(1, 1)
 
 
 @for_each('resolution', [0.05, 0.1, 0.3, 1.0, 2.5, 0.0254])
-def test_a_resolution_as_people_write_it_comes_back_exactly(resolution):
+def test_a_decimal_resolution_comes_back_exactly(resolution):
     info = over_the_wire(map_metadata(Grid(2, 2, resolution=resolution)))
     assert info.resolution != resolution or resolution in (1.0, 2.5)
     assert read_map_metadata(info).resolution == resolution
 
 
 def readable():
-    """Return a map of 2 x 2 cells that can be read."""
+    """Return a readable map of 2 x 2 cells."""
     return occupancy_grid(Grid(2, 2), [0.0, 0.2, 0.4, 0.6], stamp=0)
 
 

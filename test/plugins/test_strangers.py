@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What packages outside the project add: used by real nodes, or refused with the reason."""
+"""Methods, planners and allocations of other packages are used, or refused with a reason."""
 
 import subprocess
 import sys
@@ -15,8 +15,8 @@ import yaml
 
 pytestmark = pytest.mark.processes
 
-# A method that keeps all losses, a planner that takes the shortest path of a search, and an
-# allocation that sends robots one after another along what is found best.
+# A method that keeps all losses, a planner that takes the shortest found path, and an allocation
+# that sends robots one after another along the best path.
 SOURCE = """
 from kbnitp_ros.core import PLANNERS, update
 from kbnitp_ros.core import KnownModel
@@ -53,7 +53,7 @@ ADDED = {
     'allocations': {'theirs': 'in_turn'},
 }
 
-# All that there is to refuse, and beside it a method that works.
+# Every reason for a refusal, and beside it a method that works.
 BAD_SOURCE = """
 from kbnitp_ros.core import Belief, PLANNERS
 from kbnitp_ros.core import KnownModel
@@ -121,7 +121,7 @@ BAD = {
 
 @pytest.fixture(scope='module')
 def bad(tmp_path_factory):
-    """Return the environment of a machine with packages of all faults."""
+    """Return the environment of a machine with packages that have all faults."""
     folder = tmp_path_factory.mktemp('bad')
     folder.joinpath('leaver.py').write_text('raise SystemExit(3)\n')
     install(folder, 'another', BAD_SOURCE, {'methods': {'twice': 'Works'}})
@@ -152,7 +152,7 @@ def small_benchmark(tmp_path):
     """Return a folder with the package beside a benchmark of a small field."""
     scenarios = tmp_path / 'scenarios'
     scenarios.mkdir()
-    # The scenarios are those beside the package: its links stay links.
+    # The scenarios beside the package: links stay links.
     tmp_path.joinpath('kbnitp_ros').symlink_to(ROOT / 'kbnitp_ros')
     content = read_yaml(ROOT / 'scenarios/benchmark.yaml')
     content['grid'] = {'width': 4, 'height': 4, 'base': 0}
@@ -204,7 +204,7 @@ REASONS = {
 }
 
 
-def test_a_command_that_is_given_a_broken_method_says_why_it_cannot_be_had(bad):
+def test_a_command_with_a_broken_method_states_the_reason(bad):
     done = run(bad, '-m', 'kbnitp_ros', 'demo', '--method', 'odd')
     assert done.returncode == 2
     _, _, complaint = done.stderr.partition('demo: parameter method is')
@@ -212,7 +212,7 @@ def test_a_command_that_is_given_a_broken_method_says_why_it_cannot_be_had(bad):
     assert 'works' in complaint.partition('it must be one of')[2]
 
 
-def test_whoever_uses_a_broken_method_is_told_why_it_cannot_be_had(bad):
+def test_the_error_of_a_broken_method_states_the_reason(bad):
     program = f"""
 from kbnitp_ros.core import *
 for name in {list(REASONS)}:
@@ -228,7 +228,7 @@ for name in {list(REASONS)}:
         assert 'works' in line.partition('known are')[2]
 
 
-def test_what_cannot_be_had_is_told_once_and_the_rest_works(bad):
+def test_broken_packages_are_reported_once_and_the_rest_works(bad):
     program = """
 from kbnitp_ros.core import *
 print(Estimator(Belief.prior(Grid(2, 2), 0.1, 0.2, 0.3), SensorModel(0.5), 'works').method)
@@ -245,7 +245,7 @@ print(type(METHODS['kappa_bnitp']).__name__, len(METHODS), len(METHODS))
     assert 'kbnitp_ros has a method of this name' in done.stderr
 
 
-def test_nothing_is_imported_of_others_where_none_of_theirs_is_asked_for(bad):
+def test_other_packages_are_imported_on_use_only(bad):
     program = """
 import sys
 from kbnitp_ros.core import *
@@ -281,7 +281,7 @@ print('strangers_of_theirs' in sys.modules)
         'returns 1 paths for 2 robots',
     ),
 ])  # fmt: skip
-def test_what_breaks_the_rules_in_use_is_named_and_changes_nothing(bad, use, told):
+def test_violations_of_the_rules_are_named_and_change_nothing(bad, use, told):
     program = f"""
 from kbnitp_ros.core import *
 from kbnitp_ros.plugins import PluginError

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of missions to report on, made without ROS running."""
+"""Logs of missions for reports, made without running ROS."""
 
 from kbnitp_ros.core import Observation, World
 from kbnitp_ros.messages.grids import occupancy_grid
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def random_walk(grid, rng, steps):
-    """Return a walk from the base and back to it of at most so many steps."""
+    """Return a closed random walk from the base of at most `steps` steps."""
     path = [grid.base]
     while len(path) <= steps // 2:
         path.append(int(rng.choice(grid.neighbors(path[-1]))))
@@ -16,7 +16,7 @@ def random_walk(grid, rng, steps):
 
 
 class Shown(Mission):
-    """A mission in a world of its own, which is published, with robots that walk at random."""
+    """A mission in a world of its own, which is published, with robots on random walks."""
 
     def __init__(self, grid=GRID, seed=2, **options):
         self.rng = np.random.default_rng(seed)
@@ -24,13 +24,13 @@ class Shown(Mission):
         super().__init__(grid=grid, **options)
 
     def publish_truth(self):
-        """Tell what the agent tells with publish_truth."""
+        """Publish the truth, like an agent with publish_truth."""
         for name in ('hazard', 'target'):
             values = getattr(self.world, name).astype(float)
             self.publish(f'scout_1/truth/{name}', occupancy_grid(self.grid, values, self.now))
 
     def walk(self, steps=8):
-        """Return where a robot goes, and what becomes of it."""
+        """Return a robot's orders and its observation."""
         path = random_walk(self.grid, self.rng, steps)
         return self.world.traverse(path, MODEL, self.rng)
 
@@ -51,7 +51,7 @@ def sent_by_single(robots=6, with_truth=True, grid=GRID, steps=8):
 
 
 def team(path, agents=8, rounds=3):
-    """Write the log of a team that leaves in rounds, whose lost robots say nothing."""
+    """Write the log of a team that leaves in rounds, and whose losses are silent."""
     whole = Shown()
     whole.publish_truth()
     late = []

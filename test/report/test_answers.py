@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is answered of one mission, and of two beside each other."""
+"""Answers about one mission, and about two side by side."""
 
 from itertools import product
 import re
@@ -30,7 +30,7 @@ import pytest
 
 
 def answered(whole, folder):
-    """Return the mission of what was sent, and its tiles by their questions."""
+    """Return the mission of these messages, and its tiles by question."""
     mission = read_mission(record(folder / 'mission.mcap', whole.sent))
     tiles = answer_tiles(mission, mission_curves(mission))
     return mission, {each.question: each for each in tiles}
@@ -55,7 +55,7 @@ def test_every_cell_is_counted_by_its_definition(told):
     )
 
 
-def test_findings_are_what_is_probable_the_most_probable_first(told):
+def test_findings_are_sorted_by_probability(told):
     mission, _ = told
     belief = mission.moments[-1].belief
     found = {(each.kind, each.cell): each for each in list_findings(mission)}
@@ -76,7 +76,7 @@ def test_findings_are_what_is_probable_the_most_probable_first(told):
 
 
 @for_each('seed', range(20))
-def test_a_loss_is_shared_as_all_its_endings_say(seed):
+def test_a_loss_is_shared_among_the_cells_of_its_path(seed):
     rng = np.random.default_rng(seed)
     steps = 5
     survival, known = rng.uniform(0.1, 0.9, steps), int(rng.integers(steps))
@@ -98,9 +98,9 @@ def test_losses_add_up_to_the_robots_lost(told):
     assert tiles['What did it cost?'].answer == f'{lost} of 20 robots lost'
 
 
-def test_used_up_is_what_was_there_and_is_no_more(tmp_path):
+def test_used_up_hazards_are_former_ones_that_are_gone(tmp_path):
     whole = Shown(dynamics=Dynamics('used_up'))
-    # No cell twice: what was there is then what stays as well.
+    # Also, no cell is counted twice: both together are the former hazards.
     path = [2, 7, 12, 11, 6, 1, 2]
     lost_at = [0.0, 0.2, 1.0, 0.5, 0.1, 0.1]
     for ending in ({}, {'steps_survived': 2}, {'lost_at': lost_at}):
@@ -117,7 +117,7 @@ def test_used_up_is_what_was_there_and_is_no_more(tmp_path):
     assert expected_used_up(mission) == pytest.approx(total)
 
 
-def test_robots_in_flight_are_waited_for(tmp_path):
+def test_robots_in_flight_are_stated(tmp_path):
     whole = sent_by_single(3)
     whole.send_out(whole.walk().path)
     mission, tiles = answered(whole, tmp_path)
@@ -126,7 +126,7 @@ def test_robots_in_flight_are_waited_for(tmp_path):
 
 
 def decision_on(mission, confidence):
-    """Return a decision on a lane, as a planner makes it, and its message."""
+    """Return a decision on a lane by a planner, and its message."""
     hazardous = np.zeros((4, GRID.cells), dtype=bool)
     hazardous[0, 1] = True
     draws = HazardDraws(hazardous, 1e6)
@@ -148,19 +148,19 @@ def test_a_goal_is_answered(confidence, reached, tmp_path):
     assert advice(mission)[0] == ('Stop' if reached else 'Send more')
 
 
-def test_without_a_goal_that_is_said(told):
+def test_a_missing_goal_is_stated(told):
     assert told[1]['Is the lane safe?'].answer == 'No goal was given'
 
 
 @for_each('name, value', [('probability', 1.5), ('probability', np.nan), ('hazards_95', np.inf)])
-def test_a_decision_that_is_none_is_refused(name, value):
+def test_a_bad_decision_is_refused(name, value):
     message = DecisionMessage(probability=0.5)
     setattr(message, name, value)
     with pytest.raises(ValueError, match=name):
         read_decision(GRID, message)
 
 
-def test_the_truth_tells_how_many_answers_are_right(told):
+def test_the_truth_gives_the_number_of_right_answers(told):
     mission, tiles = told
     cells, hazard = classify_cells(mission), mission.world.hazard
     free, suspected = (np.flatnonzero(each) for each in (cells.free, cells.suspected))
@@ -171,7 +171,7 @@ def test_the_truth_tells_how_many_answers_are_right(told):
     ) in tiles['Can I trust it?'].detail
 
 
-# Two missions side by side: what the page says is what the two logs say.
+# Two missions side by side: the page shows the two logs.
 
 
 @pytest.fixture(scope='module')
@@ -187,7 +187,7 @@ def pairs(logs):
 
 
 def last(pair):
-    """Return the hazard at the end, and which cells robots entered, by themselves."""
+    """Return the final hazard and the entered cells, independently computed."""
     mission, _ = pair
     entered = np.zeros(mission.grid.cells, dtype=bool)
     for deployment in mission.deployments:
@@ -225,7 +225,7 @@ def test_a_mission_beside_itself_has_no_difference(pairs):
     assert list(given_differently(one.mission, one.mission)) == []
 
 
-def test_another_truth_is_said(tmp_path, pairs):
+def test_different_truths_are_stated(tmp_path, pairs):
     whole = Shown(seed=5)
     whole.publish_truth()
     whole.deploy(whole.walk())

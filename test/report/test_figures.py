@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everybody can read the figures: lines differ for every colour vision, no texts overlap."""
+"""Figures are legible for every colour vision, without overlapping texts."""
 
 from itertools import combinations
 import json
@@ -50,7 +50,7 @@ def test_cells_that_nobody_visited_are_hatched(mission):
 
 
 def test_a_turned_field_is_drawn_where_it_lies():
-    """The colour at the centre of each cell, wherever that is, is that of its value."""
+    """The centre of each cell, wherever it is, has the colour of its value."""
     grid = Grid(6, 4, 8, 0.5, (20.0, -7.0), blocked=[15], yaw=0.6)
     values = np.random.default_rng(3).random(grid.cells)
     figure = Figure(dpi=200)
@@ -120,12 +120,12 @@ def test_no_two_styles_look_the_same():
         assert one.marker != other.marker
 
 
-# In CAM02-UCS: at a glance, and not only side by side.
+# In CAM02-UCS: distinguishable at a glance, not only side by side.
 APART = 15.0
 
 
 @for_each('maps', [MAPS, DARK_MAPS])
-def test_maps_tell_low_unknown_and_high_apart_for_every_colour_vision(maps):
+def test_low_unknown_and_high_differ_for_every_colour_vision(maps):
     for scale in maps.values():
         low, _, unknown, _, high = map(to_rgb, scale.colours)
         for vision in (None, *VISIONS):
@@ -134,7 +134,7 @@ def test_maps_tell_low_unknown_and_high_apart_for_every_colour_vision(maps):
                 assert deltaE(*seen, input_space='sRGB1') > APART, (scale, vision)
 
 
-def test_what_was_assumed_has_the_colour_of_the_paper():
+def test_the_prior_has_the_colour_of_the_paper():
     for maps, paper in ((MAPS, '#f7f7f7'), (DARK_MAPS, '#2e3238')):
         for scale in maps.values():
             for prior in (0.15, 0.5, 0.8):
@@ -160,7 +160,7 @@ def test_texts_that_overlap_and_lines_that_are_alike_are_found():
 
 
 def test_colour_vision_is_simulated():
-    """The red and the green that gave the check its name are nearly one for who sees no red."""
+    """Without the red cone, the red and the green of the check's name are almost equal."""
     red, green = to_rgb('#a05050'), to_rgb('#707050')
     space = {'name': 'sRGB1+CVD', 'cvd_type': 'deuteranomaly', 'severity': 100}
     seen = [cspace_convert(colour, space, 'sRGB1') for colour in (red, green)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a mission in a real browser: what it shows is what is in the log, for everybody."""
+"""The page of a mission in a real browser: it shows the log, accessibly."""
 
 import csv
 from dataclasses import replace
@@ -35,7 +35,7 @@ from PIL import Image
 from pyproj import Geod
 import pytest
 
-# As the parameter has it: latitude and longitude in degrees, and the heading in rad.
+# Latitude and longitude in degrees and heading in rad, as in the parameter.
 DATUM = (55.944904, -3.186693, 0.4)
 EARTH = Geod(ellps='WGS84')
 
@@ -60,11 +60,11 @@ def shown(tmp_path_factory):
 
 @pytest.fixture(scope='module')
 def tabs(browser):
-    """Return a tab without a network for either policy, and what is said on their consoles."""
+    """Return an offline tab for each policy, and their console messages."""
     said = []
 
     def tab(is_strict):
-        # What waits for a condition evaluates it as text, which the page's own policy forbids.
+        # Playwright's waits evaluate text, which the page's own policy forbids.
         page = browser.new_context(offline=True, bypass_csp=not is_strict).new_page()
         page.on('console', lambda message: said.append(message.text))
         page.on('pageerror', lambda error: said.append(str(error)))
@@ -76,7 +76,7 @@ def tabs(browser):
 
 @pytest.fixture
 def opened(tabs, shown):
-    """Return what opens the page without a network; nothing may be said on the console."""
+    """Return a function that opens the page offline; its console must stay empty."""
     pages, said = tabs
 
     def open_page(width=1600, height=1000, scheme='light', file=shown[1], is_strict=False):
@@ -94,7 +94,7 @@ def opened(tabs, shown):
 
 
 def downloaded(page, name, nth=0):
-    """Press a button; return the file that it saves."""
+    """Press a button; return the saved file."""
     with page.expect_download() as download:
         page.get_by_role('button', name=name).nth(nth).click()
     return Path(download.value.path())
@@ -107,24 +107,24 @@ def rows(file):
 
 
 def is_sent(request):
-    """Return whether a request asks for anything but the file, what is in it or made of it."""
+    """Return whether a request leaves the page: not its file, data or blobs."""
     return not request.url.startswith(('file:', 'data:', 'blob:'))
 
 
 def drawn(page, name):
-    """Return the values of a map as they are drawn, shape (cells,); NaN where there is none."""
+    """Return the drawn values of a map, shape (cells,); NaN where there is none."""
     rows = page.evaluate(f'document.getElementById("{name}").data[0].z')
     return np.array(rows, dtype=float).ravel()
 
 
 def coloured(page, name):
-    """Return the values of the map that a colour is chosen for."""
+    """Return the values of the map that determine its colours."""
     page.check(f'#colour-{name}')
     return drawn(page, 'map')
 
 
 def marked(page, name, grid):
-    """Return the cells that a kind of mark stands on, in their order."""
+    """Return the cells with a kind of mark, in order."""
     marks = f'document.getElementById("map").data.filter((trace) => trace.name === "{name}")'
     points = page.evaluate(f'{marks}.map((trace) => [trace.x, trace.y])')
     if not points:
@@ -135,7 +135,7 @@ def marked(page, name, grid):
 
 
 def move(page, moment):
-    """Move the slider as a user of the keyboard or a mouse does."""
+    """Move the slider like a user of keyboard or mouse."""
     page.evaluate(
         """moment => {
             const slider = document.getElementById('moment');
@@ -156,13 +156,13 @@ def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
         belief, inside = mission.moments[moment].belief, mission.grid.free
         for name in NAMES:
             levels = np.rint(255 * getattr(belief, name))
-            # Kappa is shown where a hazard may be.
+            # Kappa is shown where a hazard is possible.
             hidden = ~inside | ((name == 'kappa') & (np.rint(255 * belief.hazard) <= 12))
             drawn_as = np.rint(255 * coloured(page, name))
             assert np.array_equal(drawn_as, np.where(hidden, np.nan, levels), equal_nan=True)
             small = np.rint(255 * drawn(page, f'small-{name}'))
             assert np.array_equal(small, drawn_as, equal_nan=True)
-        # To a step of 1/255, in which beliefs are in the page.
+        # In steps of 1/255, the resolution of beliefs in the page.
         assert set(marked(page, 'free', GRID)) <= {
             *np.flatnonzero(inside & (belief.hazard <= 0.05))
         }
@@ -182,7 +182,7 @@ def test_layers_are_switched_and_the_truth_is_outlined(opened, shown):
     page = opened()
     move(page, 5)
     assert marked(page, 'true target', GRID) == np.flatnonzero(mission.world.target).tolist()
-    # Of each hazard as many borders as there are cells around it without one.
+    # As many borders of each hazard as it has neighbours without one.
     hazards = {*np.flatnonzero(mission.world.hazard).tolist()}
     borders = 0
     for row, column in (divmod(each, GRID.width) for each in hazards):
@@ -216,7 +216,7 @@ def test_the_lane_of_a_goal_is_drawn_after_the_last_report(opened, shown, tmp_pa
     assert page.evaluate(lines) == []
 
 
-def test_where_a_robot_was_lost_is_listed_marked_and_told_alike(opened, shown):
+def test_lost_at_is_listed_marked_and_stated_consistently(opened, shown):
     mission, _ = shown
     page = opened()
     total = np.zeros(GRID.cells)
@@ -281,7 +281,7 @@ def test_the_path_and_the_readings_of_a_moment_are_drawn(opened, shown):
         assert sum(each is not None for each in traces[5]) == read.count(0)
 
 
-def test_where_a_loss_was_heard_is_drawn(opened, tmp_path):
+def test_last_contacts_are_drawn(opened, tmp_path):
     whole, path = sent_by_single(2), [GRID.base, 1, 2, 3, 2, 1, GRID.base]
     whole.deploy(Observation(path, False, lost_at=[0.0, 0.1, 0.6, 1.0, 0.5, 0.2]))
     mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
@@ -299,7 +299,7 @@ def test_where_a_loss_was_heard_is_drawn(opened, tmp_path):
     assert page.evaluate(drawn)[0] == []
 
 
-def test_hazards_believed_used_up_are_drawn_and_told(opened, shown, tmp_path):
+def test_hazards_believed_used_up_are_drawn_and_listed(opened, shown, tmp_path):
     whole = Shown(dynamics=Dynamics('used_up'))
     for _ in range(6):
         whole.deploy(whole.walk())
@@ -313,7 +313,7 @@ def test_hazards_believed_used_up_are_drawn_and_told(opened, shown, tmp_path):
     assert not opened().locator('#colour-used-up').count()
 
 
-def test_a_cell_that_is_clicked_tells_its_numbers_and_its_history(opened, shown):
+def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     mission, _ = shown
     page = opened()
     box = page.locator('#map .plot-container .nsewdrag').bounding_box()
@@ -333,14 +333,14 @@ def test_a_cell_that_is_clicked_tells_its_numbers_and_its_history(opened, shown)
     expected = [each.belief.hazard[cell] for each in mission.moments]
     assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
     assert page.locator('#map .hoverlayer').text_content().startswith(f'({x:g}, {y:g}): hazard')
-    # A frame is round it.
+    # A frame surrounds it.
     assert page.locator('#cell').inner_text().startswith(f'({x:g}, {y:g}): hazard ')
     page.wait_for_function('document.getElementById("map")._fullLayout.shapes.length')
     for frame in page.evaluate('document.getElementById("map").layout.shapes'):
         assert (frame['x0'] + frame['x1']) / 2 == pytest.approx(x)
         assert (frame['y0'] + frame['y1']) / 2 == pytest.approx(y)
         assert frame['x1'] - frame['x0'] == pytest.approx(mission.grid.resolution)
-    # The arrows of the keyboard go to the next cell.
+    # Arrow keys go to the next cell.
     page.locator('#x').press('ArrowUp')
     page.locator('#y').press('ArrowDown')
     next_to_it = mission.grid.centers([cell + 1 - width])[0]
@@ -353,7 +353,7 @@ def test_a_cell_that_is_clicked_tells_its_numbers_and_its_history(opened, shown)
     assert 'is not in the field' in page.locator('#cell').inner_text()
 
 
-def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_path):
+def test_a_turned_field_is_drawn_upright_with_its_positions(opened, tmp_path):
     grid = replace(GRID, origin=(30.0, -8.0), yaw=0.7)
     mission = read_mission(single(tmp_path / 'mission.mcap', 8, grid=grid))
     page = opened(file=page_file(mission))
@@ -374,7 +374,7 @@ def test_a_turned_field_is_drawn_upright_and_tells_where_it_lies(opened, tmp_pat
         [0, grid.height * grid.resolution],
     )
     assert drawn['xaxis']['title']['text'] == 'along the rows (m)'
-    # The arrows of the frame's axes point where those are among rows and columns; pixels go down.
+    # The frame's arrows point along rows and columns; pixel rows go down.
     arrows = {each['text']: complex(each['ax'], -each['ay']) for each in drawn['annotations']}
     for name, axis in (('x', 1.0), ('y', 1j)):
         assert arrows[name] / abs(arrows[name]) == pytest.approx(axis * np.exp(-0.7j))
@@ -405,12 +405,12 @@ def surveyed(tmp_path_factory):
     return mission, page_file(mission)
 
 
-def test_what_was_found_is_told_on_the_earth(opened, surveyed):
+def test_findings_have_positions_on_the_earth(opened, surveyed):
     mission, file = surveyed
     page = opened(file=file, is_strict=True)
     table = rows(downloaded(page, 'CSV'))
     collection = json.loads(downloaded(page, 'GeoJSON', nth=1).read_text())
-    # As RFC 7946 has it: the coordinates of WGS84 alone, and nothing of another frame.
+    # RFC 7946: coordinates in WGS84 only, and no other frame.
     assert set(collection) == {'type', 'name', 'features'}
     findings = list_findings(mission)
     assert len(findings) == len(collection['features']) == len(table) > 1
@@ -430,7 +430,7 @@ def test_what_was_found_is_told_on_the_earth(opened, surveyed):
         for each in page.evaluate('document.getElementById("map").layout.annotations')
         if each['text'] == 'N'
     )
-    # East lies by the heading clockwise of the frame's x axis, which lies so of the rows.
+    # East is at the heading clockwise from the frame's x axis.
     assert north / abs(north) == pytest.approx(1j * np.exp(-1j * (heading + 0.7)))
 
 
@@ -451,7 +451,7 @@ def test_the_image_of_the_map_lies_under_the_cells(opened, surveyed):
     assert page.evaluate(opacity) == 1
 
 
-def test_a_map_that_is_not_at_hand_is_told(surveyed, tmp_path):
+def test_a_missing_map_is_stated(surveyed, tmp_path):
     mission, file = surveyed
     for content, why in ((None, 'cannot be read'), ('origin: [30.0, -8.0, 0.6]', 'does not lie')):
         told = file.with_name('map.yaml')
@@ -521,8 +521,8 @@ def test_nothing_flows_over_and_nothing_overlaps(opened, two, width):
     assert apart == []
 
 
-def test_it_answers_first(opened):
-    """The questions and the map need no scrolling; no path is on the map yet."""
+def test_answers_come_first(opened):
+    """Questions and map are visible without scrolling, and no path is drawn yet."""
     page = opened(1400, 1000)
     tiles = page.locator('#answers article')
     questions = tiles.locator('h3').all_inner_texts()
@@ -537,7 +537,7 @@ def test_it_answers_first(opened):
 
 
 def asked_in(page):
-    """Return the questions that a page lists in a table, with the places of the answers."""
+    """Return the questions in a page's table, with the places of their answers."""
     text = (Path(__file__).parents[2] / page).read_text()
     return dict(re.findall(r'^\| (.*\?(?: \(.*\))?) \| (.*) \|$', text, re.MULTILINE))
 
@@ -565,7 +565,7 @@ def test_each_question_leads_to_the_place_that_the_documentation_names(
     assert page.is_checked('#colour-robots-lost')
 
 
-def test_tiles_say_what_their_lists_say(opened):
+def test_tiles_agree_with_their_lists(opened):
     page = opened()
     tiles = page.locator('#answers article').all_inner_texts()
 
@@ -595,7 +595,7 @@ def test_arrow_keys_move_without_a_focus_and_leave_other_fields_alone(opened, sh
     page.locator('#x').focus()
     page.keyboard.press('ArrowLeft')
     assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
-    # All that can be used is reached by the tabulator, and shows that it is.
+    # Every control is reached by the tab key and shows its focus.
     page.locator('body').click(position={'x': 2, 'y': 2})
     for _ in range(9):
         page.keyboard.press('Tab')
@@ -643,7 +643,7 @@ def test_the_safest_way_is_that_of_all_ways(opened, shown):
         page.click('#way-to')
         said = page.inner_text('#way')
         assert f'from {base} to {name} ' in said
-        # Bellman and Ford's algorithm.
+        # The algorithm of Bellman and Ford.
         free = np.zeros(grid.cells)
         free[grid.base] = 1.0 - hazard[grid.base]
         for _ in range(grid.cells):
@@ -660,7 +660,7 @@ def test_the_safest_way_is_that_of_all_ways(opened, shown):
     assert page.get_by_role('button', name='GeoJSON').first.is_disabled()
 
 
-def test_what_was_found_is_sorted_and_downloaded(opened, shown):
+def test_findings_are_sorted_and_downloaded(opened, shown):
     mission, _ = shown
     page = opened(is_strict=True)
     page.locator('#findings th button').nth(1).click()
@@ -682,7 +682,7 @@ def test_what_was_found_is_sorted_and_downloaded(opened, shown):
     assert Image.open(downloaded(page, 'Save the map')).format == 'PNG'
 
 
-def test_it_is_printed_on_one_sheet_of_a4_and_two_missions_on_three(opened, shown, two):
+def test_one_mission_prints_on_one_sheet_of_a4_and_two_on_three(opened, shown, two):
     for file, button, plot, sheets in (
         (shown[1], '#play', '#map', 1),
         (two[1], '#take', '#A-hazard', 3),
@@ -696,7 +696,7 @@ def test_it_is_printed_on_one_sheet_of_a4_and_two_missions_on_three(opened, show
         assert len(re.findall(rb'/Type\s*/Page\b', printed)) <= sheets
 
 
-def test_it_is_dark_where_that_is_wanted_and_can_be_changed(opened):
+def test_the_colour_scheme_follows_the_reader_and_can_be_changed(opened):
     def paper(page):
         colour = page.evaluate('getComputedStyle(document.body).backgroundColor')
         return [int(each) for each in colour.removeprefix('rgb(').removesuffix(')').split(',')]
@@ -738,7 +738,7 @@ def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
     assert corners[0] > 700 > 100 > corners[1]
 
 
-def test_a_team_shows_who_is_out(opened, tmp_path):
+def test_a_team_shows_robots_in_flight(opened, tmp_path):
     log, _ = team(tmp_path / 'mission.mcap')
     mission = read_mission(log)
     page = opened(file=page_file(mission))
@@ -776,7 +776,7 @@ def test_two_missions_are_drawn_as_on_record(opened, two):
     assert heads == [*asked_in('docs/reading.md')][: len(heads)]
 
 
-def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
+def test_findings_of_two_missions_are_sorted_and_downloaded(opened, two):
     missions, file = two
     page = opened(file=file, is_strict=True)
     page.locator('#findings th button').last.click()
@@ -797,7 +797,7 @@ def test_what_two_missions_found_is_sorted_and_downloaded(opened, two):
 @pytest.mark.full
 @pytest.mark.skipif(not AXE.exists(), reason=f'npm ci --prefix {AXE.parents[2]} installs axe-core')
 @for_each('scheme, width', product(('light', 'dark'), (1400, 390)))
-def test_everybody_can_use_the_pages(opened, shown, two, scheme, width):
+def test_the_pages_are_accessible(opened, shown, two, scheme, width):
     mission, file = shown
     lost = next(each for each in mission.deployments if not each.outcome.survived)
     for report in (file, two[1]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a report says is what is in the log, of every kind of log, and nothing is half written."""
+"""Reports agree with the log, for every kind of log, and are written whole or not at all."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -44,7 +44,7 @@ def report(log, out):
 
 
 def told(log):
-    """Return the mission of a log, its curves, its page and its table, which need no pictures."""
+    """Return mission, curves, page and table of a log, without pictures."""
     mission = read_mission(log)
     curves = mission_curves(mission)
     html, left_out = page.mission_page(mission, curves)
@@ -85,7 +85,7 @@ def test_the_arrays_are_the_beliefs_on_record(shown):
         assert arrays['hazard_loss'][3] == log_loss(beliefs[3].hazard, world.hazard)
 
 
-def test_the_tables_hold_the_same_and_say_what_the_log_says(shown):
+def test_the_tables_agree_with_the_arrays_and_the_log(shown):
     log, out = shown
     table = parquet.read_table(out / 'deployments.parquet').to_pylist()
     texts = csv.read_csv(
@@ -130,7 +130,7 @@ def test_gaps_are_shown_of_plans_with_a_bound(tmp_path):
     assert gaps == [False, True, False, True]
 
 
-def test_the_last_belief_is_what_another_mission_can_begin_with(shown):
+def test_the_last_belief_can_be_the_prior_of_another_mission(shown):
     log, out = shown
     mission = read_mission(log)
     values = {name: each.default for name, each in node_parameters('estimator').items()}
@@ -149,7 +149,7 @@ def test_the_last_belief_is_what_another_mission_can_begin_with(shown):
 
 @for_each('seed', range(5))
 def test_every_belief_has_maps_that_are_a_belief(seed, tmp_path):
-    """Also where hazard and target leave each other no room."""
+    """Also where hazard and target exclude each other's rounding."""
     rng = np.random.default_rng(seed)
     joint = rng.dirichlet([0.05] * 4, size=20_000)
     joint[:4] = np.eye(4)
@@ -171,7 +171,7 @@ def test_a_team_of_eight_with_silent_losses_and_late_returns(tmp_path):
     assert np.isnan(curves.expected[[each.is_late for each in mission.moments]]).all()
     assert curves.lost[-1] == sum(not each.survived for each in mission.ended)
     assert (np.diff(curves.lost) == -1).sum() == len(late)
-    # The whole round is out before the first of it has reported, seven are when it has.
+    # The whole round is in flight before its first report, seven after it.
     assert curves.out[:9].tolist() == [0, 7, 6, 5, 4, 3, 2, 1, 0]
     assert curves.joint_entropy[0] - curves.joint_entropy[-1] == pytest.approx(
         np.nansum(curves.gained)
@@ -186,7 +186,7 @@ def test_an_unfinished_log(tmp_path):
     assert 'The log is unfinished' in html
 
 
-def test_robots_that_are_still_out(tmp_path):
+def test_robots_in_flight_at_the_end(tmp_path):
     whole = sent_by_single(3)
     whole.send_out(whole.walk().path)
     log = record(tmp_path / 'mission.mcap', whole.sent)
@@ -222,7 +222,7 @@ def test_a_thousand_deployments_in_900_cells(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_page_that_would_be_too_large_says_what_it_leaves_out(tmp_path, monkeypatch):
+def test_a_page_that_would_be_too_large_states_its_omissions(tmp_path, monkeypatch):
     log = single(tmp_path / 'mission.mcap', 12)
     mission = read_mission(log)
     curves = mission_curves(mission)
@@ -238,7 +238,7 @@ def test_a_page_that_would_be_too_large_says_what_it_leaves_out(tmp_path, monkey
         page.mission_page(mission, curves)
 
 
-def test_what_an_estimator_tells_again_is_shown_once(tmp_path):
+def test_repeated_beliefs_are_shown_once(tmp_path):
     whole = sent_by_single(3)
     held, prior = on(whole.sent, '/belief')[-1], on(whole.sent, '/belief')[0]
     log = record(tmp_path / 'mission.mcap', [*whole.sent, prior, held])
@@ -246,12 +246,12 @@ def test_what_an_estimator_tells_again_is_shown_once(tmp_path):
 
 
 def gap(whole, *numbers):
-    """Return what a mission sent, without some of its beliefs and of their views."""
+    """Return a mission's messages without some of its beliefs and their views."""
     beliefs = [on(whole.sent, '/belief')[number] for number in numbers]
     return without(whole.sent, *beliefs)
 
 
-def test_beliefs_that_a_restarted_recorder_missed_are_told_of(tmp_path):
+def test_beliefs_that_a_restarted_recorder_missed_are_stated(tmp_path):
     whole = sent_by_single(6)
     sent = gap(whole, 3)
     before = sent.index(on(whole.sent, '/belief')[4])
@@ -269,7 +269,7 @@ def test_beliefs_that_a_restarted_recorder_missed_are_told_of(tmp_path):
 
 
 def broken(tmp_path):
-    """Return logs that cannot be reported on, with what is to be said."""
+    """Return logs that cannot be reported on, with the error messages."""
     whole = sent_by_single(6)
     none = tmp_path / 'none.mcap'
     none.write_text('no log at all')
@@ -290,7 +290,7 @@ def test_bad_logs_are_refused_and_nothing_is_left(tmp_path, capsys):
         assert set(tmp_path.iterdir()) == there
 
 
-def test_a_mission_of_which_no_robot_left_is_reported(tmp_path):
+def test_a_mission_without_departures_is_reported(tmp_path):
     log = record(tmp_path / 'never.mcap', Mission().sent)
     assert main([str(log), '--out', str(tmp_path / 'out')]) == 0
     page = (tmp_path / 'out' / 'report.html').read_text()
@@ -298,7 +298,7 @@ def test_a_mission_of_which_no_robot_left_is_reported(tmp_path):
     assert re.search(r'None was sent, and \d+ cells are undecided', page)
 
 
-def test_a_folder_that_is_there_is_left_alone(shown, tmp_path, capsys):
+def test_an_existing_folder_is_left_alone(shown, tmp_path, capsys):
     log, _ = shown
     mine = tmp_path / 'mine'
     mine.mkdir()
@@ -311,7 +311,7 @@ def test_a_folder_that_is_there_is_left_alone(shown, tmp_path, capsys):
 
 
 @pytest.mark.processes
-def test_a_disk_that_takes_no_more_leaves_nothing(shown, tmp_path):
+def test_a_full_disk_leaves_no_report(shown, tmp_path):
     log, _ = shown
     little = 100_000
 
@@ -327,7 +327,7 @@ def test_a_disk_that_takes_no_more_leaves_nothing(shown, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_what_others_wrote_into_the_log_is_text_in_the_page(tmp_path):
+def test_strings_of_the_log_are_escaped_in_the_page(tmp_path):
     whole = Shown(GRID)
     agent = 'scout"><script>alert(1)<'
     seen = whole.walk()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a mission that runs, in a real browser: it follows the log and says how that is."""
+"""The page of a running mission, in a real browser: it follows the log and shows its state."""
 
 from contextlib import contextmanager
 import http.client
@@ -26,7 +26,7 @@ SENT = sent_by_single(6).sent
 
 @contextmanager
 def opened(browser, log):
-    """Yield the page of a log in a tab that may ask its own server alone."""
+    """Yield the page of a log in a tab that may request its own server only."""
     asked = []
     with serving(log, None, watch.HOST, 0) as address:
         page = browser.new_context(bypass_csp=True).new_page()
@@ -56,7 +56,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         says(page, 'Following the log')
         until(page, 'Number(document.getElementById("moment").max) > 0')
         assert int(page.get_attribute('#moment', 'max')) < 6
-        # It is drawn in place: what was chosen stays.
+        # Redrawn in place: choices stay.
         page.evaluate('window.chosen = 1')
         page.locator('#deployments th button').nth(3).click()
         page.locator('#deployments th button').nth(3).click()
@@ -88,7 +88,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         says(page, 'has not grown for')
         log.close()
         says(page, 'is finished')
-        # A mission that is gone on with writes another file.
+        # A resumed mission writes another file.
         with LogWriter(path, resume=True) as resumed:
             record_to(resumed, SENT[-1:], synced=True)
             says(page, 'Following the log')
@@ -99,7 +99,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
     ]
 
 
-def test_a_log_that_is_replaced_is_shown_anew_and_two_may_look(browser, tmp_path):
+def test_a_replaced_log_is_shown_anew_in_two_tabs(browser, tmp_path):
     path = record(tmp_path / 'mission.mcap', SENT)
     with opened(browser, path) as page, opened(browser, path) as other:
         for watching in (page, other):
@@ -149,7 +149,7 @@ def test_a_demo_is_followed_when_its_recorder_is_killed_and_when_it_is_resumed(b
     }
 
 
-def test_the_end_of_the_command_is_told(browser, tmp_path):
+def test_the_end_of_the_command_is_shown(browser, tmp_path):
     path = record(tmp_path / 'mission.mcap', SENT)
     page = browser.new_context(bypass_csp=True).new_page()
     with serving(path, None, watch.HOST, 0) as address:
@@ -174,7 +174,7 @@ def test_another_site_cannot_read_it(tmp_path):
             connection.close()
 
 
-def test_what_cannot_be_served_is_refused(tmp_path, monkeypatch, capsys):
+def test_bad_options_are_refused(tmp_path, monkeypatch, capsys):
     path = record(tmp_path / 'mission.mcap', SENT)
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'empty').mkdir()

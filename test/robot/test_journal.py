@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The journal of a robot after any loss of power, corruption, or mix-up."""
+"""The journal of a robot after power loss, corruption, or a mix-up."""
 
 from copy import deepcopy
 import os
@@ -16,7 +16,7 @@ import pytest
 GRID = Grid(4, 3, blocked=[5])
 ORDERS = (0, 1, 2, 1, 0)
 
-# What a robot does, one after another: leave, come to a cell, read something there, come home.
+# A robot's events in order: leave, enter a cell, read it, come home.
 DOINGS = st.lists(st.integers(0, 5), max_size=30)
 
 
@@ -25,7 +25,7 @@ def opened(path, agent='scout_1', grid=GRID):
 
 
 def live(journal, doings):
-    """Have a robot do what it can of this; yield what is on record after each line."""
+    """Apply events as far as possible; yield the recorded state after each line."""
     deployment = None
     for number, doing in enumerate(doings):
         if deployment is None:
@@ -51,9 +51,7 @@ def reopened(path):
 
 @pytest.mark.slow
 @given(doings=DOINGS, data=st.data())
-def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
-    tmp_path_factory, doings, data
-):
+def test_a_power_loss_at_any_byte_loses_at_most_the_unsynced_line(tmp_path_factory, doings, data):
     path = tmp_path_factory.mktemp('journal') / 'journal'
     journal = opened(path)
     states, ends = [[]], [path.stat().st_size]
@@ -64,12 +62,12 @@ def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
     content = path.read_bytes()
     end = data.draw(st.integers(0, len(content)))
     lines = sum(each <= end for each in ends)
-    # Of a torn line, blocks may be on the disk that were given to the file and never written.
+    # The end of a torn line may be blocks that were allocated but never written.
     path.write_bytes(content[:end] + bytes(data.draw(st.integers(0, 50))))
     journal = reopened(path)
     assert journal.deployments == states[max(lines - 1, 0)]
     assert path.read_bytes() == content[: ends[max(lines - 1, 0)]]
-    # It is gone on with as if nothing had happened.
+    # The robot resumes from it.
     journal = opened(path)
     assert not journal.corruption
     deployment = Deployment(9999, 7, ORDERS)
@@ -80,7 +78,7 @@ def test_a_loss_of_power_at_any_byte_takes_at_most_the_line_that_was_not_synced(
 
 @pytest.mark.slow
 @given(doings=DOINGS, data=st.data())
-def test_corruption_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_factory, doings, data):
+def test_lines_after_corruption_are_cut_off_and_kept_beside(tmp_path_factory, doings, data):
     path = tmp_path_factory.mktemp('journal') / 'journal'
     journal = opened(path)
     states = [[], *live(journal, doings)]
@@ -98,7 +96,7 @@ def test_corruption_cuts_off_what_follows_it_and_keeps_that_beside(tmp_path_fact
     assert str(path) in journal.corruption
     kept = [each for each in path.parent.iterdir() if 'corrupt' in each.name]
     together = path.read_bytes() + (kept[0].read_bytes() if kept else b'')
-    # A last line that was torn is not kept: nobody has acted on it.
+    # A torn last line is not kept: nobody has acted on it.
     assert bytes(content).startswith(together)
     cut = bytes(content).removeprefix(together)
     assert kept or b'\n' not in cut
@@ -126,7 +124,7 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
         journal.depart(deployment)
         content = path.read_bytes()
         journal.close()
-        # A robot that is out is on that field.
+        # A robot in flight is in that field.
         with pytest.raises(JournalError, match=r'has grid .*here it is '):
             opened(path, grid=Grid(6, 6))
         assert path.read_bytes() == content
@@ -137,7 +135,7 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
 
 
 @for_each('content', [b'my letters\n', b'my letters', b'\n', b'x' * 100])
-def test_what_is_no_journal_is_refused_and_left_as_it_is(tmp_path, content):
+def test_other_files_are_refused_and_left_alone(tmp_path, content):
     path = tmp_path / 'letters'
     path.write_bytes(content)
     with pytest.raises(JournalError, match='letters is no journal of a robot'):
@@ -153,14 +151,14 @@ def test_two_processes_never_write_one_journal(tmp_path):
     opened(tmp_path / 'journal').close()
 
 
-def test_a_disk_that_is_full_takes_nothing_from_what_is_on_it(tmp_path):
+def test_a_full_disk_loses_no_recorded_line(tmp_path):
     path = tmp_path / 'journal'
     journal = opened(path)
     deployment = Deployment(1, 7, ORDERS)
     journal.depart(deployment)
     size = path.stat().st_size
     refused = f'File too large: {str(path)!r}'
-    # A part of the next line has room.
+    # Part of the next line fits.
     with room_for(size + 10):
         for number in range(3):
             deployment.steps.append(Step(number, number, 1))
@@ -172,7 +170,7 @@ def test_a_disk_that_is_full_takes_nothing_from_what_is_on_it(tmp_path):
         with pytest.raises(OSError, match=refused):
             journal.depart(Deployment(2, 7, ORDERS))
     assert len(journal.deployments) == 1
-    # With room again all is written that was kept in memory, in its order.
+    # With room again, pending lines are written in order.
     journal.write()
     journal.close()
     (known,) = reopened(path).deployments

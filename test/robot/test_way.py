@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which way a robot is driven, where it is, and what of its walk is reported."""
+"""How a robot is driven, where it is, and the walk that it reports."""
 
 from contextlib import suppress
 from itertools import pairwise
@@ -24,7 +24,7 @@ GRID = Grid(6, 5, base=7, resolution=0.5, origin=(-1.0, 2.0), blocked=[2, 9, 14,
 
 
 def wander(data, grid, steps, start=None):
-    """Return a way drawn at random."""
+    """Return a random path."""
     way = [grid.base if start is None else start]
     for _ in range(steps):
         way.append(data.draw(st.sampled_from(grid.neighbors(way[-1]).tolist())))
@@ -66,7 +66,7 @@ def test_a_way_without_loops_goes_where_the_way_went(data, steps):
 
 
 @given(data=st.data(), steps=st.integers(0, 40), most=st.integers(1, 45))
-def test_of_a_long_walk_steps_are_told_that_were_made_and_make_a_walk(data, steps, most):
+def test_a_long_walk_is_reported_as_a_shorter_true_walk(data, steps, most):
     cells = home(GRID, wander(data, GRID, steps))
     told = steps_within(cells, most)
     if len(cells) - 1 <= most:
@@ -75,17 +75,17 @@ def test_of_a_long_walk_steps_are_told_that_were_made_and_make_a_walk(data, step
     assert len(told) <= most
     assert all(before < after for before, after in pairwise(told))
     walk = [GRID.base, *(cells[number] for number in told)]
-    # Each step begins where it truly began, and the last one ends at the base.
+    # Each step starts at its true cell, and the last one ends at the base.
     assert [cells[number - 1] for number in told] == walk[:-1]
     assert walk[-1] == GRID.base
-    # As far as it goes: no walk of more of its first steps has a way home of steps that follow.
+    # As many as possible: no walk of more first steps has a later way home.
     first = sum(number == place for place, number in enumerate(told, 1))
     for further in range(first + 1, most + 1):
         assert further + shortest_of_later_steps(cells, further) > most
 
 
 def shortest_of_later_steps(cells, start):
-    """Return how many steps the last ways out of the cells take home, one after another."""
+    """Return the number of steps of the last ways out of the cells until home."""
     steps, cell = 0, cells[start]
     while cell != GRID.base:
         last = max(number for number, each in enumerate(cells) if each == cell)
@@ -93,7 +93,7 @@ def shortest_of_later_steps(cells, start):
     return steps
 
 
-def test_the_loops_of_a_walk_that_come_last_are_left_out():
+def test_the_last_loops_of_a_walk_are_left_out():
     lost = [0, 1, *[2, 3] * 50, 2, 1, 0]
     assert steps_within(lost, 10) == [1, 2, 3, 4, 5, 6, 7, 8, 103, 104]
     # There and back by another way: no part of it leads home sooner.
@@ -109,7 +109,7 @@ def test_the_shortest_way_is_as_long_as_the_grid_says():
 
 
 @given(data=st.data(), steps=st.integers(1, 30), connectivity=st.sampled_from([4, 8]))
-def test_a_walk_is_one_whatever_positions_come(data, steps, connectivity):
+def test_any_positions_make_a_walk(data, steps, connectivity):
     grid = Grid(
         6, 5, base=7, resolution=0.5, origin=(-1.0, 2.0), blocked=[2, 9], connectivity=connectivity
     )
@@ -125,7 +125,7 @@ def test_a_walk_is_one_whatever_positions_come(data, steps, connectivity):
 
 @given(data=st.data(), steps=st.integers(0, 12), noise=st.floats(0, 0.045))
 def test_a_robot_on_its_orders_walks_them(data, steps, noise):
-    """Positions along straight lines between the middles of the cells, with some noise."""
+    """Positions on straight lines between centres of cells, with noise."""
     orders = home(GRID, wander(data, GRID, steps))
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     walk, cells = Walk(GRID, GRID.base, patience=1.0), [GRID.base]
@@ -173,7 +173,7 @@ def test_a_leg_is_tried_again_from_where_the_robot_is_then_it_goes_home_as_it_ca
     enter(1)
     itinerary.fail()
     assert itinerary.next_leg(walk) == (1, 2, 3, 12, 11, 10)
-    # Beside its way, the robot makes for the same cells; with progress it is tried as often again.
+    # From beside its path the robot heads for the same cells; progress resets the attempts.
     enter(10)
     enter(2)
     itinerary.fail()
@@ -205,7 +205,7 @@ def test_stays_and_legs_follow_each_other_until_the_robot_goes_home():
     assert itinerary.next_leg(walk) == (0,)
 
 
-# The walk of a robot that is localised where it cannot be.
+# The walk of a robot with impossible positions.
 
 
 WALKED = Grid(20, 20)
@@ -213,7 +213,7 @@ PATIENCE, TICK = 0.35, 0.1
 
 
 def follow(walk, places):
-    """Have a walk see a robot at these places, one after another."""
+    """Pass positions to a walk, one after another."""
     for number, (x, y) in enumerate(places):
         with suppress(ValueError):
             walk.follow(x, y, number * TICK)
@@ -237,7 +237,7 @@ def test_a_walk_is_doubted_by_a_lasting_jump_that_is_faster_than_the_robot(seed)
             assert bool(walk.doubt) == (is_doubted and max_speed > 0)
 
 
-def test_a_robot_that_was_not_seen_for_long_enough_has_made_its_way():
+def test_a_robot_without_positions_for_long_enough_has_made_its_way():
     for gap, is_doubted in ((6.0, False), (2.0, True)):
         walk = Walk(WALKED, 0, PATIENCE, max_speed=1.0)
         walk.follow(0.5, 0.5, 0.0)
@@ -270,7 +270,7 @@ def test_a_walk_in_a_turned_field_is_the_same(seed):
     assert len(been) > 1
 
 
-# In which step a robot was, against a record of every moment.
+# The step in which a robot was, against a record of every moment.
 
 
 times = st.integers(0, 60)
@@ -303,7 +303,7 @@ def test_a_time_is_in_a_step_if_the_robot_was_seen_there_before_after_and_often(
     assert whereabouts.step_within(since, until) == expected
 
 
-def test_what_was_long_ago_is_forgotten():
+def test_old_positions_are_forgotten():
     whereabouts = Whereabouts(10, 10)
     for time in range(100):
         whereabouts.note(time, 1 + time // 4)
