@@ -10,7 +10,7 @@ import sys
 
 from disk import room_for
 from kbnitp_ros.cli.replay import main
-from kbnitp_ros.log.files import LogError, log_parts
+from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.mcap_file import repair
 from kbnitp_ros.log.read import is_finished, read_log, read_metadata, read_part, RecordedMessage
 from kbnitp_ros.log.schema import BagFile, write_metadata
