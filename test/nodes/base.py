@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of a base, and the test in place of its agents and its operator."""
+"""The nodes of a base; the test plays its agents and its operator."""
 
 from math import inf
 import time
@@ -21,25 +21,25 @@ PARAMETERS = {
     'prior.hazard': 0.1,
     'robots': 4,
     'recorded': True,
-    # The agents that the test plays do not say when their robots depart.
+    # Agents played by the test do not state departures.
     'presume_departure': True,
 }
 NODES = ('recorder', 'estimator', 'planner')
 AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}
 
-# A call that has no answer after so many seconds, and led to no action, was heard by nobody: DDS
-# may take a planner that was killed for alive for another 20.
+# Seconds after which an unanswered call without an action is repeated: DDS may take a killed
+# planner for alive for another 20.
 HEARD = 15.0
 
 SERVICES = {'pause': SetBool, 'approve': SetBool, 'give_up': GiveUp, 'end_mission': Trigger}
 
 
 class Base:
-    """Planner, estimator and recorder, and the test in place of agents and operator."""
+    """Planner, estimator and recorder; the test plays agents and operator."""
 
     def __init__(self, field, agents=('scout_1',), **parameters):
         self.field = field
-        # Of a folder that the recorder makes.
+        # In a folder that the recorder makes.
         self.log = field.folder / 'log' / 'mission.mcap'
         self.parameters = {**PARAMETERS, 'agents': list(agents), **parameters}
         self.paths = {each: field.listen(Path, f'/{each}/path') for each in agents}
@@ -52,7 +52,7 @@ class Base:
             each: field.node.create_publisher(DeploymentReport, f'/{each}/report', qos.EVIDENCE)
             for each in agents
         }
-        # Such as are known to a planner that starts: a new one would find that which was killed.
+        # Nodes known to a planner that starts: a new one would find the killed ones.
         self.clients = {
             name: field.node.create_client(kind, f'/{name}') for name, kind in SERVICES.items()
         }
@@ -65,12 +65,12 @@ class Base:
             self.field.start(node, {**self.parameters, **awaited, **own})
 
     def crash(self):
-        """Kill all nodes at once, and go on with what is on disk."""
+        """Kill all nodes at once, and restart them from the disk."""
         for node in NODES:
             self.field.processes.started[f'/{node}'].kill()
         for node in NODES:
             self.field.kill(f'/{node}')
-        # DDS knows of the service for some time yet: whoever calls it is heard by nobody.
+        # DDS lists the old service for some time: calls to it go nowhere.
         client = self.clients['end_mission']
         assert client.service_is_ready()
         self.lost_calls.append(client.call_async(Trigger.Request()))
@@ -79,7 +79,7 @@ class Base:
         self.start(resume=str(self.log))
 
     def call(self, service, **request):
-        """Return the answer of a service; it is called again if nobody heard the call."""
+        """Return the answer of a service; repeat a call that was not received."""
         client = self.clients[service]
         self.field.until(client.service_is_ready, f'service {service}')
         decided, calls, called_at = self.decided(), [], -inf
@@ -95,34 +95,34 @@ class Base:
         return next(call.result() for call in calls if call.done())
 
     def decided(self):
-        """Return the times of all actions that were heard of."""
+        """Return the times of all received actions."""
         return {(each.header.stamp.sec, each.header.stamp.nanosec) for each in self.actions}
 
     def do(self, service, **request):
-        """Have something done, and return what the planner says to it."""
+        """Call a service that must succeed; return its message."""
         answer = self.call(service, **request)
         assert answer.success, answer.message
         return answer.message
 
     def refused(self, service, **request):
-        """Return why something is not done."""
+        """Return the reason for which a call is refused."""
         answer = self.call(service, **request)
         assert not answer.success
         return answer.message
 
     def proposed(self, agent='scout_1'):
-        """Wait until a path is proposed, and return its cells."""
+        """Wait for a proposed path, and return its cells."""
         shown = self.proposals[agent]
         self.field.until(lambda: shown and shown[-1].poses, f'proposal for {agent}')
         return read_path(GRID, agent, shown[-1])[1].tolist()
 
     def sent(self, agent='scout_1'):
-        """Return the ways of the robots of an agent that have left."""
+        """Return the paths of an agent's robots that have departed."""
         ways = dict(read_path(GRID, agent, path) for path in self.paths[agent])
         return [ways[key].tolist() for key in sorted(ways)]
 
     def recorded(self, number, agent='scout_1'):
-        """Say whether so many paths of an agent are on disk, as far as that was told."""
+        """Return whether `count` paths of an agent are confirmed to be on disk."""
         return len({each.content for each in self.acknowledged[agent]}) >= number
 
     def until_sent(self, number, agent='scout_1'):
@@ -137,13 +137,13 @@ class Base:
         )
 
     def come_back(self, agent='scout_1'):
-        """Report that the newest robot of an agent is back."""
+        """Report that the newest robot of an agent returned."""
         key, cells = read_path(GRID, agent, self.paths[agent][-1])
         home = Observation(cells, True, [False] * (len(cells) - 1))
         self.reports[agent].publish(report_message(key, home, key.stamp + 1))
 
     def replayed(self):
-        """End all nodes and return what a replay of the log says, which must be bit-exact."""
+        """End all nodes and return the replay of the log, which must be bit-exact."""
         for name, code in self.field.processes.stop(60).items():
             assert code == 0, self.field.said(name)
         report = replay(self.log)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real nodes in processes of their own, and a node in the test that talks to them over DDS."""
+"""Real nodes in separate processes, and a node in the test that talks to them over DDS."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -28,7 +28,7 @@ PATIENCE = 60.0  # seconds; on a quiet machine nothing takes a tenth of it unles
 
 
 class Field:
-    """A ROS domain with nodes as processes, and a node of the test's own."""
+    """A ROS domain with nodes as processes, and the test's own node."""
 
     def __init__(self, processes, node, folder):
         self.processes = processes
@@ -44,7 +44,7 @@ class Field:
         )
 
     def start(self, name, parameters=None, namespace='/', remaps=None):
-        """Start a node with those of the parameters that it has, and return its process."""
+        """Start a node with those of the parameters that it has; return its process."""
         given = {
             each: value
             for each, value in (parameters or {}).items()
@@ -58,7 +58,7 @@ class Field:
             )
 
     def start_mission(self, parameters, namespace='/', log=None):
-        """Start the nodes of a mission, with a recorder only if there is a log."""
+        """Start the nodes of a mission, with a recorder if there is a log."""
         if log is not None:
             parameters = {**parameters, 'file': str(log)}
         recorder = []
@@ -73,27 +73,27 @@ class Field:
             self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
 
     def keep_fewer(self, depth):
-        """Have nodes started from now on keep so many paths and reports for who joins late."""
+        """Limit the paths and reports that nodes started from now on keep for late joiners."""
         if not isinstance(self.processes, ForkedProcesses):
             pytest.skip('only forked nodes can keep fewer')
         self.processes.depth = depth
 
     def kill(self, full_name):
-        """End a node without warning; it may be started again, and has said nothing yet."""
+        """Kill a node, which may be started again, and forget its messages."""
         process = self.processes.started.pop(full_name)
         process.kill()
         process.wait()
         self._diagnosed.pop(full_name, None)
 
     def set_aside(self, full_name):
-        """Let go on a node of the name of which another is to be started."""
+        """Keep a node aside, so that another of its name can be started."""
         number = sum(name.startswith(f'{full_name} ') for name in self._outputs) + 1
         aside = f'{full_name} {number}'
         self.processes.started[aside] = self.processes.started.pop(full_name)
         self._outputs[aside] = self._outputs[full_name]
 
     def said(self, full_name):
-        """Return what a node wrote to its terminal."""
+        """Return the console output of a node."""
         return self._outputs[full_name].read_text()
 
     def _keep_diagnostics(self, array):
@@ -110,7 +110,7 @@ class Field:
         return self._diagnosed_at.get(full_name)
 
     def state(self, full_name):
-        """Return what a node says it does; an empty text before the first diagnostics."""
+        """Return a node's state; an empty text before the first diagnostics."""
         return self.told(full_name, 'state')
 
     def told(self, full_name, key):
@@ -123,7 +123,7 @@ class Field:
         return int(self.told(full_name, key) or -1)
 
     def listen(self, kind, topic, *, volatile=False):
-        """Subscribe, and return the list that the messages go to."""
+        """Subscribe, and return the list that receives the messages."""
         messages = []
         durability = DurabilityPolicy.VOLATILE if volatile else DurabilityPolicy.TRANSIENT_LOCAL
         profile = QoSProfile(depth=1000, durability=durability)
@@ -131,13 +131,13 @@ class Field:
         return messages
 
     def talk(self, kind, topic, profile=qos.EVIDENCE):
-        """Return a publisher, once somebody listens to it."""
+        """Return a publisher, once it has a subscriber."""
         publisher = self.node.create_publisher(kind, topic, profile)
         self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
         return publisher
 
     def set_parameter(self, full_name, name, value):
-        """Change a parameter of a node as `ros2 param set` does; return what the node answers."""
+        """Change a parameter of a node like `ros2 param set`; return the node's answer."""
         client = self.node.create_client(SetParameters, f'{full_name}/set_parameters')
         self.until(client.service_is_ready, f'services of {full_name}')
         wanted = Parameter(name, value=value).to_parameter_msg()
@@ -146,13 +146,13 @@ class Field:
         return answer.result().results[0]
 
     def let_depart(self, namespace=''):
-        """Tell the agents of a mission, in place of its planner, that robots may depart."""
+        """Allow departures to the agents of a mission, in place of its planner."""
         publisher = self.node.create_publisher(Bool, f'{namespace}/hold', qos.LATCHED)
         publisher.publish(Bool(data=False))
         return publisher
 
     def record_departures(self, agent):
-        """Tell an agent, in place of a recorder, what departures are on disk; list statuses."""
+        """Confirm departures to an agent, in place of a recorder; return its statuses."""
         told = []
         publisher = self.node.create_publisher(Recorded, f'/{agent}/recorded', qos.EVIDENCE)
 
@@ -165,7 +165,7 @@ class Field:
         return told
 
     def until(self, condition, what, patience=PATIENCE, *, may_end=False):
-        """Handle messages until something holds; no node may end meanwhile unless told so."""
+        """Handle messages until a condition holds; no node may end meanwhile by default."""
         deadline = time.monotonic() + patience
         while not condition():
             states = {name: self.state(name) for name in self._diagnosed}
@@ -175,7 +175,7 @@ class Field:
             self.executor.spin_once(timeout_sec=0.02)
 
     def until_failed(self, full_name):
-        """Handle messages until a node has given up; return its exit code and its last words."""
+        """Handle messages until a node has failed; return its exit code and last output."""
         process = self.processes.started[full_name]
         self.until(
             lambda: (
@@ -188,7 +188,7 @@ class Field:
         return process.returncode, self.diagnosed(full_name).message
 
     def until_refused(self, full_name, times):
-        """Handle messages until a node has refused so many, and return its words on the last."""
+        """Handle messages until a node has refused `count`; return its message on the last."""
         self.until(lambda: self.count(full_name, 'refused') >= times, f'refusal {times}')
         status = self.diagnosed(full_name)
         assert self.count(full_name, 'refused') == times
@@ -198,7 +198,7 @@ class Field:
 
 @pytest.fixture
 def system_clock(tmp_path, monkeypatch):
-    """Return a file: once it is there, the system's clock is years back for nodes started now."""
+    """Return a file: while it exists, nodes that start have a system clock years back."""
     library, file = tmp_path / 'set_back.so', tmp_path / 'set_back'
     source = Path(__file__).with_name('set_back.c')
     subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
@@ -209,7 +209,7 @@ def system_clock(tmp_path, monkeypatch):
 
 @pytest.fixture
 def field(request, server, tmp_path, monkeypatch):
-    """Provide a domain that nobody else uses; all that was started on it must end well."""
+    """Provide a domain that is not used otherwise; all processes on it must end well."""
     anew = request.node.get_closest_marker('interpreter') or COVERED
     with ExitStack() as stack:
         domain = stack.enter_context(free_domain())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated agent traverses sound paths, each once, and keeps its world to itself."""
+"""The simulated agent traverses valid paths, each once, and hides its world."""
 
 import time
 
@@ -21,12 +21,12 @@ PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
 
 @pytest.fixture(autouse=True)
 def departing(field):
-    """Let robots depart."""
+    """Allow departures."""
     field.let_depart()
 
 
 def expected_reports(world, model, seed, paths):
-    """Return what becomes of robots sent along these paths, by core alone."""
+    """Return the fates of robots on these paths, by the core."""
     rng = np.random.default_rng(seed)
     if world is None:
         world = World.random(GRID, rng, 0.15, 0.8, 0.1)
@@ -59,7 +59,7 @@ def test_each_path_is_traversed_once_and_bad_ones_never(field):
 
 
 @pytest.mark.interpreter
-def test_a_robot_on_its_way_returns_though_the_system_s_clock_is_set_back(system_clock, field):
+def test_a_robot_returns_though_the_system_clock_is_set_back(system_clock, field):
     reports = field.listen(DeploymentReport, '/scout_1/report')
     field.start('agent', {**PARAMETERS, 'step_period': 1.0})
     paths = field.talk(Path, '/scout_1/path')
@@ -120,7 +120,7 @@ def test_a_robot_leaves_when_its_path_is_on_disk(field):
         paths.publish(path(number))
     field.until(lambda: field.count('/agent', 'waiting') == 3, 'three paths')
     assert not reports
-    # A later path on disk says nothing of the one before.
+    # A later path on disk does not confirm an earlier one.
     recorded.publish(on_disk(path(2)))
     field.until(lambda: field.count('/agent', 'waiting') == 2, 'a robot to leave')
     field.until(lambda: len(reports) == 1, 'report')
@@ -130,10 +130,10 @@ def test_a_robot_leaves_when_its_path_is_on_disk(field):
     assert [read_report(report)[0] for report in reports] == [key(2), key(3), key(1)]
 
 
-def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_have(field):
+def test_a_robot_that_was_given_up_returns_to_a_resumed_agent(field):
     log = field.folder / 'mission.mcap'
     tours = [HOME, [0, 4, 8, 4, 0], HOME, [0, 1, 2, 3, 2, 1, 0]]
-    # Nobody is lost, and what a robot reads is as good as drawn.
+    # No robot is lost, and readings are effectively random.
     model = {'lethality': 0.0, 'malfunction': 0.0, 'true_positive': 0.5, 'false_positive': 0.5}
     expected = list(expected_reports(None, SensorModel(**model), PARAMETERS['seed'], tours))
     assert all(report.survived for report in expected)
@@ -156,7 +156,7 @@ def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_hav
     parameters = {f'sensor.{name}': value for name, value in model.items()}
     field.start('agent', {**PARAMETERS, **parameters, 'silent_loss': True, 'resume': str(log)})
     paths = field.talk(Path, '/scout_1/path')
-    # The second and the third are offered in another order than they had.
+    # The second and the third order arrive in reverse.
     for number in (2, 0, 1, 3):
         paths.publish(path(number, tours[number]))
     field.until(lambda: len(reports) == 4, 'reports')
@@ -165,11 +165,11 @@ def test_a_robot_that_was_given_up_comes_back_to_a_resumed_agent_as_it_would_hav
     ]
 
 
-def test_no_robot_waits_for_ever_for_a_path_before_its_own_that_never_comes(field):
+def test_no_robot_waits_for_ever_for_an_earlier_path(field):
     reports = {name: field.listen(DeploymentReport, f'/{name}/report') for name in ('a', 'b')}
     field.start('agent', {**PARAMETERS, 'agents': ['a', 'b'], 'hazards.dynamics': 'used_up'})
     paths = {name: field.talk(Path, f'/{name}/path') for name in reports}
-    # In the round of the last one the first agent has no part.
+    # The first agent has no order in the last round.
     paths['b'].publish(path(2))
     field.until(lambda: 'the path of a in the same round' in field.state('/agent'), 'wait')
     assert not reports['b']
@@ -179,7 +179,7 @@ def test_no_robot_waits_for_ever_for_a_path_before_its_own_that_never_comes(fiel
     field.until(lambda: len(reports['b']) == 2, 'report of a robot that leaves alone')
 
 
-def test_no_robot_waits_for_an_agent_whose_robot_is_out(field):
+def test_no_robot_waits_for_an_agent_with_a_robot_in_flight(field):
     agents = {'agents': ['a', 'b'], 'hazards.dynamics': 'used_up'}
     slow = {'step_period': 1000.0, 'team.b.step_period': 0.001}
     field.start('agent', {**PARAMETERS, **agents, **slow})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Silence of a robot that may be at its base teaches nothing, and a pause keeps robots there."""
+"""Silent robots at their base count as no evidence, and a pause keeps robots there."""
 
 import os
 import time
@@ -28,7 +28,7 @@ SILENT = {
 
 
 class StatedBase(Base):
-    """A base that takes silence for loss, and the test as agents that say when they depart."""
+    """A base that takes silence for loss; the test plays agents that state departures."""
 
     def __init__(self, field, agents=('scout_1',), **parameters):
         self.statuses = {
@@ -40,21 +40,21 @@ class StatedBase(Base):
         super().__init__(field, agents, **{**SILENT, **parameters})
 
     def say(self, state, reason='', agent='scout_1', stamp=None):
-        """Say what becomes of the newest order; return the message."""
+        """Publish the status of the newest order; return the message."""
         key = max(read_path(GRID, agent, path)[0] for path in self.paths[agent])
         message = status_message(key, state, key.stamp if stamp is None else stamp, reason)
         self.statuses[agent].publish(message)
         return message
 
     def until_named(self, message, agent='scout_1'):
-        """Wait until a path or a departure is said to be on disk."""
+        """Wait until a path or a departure is confirmed to be on disk."""
         content = content_hash(message)
         self.field.until(
             lambda: content in [each.content for each in self.acknowledged[agent]], 'record'
         )
 
 
-def test_a_robot_at_its_base_is_not_lost_whoever_says_so(field):
+def test_a_robot_at_its_base_is_never_lost(field):
     base = StatedBase(field, robots=2, silent_loss=False)
     base.until_sent(1)
     base.say(OrderState.ACCEPTED)
@@ -76,12 +76,12 @@ def test_a_robot_at_its_base_is_not_lost_whoever_says_so(field):
 def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(field):
     base = StatedBase(field, robots=2)
     base.until_sent(1)
-    # Neither silence nor acceptance says that it has left, however long it lasts.
+    # Neither silence nor acceptance is a departure, however long it lasts.
     base.say(OrderState.ACCEPTED)
     base.until_state('to depart: its agent reports that on /scout_1/status')
     told = base.refused('give_up', agent='scout_1', steps_survived=0)
     assert 'has not reported its departure, so it cannot be declared lost' in told
-    # Longer than the deadline of one that departed.
+    # Longer than the deadline after a departure.
     begun = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > begun + 3 * 10**9, 'three seconds')
     assert not base.heard['scout_1']
@@ -97,11 +97,11 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     assert f'{newest} leaves for' in field.said('/planner')
     field.until(lambda: base.progress[-1].out == 0, 'nobody to be out')
     assert max(each.out for each in base.progress) <= 1
-    # The order that was refused is none of the mission's robots, after any crash.
+    # After any crash, the refused order is none of the mission's deployments.
     base.until_sent(3)
     base.until_named(base.paths['scout_1'][-1])
     base.crash()
-    # On record are two orders that count: the planner sends those again, and no third.
+    # The log has two orders that count: the planner resends them, and no third.
     base.until_named(base.say(OrderState.DEPARTED))
     base.until_held(2)
     base.until_state('done: 2 of 2')
@@ -113,10 +113,8 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
 
 @pytest.mark.full
 @pytest.mark.interpreter
-def test_deadlines_begin_with_departures_on_record_whatever_becomes_of_the_clock(
-    system_clock, field
-):
-    """A base that comes up with a time of years ago, gets that of now, and loses it again."""
+def test_deadlines_start_with_recorded_departures_under_any_clock(system_clock, field):
+    """The base starts with a clock of years ago, gets the present time, and loses it again."""
     deadline = 8.0
     system_clock.touch()
     base = StatedBase(field, robots=2, return_deadline=deadline)
@@ -140,7 +138,7 @@ def test_deadlines_begin_with_departures_on_record_whatever_becomes_of_the_clock
     assert len(base.replayed().evidence.reports) == 2
 
 
-def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
+def test_bad_statuses_are_refused_by_name_and_counted(field):
     base = StatedBase(field, robots=1, return_deadline=1000.0)
     base.until_sent(1)
     key = read_path(GRID, 'scout_1', base.paths['scout_1'][0])[0]
@@ -150,10 +148,10 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     other = status_message(DeploymentKey('scout_2', key.stamp), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(other)
     assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)
-    # The recorder waits for the path of a departure that it does not know, and then refuses it.
+    # The recorder waits for the path of an unknown departure, and then refuses the departure.
     field.until(lambda: field.count('/recorder', 'refused') == 2, 'refusals by the recorder')
     assert 'its path is not on record' in field.said('/recorder')
-    # A report that does not fit the path keeps no robot from departing.
+    # A report that does not fit the path blocks no departure.
     jump = Observation([0, GRID.cells - 1, 0], True, [False, False])
     base.reports['scout_1'].publish(report_message(key, jump, 1))
     assert 'path jumps at step 1' in field.until_refused('/planner', 3)
@@ -164,21 +162,21 @@ def test_statuses_that_cannot_be_are_refused_by_name_and_counted(field):
     ):
         base.say(state, reason, stamp=key.stamp + 1)
         assert 'and was DEPARTED before' in field.until_refused('/planner', number)
-    # Only the departure that came first is said to be on disk.
+    # Only the first departure is confirmed to be on disk.
     departures = [each for each in base.acknowledged['scout_1'] if from_stamp(each.stamp)]
     assert len({each.content for each in departures}) == 2
     base.come_back()
     base.until_state('done: 1 of 1')
     base.say(OrderState.REFUSED, 'too late', stamp=key.stamp + 2)
     field.until_refused('/planner', 7)
-    # The same once more is no news.
+    # A duplicate is not news.
     base.say(OrderState.DEPARTED)
     field.talk(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
     assert 'this planner publishes False, which counts' in field.until_refused('/planner', 8)
     assert base.beliefs[-1].deployments == 1
 
 
-def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
+def test_a_pause_holds_before_it_is_recorded_and_against_strangers(field):
     base = StatedBase(field)
     field.until(lambda: [each.data for each in base.holds] == [False], 'word that none is held')
     base.until_sent(1)
@@ -187,23 +185,23 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     answer = base.clients['pause'].call_async(base.clients['pause'].srv_type.Request(data=True))
     field.until(lambda: base.holds[-1].data, 'hold')
     assert not answer.done()
-    # It is not over yet, though it is not on disk.
+    # Not on disk, but not over.
     told = base.refused('pause', data=False)
     assert told.startswith('waiting for the recorder')
     assert told.endswith(': call again after that')
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     stranger = field.node.create_publisher(Bool, '/hold', qos.LATCHED)
-    # It comes before the planner's graph lists its author, or after.
+    # Before or after the planner's graph lists its publisher.
     stranger.publish(Bool(data=False))
     why = 'hold refused: data is False, but this planner publishes True, which counts: nodes'
     field.until(lambda: f'{why} /planner, /test/test publish it' in field.said('/planner'), why)
     field.until(lambda: base.holds[-1].data, 'the planner to say it again')
     base.crash()
-    # The planner that goes on knows that the mission is paused.
+    # The resumed planner knows that the mission is paused.
     base.do('pause', data=False)
     field.until(lambda: not base.holds[-1].data, 'end of the pause')
-    # Of a graph that cannot be read no author is known, until later.
+    # While the graph cannot be read, publishers are unknown.
     bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
     bare.announce('rt/hold', not_utf8('std_msgs::msg::é'))
     field.until(lambda: 'is not UTF-8' in field.said('/planner'), 'a graph that cannot be read')
@@ -215,7 +213,7 @@ def test_a_pause_holds_before_it_is_on_disk_and_against_strangers(field):
     field.until(lambda: why in field.said('/planner'), 'name of the stranger')
 
 
-def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_record(field):
+def test_simulated_robots_stay_while_held_and_move_once_recorded(field):
     reports = field.listen(DeploymentReport, '/scout_1/report')
     statuses = field.listen(AgentStatus, '/scout_1/status')
     recorded = field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE)
@@ -247,7 +245,7 @@ def test_simulated_robots_stay_while_they_are_held_and_move_when_that_is_on_reco
 
 
 @pytest.mark.parametrize('known_by', ['log', 'recorder'])
-def test_a_pause_does_not_hold_a_simulated_robot_that_was_out_before_a_restart(field, known_by):
+def test_a_pause_does_not_hold_a_simulated_robot_in_flight_at_a_restart(field, known_by):
     departed = status_message(key(1), OrderState.DEPARTED, key(1).stamp)
     log = field.folder / 'mission.mcap'
     with LogWriter(log) as writer:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator takes in what is sound, once, and refuses the rest."""
+"""The estimator assimilates valid evidence once, and refuses the rest."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
@@ -20,7 +20,7 @@ SAMPLED = {'method': 'kappa_bnitp_sampled', 'seed': 7}
 
 @pytest.fixture
 def estimator(field):
-    """Start an estimator and give the test its topics."""
+    """Start an estimator; return it with its topics."""
     field.beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', PARAMETERS)
     field.paths, field.reports = evidence(field)
@@ -29,12 +29,12 @@ def estimator(field):
 
 
 def evidence(field):
-    """Return who publishes the paths and the reports of an agent."""
+    """Return the publishers of the paths and the reports of an agent."""
     return field.talk(Path, '/scout_1/path'), field.talk(DeploymentReport, '/scout_1/report')
 
 
 def until_held(field, deployments):
-    """Wait for the belief that holds so many deployments, and return its joint."""
+    """Wait for the belief with `count` deployments, and return its joint."""
     field.until(
         lambda: field.beliefs and field.beliefs[-1].deployments == deployments,
         f'belief {deployments}',
@@ -42,7 +42,7 @@ def until_held(field, deployments):
     return read_belief_maps(field.beliefs[-1]).belief.joint
 
 
-def test_a_report_waits_for_its_path_and_is_shown_waiting(estimator):
+def test_a_report_without_its_path_is_pending(estimator):
     estimator.reports.publish(lost(1))
     estimator.until(lambda: estimator.count('/estimator', 'waiting') == 1, 'waiting report')
     assert estimator.count('/estimator', 'refused') == 0
@@ -80,7 +80,7 @@ BAD_REPORTS = [
 
 
 @pytest.mark.parametrize('reported_first', [False, True])
-def test_the_evidence_is_what_really_happened(estimator, reported_first):
+def test_the_evidence_is_the_reported_walk(estimator, reported_first):
     """Sent to HOME: a robot that turned back, a detour, a camera that failed, a last contact."""
     happened = [
         Observation([0, 1, 0], True, [True, False]),
@@ -104,7 +104,7 @@ def test_the_evidence_is_what_really_happened(estimator, reported_first):
     assert estimator.count('/estimator', 'refused') == 0
 
 
-def test_a_robot_that_read_nothing_on_its_last_steps_is_told(estimator):
+def test_missing_readings_at_the_end_are_stated(estimator):
     steps = len(HOME) - 1
     for number, unread in enumerate(range(steps + 1), 1):
         readings = np.where(np.arange(steps) < steps - unread, 0, -1)
@@ -136,7 +136,7 @@ def test_bad_input_is_refused_counted_and_changes_nothing(estimator):
     assert refused == estimator.count('/estimator', 'refused')
 
 
-def test_an_outcome_that_cannot_be_is_refused(field):
+def test_an_impossible_outcome_is_refused(field):
     field.beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', {**PARAMETERS, 'sensor.malfunction': 0.0, 'prior.hazard': 0.0})
     paths, reports = evidence(field)
@@ -147,7 +147,7 @@ def test_an_outcome_that_cannot_be_is_refused(field):
     assert np.isfinite(until_held(field, 1)).all()
 
 
-def test_a_model_is_told_only_if_something_is_learnt(field):
+def test_a_model_is_published_only_if_a_number_is_learnt(field):
     beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', {**PARAMETERS, **SAMPLED})
     field.until(lambda: beliefs, 'prior')
@@ -156,7 +156,7 @@ def test_a_model_is_told_only_if_something_is_learnt(field):
     assert beliefs[0].seed == 7
 
 
-def test_a_weakly_known_density_of_clustered_hazards_is_told(field):
+def test_a_weakly_known_density_of_clustered_hazards_is_stated(field):
     learnt = {'learn.numbers': ['hazard_density'], 'prior.clustering': 'learn'}
     parameters = {**PARAMETERS, **SAMPLED, **learnt}
     beliefs = field.listen(BeliefMaps, '/belief')
@@ -176,8 +176,8 @@ def test_a_weakly_known_density_of_clustered_hazards_is_told(field):
     field.until(lambda: told not in field.diagnosed('/estimator').message, 'no warning')
 
 
-def test_sampling_that_does_not_settle_is_told(field):
-    """All numbers may be anything: readings that tell nothing leave most of it open."""
+def test_sampling_that_does_not_converge_is_stated(field):
+    """With all numbers open, uninformative readings leave most of them so."""
     numbers = [name for name in LEARN if name not in ('vanish', 'move')]
     intervals = {f'learn.{name}': [0.0, 1.0] for name in numbers}
     parameters = {**PARAMETERS, **SAMPLED, 'learn.numbers': numbers, **intervals}

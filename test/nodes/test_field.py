@@ -78,7 +78,7 @@ def served(file):
     return message
 
 
-# What spoils a map, and what each node says of it.
+# Corruptions of a map, and the errors of each node.
 BAD_MAPS = (
     (lambda bad: setattr(bad.header, 'frame_id', 'odom'), "header.frame_id is 'odom': it must be"),
     (lambda bad: setattr(bad.info, 'resolution', math.nan), 'info.resolution is nan'),
@@ -92,7 +92,7 @@ BAD_MAPS = (
 
 
 def heard(field):
-    """Return what a mission's paths, reports and beliefs will be."""
+    """Return lists for a mission's paths, reports and beliefs."""
     return (
         field.listen(Path, '/m/scout_1/path'),
         field.listen(DeploymentReport, '/m/scout_1/report'),
@@ -101,7 +101,7 @@ def heard(field):
 
 
 def test_a_mission_waits_for_a_map_that_can_be_and_may_be_turned(field, file):
-    """Its cells, and so all beliefs, are those of the straight map; positions turn with it."""
+    """Cells and beliefs equal those of the straight map; positions turn with the map."""
     straight = {**PARAMETERS, 'map': str(file)}
     turn, begin = 0.7, complex(-2.0, 3.0)
     base = begin + exp(1j * turn) * 0.5 * (1 + 1j)

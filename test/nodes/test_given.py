@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What users give for parameters: nothing that changes nothing is taken in silence."""
+"""Parameters from users: a value without effect is refused."""
 
 from itertools import product
 from pathlib import Path
@@ -25,7 +25,7 @@ def section(name, **values):
 
 
 def written(folder, content):
-    """Return a file that holds what YAML makes of something."""
+    """Return a file with a value in YAML."""
     path = folder / 'given.yaml'
     path.write_text(
         content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)
@@ -63,7 +63,7 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
     ('/**: {ros__parameters: {goal: lane}}', 'parameter goal is called goal.kind now'),
     ('/**: {ros__parameters: {team.scout_1.max_step: 9}}', 'did you mean team.scout_1.max_st'),
 ])  # fmt: skip
-def test_what_is_no_yaml_or_says_a_thing_twice_is_refused(tmp_path, text, told):
+def test_bad_yaml_and_duplicate_keys_are_refused(tmp_path, text, told):
     with pytest.raises(ValueError, match=told):
         read_sections(written(tmp_path, text))
 
@@ -92,7 +92,7 @@ PAGE = SHIPPED.parents[1].joinpath('docs', 'robots.md').read_text()
         )
     ),
 ])  # fmt: skip
-def test_sections_of_other_nodes_are_theirs(tmp_path, text, own):
+def test_sections_of_other_nodes_are_ignored(tmp_path, text, own):
     path = written(tmp_path, text)
     assert read_sections(path) == own
     check_given('planner', ['--ros-args', '-r', '__ns:=/north', '--params-file', path])
@@ -103,7 +103,7 @@ def test_sections_of_other_nodes_are_theirs(tmp_path, text, own):
 
 @pytest.mark.slow
 @given(st.data())
-def test_a_spoilt_file_is_read_or_refused_in_a_line(tmp_path_factory, data):
+def test_a_corrupt_file_is_read_or_refused_in_a_line(tmp_path_factory, data):
     path = tmp_path_factory.mktemp('given') / 'given.yaml'
     path.write_bytes(data.draw(spoilt(SHIPPED.read_bytes())))
     try:
@@ -116,13 +116,13 @@ def test_a_spoilt_file_is_read_or_refused_in_a_line(tmp_path_factory, data):
     assert '\n' not in said
 
 
-def test_a_file_that_is_not_there_is_named():
+def test_a_missing_file_is_named():
     with pytest.raises(ValueError, match=r'^parameter file no/where.yaml: No such file or dir'):
         read_sections('no/where.yaml')
 
 
 def given_by_ros(arguments, namespace=None):
-    """Return the parameters that a planner with these arguments is given."""
+    """Return the parameters of a planner with these arguments."""
     context = rclpy.Context()
     rclpy.init(context=context, args=arguments)
     node = Node('planner', namespace=namespace, context=context)
@@ -132,7 +132,7 @@ def given_by_ros(arguments, namespace=None):
     return given
 
 
-def test_the_tuples_that_launch_writes_are_lists(tmp_path):
+def test_tuples_by_launch_are_lists(tmp_path):
     values = {'agents': ('a', 'b'), 'grid.blocked': (3,)}
     text = yaml.dump({'/planner': {'ros__parameters': values}}, default_flow_style=False)
     assert 'python/tuple' in text
@@ -141,7 +141,7 @@ def test_the_tuples_that_launch_writes_are_lists(tmp_path):
     }
 
 
-def test_what_an_agent_has_of_its_own_stands_beside_the_number_of_robots(tmp_path):
+def test_parameters_of_agents_stand_beside_the_number_of_robots(tmp_path):
     text = """
     /**:
       ros__parameters:
@@ -164,7 +164,7 @@ def test_what_an_agent_has_of_its_own_stands_beside_the_number_of_robots(tmp_pat
 
 
 @for_each('name', NODES)
-def test_what_ros2_param_dump_writes_is_read_again(tmp_path, name):
+def test_files_by_ros2_param_dump_are_read(tmp_path, name):
     context = rclpy.Context()
     rclpy.init(context=context)
     own = [Parameter(f'team.scout_1.{each}', value=9) for each in ('max_steps', 'base')]
@@ -185,7 +185,7 @@ def test_what_ros2_param_dump_writes_is_read_again(tmp_path, name):
     assert given == {key: list(v) if type(v) is tuple else v for key, v in values.items()}
 
 
-def test_what_all_share_may_be_of_any_node():
+def test_the_shared_section_may_have_parameters_of_any_node():
     config = section('/**', robots=3, seed=4, file='a.mcap', use_sim_time=True)
     assert check_sections(config, {}) == {
         '/**': {'robots': 3, 'seed': 4, 'file': 'a.mcap', 'use_sim_time': True}
@@ -205,7 +205,7 @@ ORDERS = [
 
 
 @for_each('config, namespace', product(ORDERS, ['/', '/north']))
-def test_values_are_those_that_ros_gives(tmp_path, config, namespace):
+def test_values_equal_those_of_ros(tmp_path, config, namespace):
     path = written(tmp_path, config)
     given = given_by_ros(['--ros-args', '--params-file', path], namespace)
     assert values_for(read_sections(path), f'{namespace.rstrip("/")}/planner') == given
@@ -234,7 +234,7 @@ def test_a_bad_rule_is_refused(name, rule, told):
     ['--ros-args', '-p', 'planner:robots:=3'],
     ['--ros-args', '-r', '__node:=scribe', '-p', 'scribe:file:=a.mcap'],
 ])  # fmt: skip
-def test_what_is_right_or_not_for_ros_passes(arguments):
+def test_arguments_that_only_ros_reads_pass(arguments):
     check_given('recorder', arguments)
 
 
@@ -248,7 +248,7 @@ def test_a_renamed_node_has_a_section_of_its_own(tmp_path):
 
 
 @for_each('config, namespace', product(ORDERS, ['/', '/north']))
-def test_a_rule_that_ros_would_overrule_is_refused(tmp_path, config, namespace):
+def test_an_ineffective_rule_is_refused(tmp_path, config, namespace):
     given = ['--ros-args', '-r', f'__ns:={namespace}', '--params-file', written(tmp_path, config)]
     given += ['-p', 'max_steps:=5']
     if given_by_ros(given)['max_steps'] == 5:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission of four processes is the mission that core runs, bit for bit."""
+"""A mission of four processes equals the mission in the core, bit for bit."""
 
 import signal
 
@@ -43,7 +43,7 @@ HUGE = {
 
 
 def listen(field, namespace):
-    """Return what a mission's paths, reports and beliefs will be."""
+    """Return lists for a mission's paths, reports and beliefs."""
     return (
         field.listen(Path, f'{namespace}/scout_1/path'),
         field.listen(DeploymentReport, f'{namespace}/scout_1/report'),
@@ -52,7 +52,7 @@ def listen(field, namespace):
 
 
 def stamps(messages):
-    """Return the times that messages are stamped with, in nanoseconds."""
+    """Return the stamps of messages in nanoseconds."""
     return [from_stamp(message.header.stamp) for message in messages]
 
 
@@ -66,7 +66,7 @@ def wait_for_end(field, parameters, heard):
 
 
 def assert_is_core_mission(parameters, paths, reports, beliefs):
-    """See that a mission's messages are what core makes of the same parameters."""
+    """Check that a mission's messages equal the core's with the same parameters."""
     expected = core_mission(parameters)
     assert len(paths) == len(reports) == len(expected)
     assert [message.deployments for message in beliefs] == list(range(len(expected) + 1))
@@ -91,21 +91,21 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
 @pytest.mark.parametrize(
     'parameters',
     [
-        # As users start nodes.
+        # Like users start nodes.
         pytest.param({'seed': 3, 'robots': 40 if FULL else 6}, marks=pytest.mark.interpreter),
         pytest.param({**LARGE, 'seed': 7, 'robots': 20}, marks=pytest.mark.full),
         pytest.param({**HUGE, 'seed': 8, 'robots': 3}, marks=pytest.mark.full),
     ],
     ids=['default', 'large', 'huge'],
 )
-def test_every_belief_is_that_of_core_also_on_record(field, parameters):
+def test_every_belief_is_that_of_core_also_in_the_log(field, parameters):
     log = field.folder / 'mission.mcap'
     paths, reports, beliefs = heard = listen(field, '/m')
     views = [field.listen(OccupancyGrid, f'/m/belief/{name}') for name in MAPS]
     field.start_mission(parameters, '/m', log)
     wait_for_end(field, parameters, heard)
     assert_is_core_mission(parameters, *heard)
-    # They follow their belief.
+    # Views follow their belief.
     last = beliefs[-1].header.stamp
     field.until(lambda: all(view and view[-1].header.stamp == last for view in views), 'last maps')
     assert set(field.processes.stop().values()) == {0}
@@ -118,7 +118,7 @@ def test_every_belief_is_that_of_core_also_on_record(field, parameters):
     on_record = stamps(recorded['/m/belief'])
     if parameters.get('grid.width', 0) < HUGE['grid.width']:
         assert on_record == told
-    # Views are of the last belief within a tenth of a second.
+    # Views show the last belief within a tenth of a second.
     for topic in ('/m/belief', '/m/progress', *(f'/m/belief/{name}' for name in MAPS)):
         on_record = stamps(recorded[topic])
         assert set(on_record) <= set(told)
@@ -191,7 +191,7 @@ def test_simulated_time_that_jumps_back_names_no_deployment_twice(field):
     assert field.set_parameter('/planner', 'robots', 12).successful
     wait_for_end(field, parameters, heard)
     stamps = [from_stamp(path.header.stamp) for path in paths]
-    # The mission began at 100 s, and its deployments have later names.
+    # The mission began at 100 s, and its deployments have later stamps.
     assert stamps == [100 * 10**9 + 1 + k for k in range(12)]
     assert from_stamp(beliefs[-1].header.stamp) == 40 * 10**9
     assert_is_core_mission(parameters, *heard)
@@ -240,7 +240,7 @@ def test_a_team_carries_on_when_an_agent_leaves(field):
             'reports of the others',
         )
 
-    # What the agent reported last may still be on its way.
+    # The agent's last report may still be under way.
     others_report()
     of_gone = len(reports['scout_2'])
     others_report()
@@ -267,7 +267,7 @@ def test_an_agent_that_answers_for_another_is_refused(field):
     assert (beliefs[-1], len(beliefs)) == (last, heard)
 
 
-def test_robots_that_are_out_are_shown_only_on_request(field):
+def test_robots_in_flight_are_shown_only_on_request(field):
     shown = field.listen(TFMessage, '/tf', volatile=True)
     paths = [field.listen(Path, f'/seen/scout_{number}/path') for number in (1, 2)]
     parameters = {'robots': 4, 'step_period': 0.02, 'sensor.malfunction': 0.0}
@@ -297,7 +297,7 @@ MAPS = ('hazard', 'target', 'kappa')
 
 @pytest.fixture
 def estimator(field):
-    """Yield a node with the estimator's parameters, which the test spins with its own."""
+    """Yield an estimator that the test spins together with its own node."""
     arguments = [
         argument
         for name, value in FIELD.items()
@@ -310,7 +310,7 @@ def estimator(field):
     rclpy.shutdown()
 
 
-def test_of_beliefs_that_come_at_once_the_first_and_the_last_are_shown(field, estimator):
+def test_of_simultaneous_beliefs_the_first_and_the_last_are_shown(field, estimator):
     views = Views(estimator, ['scout_1'])
     shown = {name: field.listen(OccupancyGrid, f'/belief/{name}') for name in MAPS}
     shown['progress'] = field.listen(Progress, '/progress')
@@ -336,11 +336,11 @@ def test_of_beliefs_that_come_at_once_the_first_and_the_last_are_shown(field, es
         assert [from_stamp(each.header.stamp) for each in messages] == [1, 6], name
     last = shown['progress'][-1]
     assert (last.deployments, last.lost) == (5, 5)
-    # That of the last report alone, although the belief before it was not shown.
+    # The view of the last report only, although the belief before it was not shown.
     assert 0.0 < last.information_expected < 1.0
 
 
-# A mission with a goal decides as core does, stops by itself and goes on if it is told to.
+# A mission with a goal decides like the core, stops, and continues if overruled.
 
 
 LANE = {
@@ -361,7 +361,7 @@ def ask(field, kind, service, request):
 
 
 @pytest.mark.interpreter
-def test_a_mission_with_a_goal_stops_by_itself_and_goes_on_when_overruled(field):
+def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     log = field.folder / 'mission.mcap'
     decisions = field.listen(Decision, '/m/decision')
     lanes = field.listen(Path, '/m/decision/lane')

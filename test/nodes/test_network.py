@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes do about messages that no node of their mission sends."""
+"""Messages, topics and types from outside the mission."""
 
 import os
 
@@ -43,7 +43,7 @@ def test_a_cell_whose_side_is_no_float32_is_no_obstacle(field):
     assert [field.count(f'/{node}', 'refused') for node in NODES] == [0] * 4
 
 
-def test_a_clock_before_all_times_is_refused_by_every_node(field):
+def test_a_negative_clock_is_refused_by_every_node(field):
     clock = field.node.create_publisher(Clock, '/clock', 1)
     start_all(field, {'use_sim_time': True, 'robots': 1})
 
@@ -100,7 +100,7 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
         assert expected in told
         assert told in field.said('/planner')
     field.node.destroy_publisher(other)
-    # When it has left, the belief of the one that stays is asked for again.
+    # When it has left, the belief of the remaining estimator is requested again.
     field.until(lambda: field.count('/planner', 'accepted') == 2, 'belief')
 
 
@@ -144,7 +144,7 @@ def test_paths_of_another_mission_are_refused(field, recorded):
     first = path_message(GRID, HOME, key(2).stamp, key(1).stamp)
     paths.publish(first)
     if recorded:
-        # Nobody acknowledges the others.
+        # Other paths are not acknowledged.
         field.talk(Recorded, '/scout_1/recorded').publish(on_disk(first))
     field.until(lambda: field.count('/estimator', 'accepted') == 1, 'path')
     paths.publish(path_message(GRID, HOME, key(4).stamp, key(3).stamp))
@@ -154,7 +154,7 @@ def test_paths_of_another_mission_are_refused(field, recorded):
     assert 'a mission that tells no time' in field.until_refused('/estimator', 2)
 
 
-def test_a_path_tells_when_the_mission_of_its_belief_began(field):
+def test_a_path_states_the_start_of_its_belief_s_mission(field):
     paths, beliefs = field.listen(Path, '/scout_1/path'), field.listen(BeliefMaps, '/belief')
     start_all(field, {'robots': 2})
     field.until(lambda: field.state('/planner').startswith('done'), 'end')
@@ -165,7 +165,7 @@ def test_a_path_tells_when_the_mission_of_its_belief_began(field):
 
 
 @pytest.mark.full
-def test_a_node_that_still_waits_says_so_again(field):
+def test_a_node_repeats_that_it_waits(field):
     field.start('planner', {**FIELD, 'await_nodes': ['estimator']})
     field.until(lambda: field.said('/planner').count('waiting for the belief') == 2, 'two words')
 
@@ -184,13 +184,13 @@ def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
     field.until(lambda: len(list(read_log(log, ['nav_msgs/msg/OccupancyGrid']))) == 1, 'map')
 
 
-# Few messages of somebody on the network neither stop a mission nor bend it.
+# A few messages of a stranger neither stop a mission nor change it.
 
 
 WALKS = (HOME, [0, 4, 8, 4, 0])
 
 
-def test_of_two_paths_of_one_stamp_that_on_disk_first_holds_for_all(field):
+def test_of_two_paths_with_one_stamp_the_recorded_one_counts(field):
     log = field.folder / 'mission.mcap'
     told = field.listen(Recorded, '/scout_1/recorded')
     reports = field.listen(DeploymentReport, '/scout_1/report')
@@ -228,7 +228,7 @@ def test_forged_acknowledgements_keep_no_robot_at_home(field):
     recorder, forger = (
         field.node.create_publisher(Recorded, '/scout_1/recorded', qos.EVIDENCE) for _ in range(2)
     )
-    # Heard before the path, and then pushed out by what is forged.
+    # Received before the path, and then displaced by forged ones.
     recorder.publish(on_disk(path(1)))
     for number in range(5200):
         forger.publish(Recorded(stamp=to_stamp(number + 1)))
@@ -240,7 +240,7 @@ def test_forged_acknowledgements_keep_no_robot_at_home(field):
     assert read_report(reports[0])[0] == key(1)
 
 
-def test_a_planner_acknowledges_its_own_paths_only_and_gives_up_what_left(field):
+def test_a_planner_confirms_its_own_paths_only_and_gives_up_departed_robots(field):
     paths = field.listen(Path, '/scout_1/path')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     recorder, forger = (
@@ -268,7 +268,7 @@ def test_a_second_planner_is_named(field):
     assert told in field.said('/planner')
 
 
-def test_paths_of_other_missions_are_never_said_to_be_on_disk(field):
+def test_paths_of_other_missions_are_never_acknowledged(field):
     log = field.folder / 'mission.mcap'
     told = field.listen(Recorded, '/scout_1/recorded')
     field.start('recorder', {'file': str(log)})
@@ -284,7 +284,7 @@ def test_paths_of_other_missions_are_never_said_to_be_on_disk(field):
 
 
 def test_a_planner_does_not_take_itself_for_the_agent_that_it_awaits(field):
-    """It publishes reports, of losses, and hears paths, of other planners."""
+    """It publishes reports (of losses), and subscribes to paths (of other planners)."""
     field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     field.start('planner', {**FIELD, 'await_nodes': ['agent']})
     field.talk(BeliefMaps, '/belief', qos.LATCHED).publish(prior())
@@ -292,7 +292,7 @@ def test_a_planner_does_not_take_itself_for_the_agent_that_it_awaits(field):
     field.until(lambda: field.state('/planner').startswith(wait), wait)
 
 
-# Nothing is imported, opened or run by the name of a type that somebody announces.
+# No type name in the graph makes a node import, open or run anything.
 
 
 PLANTED = 'open({ran!r}, "w").close()\nraise SystemExit(7)\n'
@@ -300,7 +300,7 @@ PLANTED = 'open({ran!r}, "w").close()\nraise SystemExit(7)\n'
 
 @pytest.fixture
 def planted(tmp_path, monkeypatch):
-    """Have modules lie where nodes are started; return the file that they make when imported."""
+    """Plant modules where nodes are started; return the file that importing them makes."""
     folder = tmp_path / 'started_here'
     folder.joinpath('planted/msg').mkdir(parents=True)
     ran = tmp_path / 'ran'
@@ -311,7 +311,7 @@ def planted(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize('name', ['unittest/__main__/X', 'planted/msg/X', '../msg/X', 'a', ''])
-def test_no_class_is_looked_for_under_a_name_that_is_not_installed(planted, monkeypatch, name):
+def test_no_module_is_imported_for_a_missing_type(planted, monkeypatch, name):
     monkeypatch.syspath_prepend(planted.parent / 'started_here')
     with pytest.raises(LookupError, match='is not installed'):
         message_class(name)
@@ -368,7 +368,7 @@ def test_a_topic_of_a_refused_type_is_recorded_when_one_of_another_type_comes(fi
     log = field.folder / 'mission.mcap'
     field.start('recorder', {'file': str(log)}, '/m')
     if is_awaited:
-        # Its type is in the graph before anybody publishes it.
+        # Its type is in the graph before its publisher.
         field.listen(String, '/m/text')
     bare = BareParticipant(int(os.environ['ROS_DOMAIN_ID']))
     bare.announce('rt/m/text', 'strangers::msg::dds_::Unknown_')
@@ -378,11 +378,11 @@ def test_a_topic_of_a_refused_type_is_recorded_when_one_of_another_type_comes(fi
     assert field.count('/m/recorder', 'refused') == 1
 
 
-# Two robots of one name that leave on one path, since neither knew of the other.
+# Two robots of one name that depart on one path, unaware of each other.
 
 
 def differing(key):
-    """Return what is said of two returns of one deployment."""
+    """Return messages about two different returns of one deployment."""
     return (
         f'reports of deployment {key} differ: that with more readings counts '
         f'(do two robots have the name {key.agent}?)'
@@ -390,7 +390,7 @@ def differing(key):
 
 
 @pytest.mark.processes
-def test_of_two_robots_on_one_path_that_with_more_readings_counts(field):
+def test_of_two_robots_on_one_path_the_one_with_more_readings_counts(field):
     base = Base(field)
     base.until_sent(1)
     key, cells = read_path(BASE_GRID, 'scout_1', base.paths['scout_1'][-1])
@@ -400,7 +400,7 @@ def test_of_two_robots_on_one_path_that_with_more_readings_counts(field):
     base.come_back()
     base.until_held(1)
     base.until_sent(2)
-    # The other one turned back half way.
+    # The other robot turned back half way.
     half = cells[: cells.size // 2]
     walk = [*half, *half[-2::-1]]
     home = Observation(walk, True, [True] * (len(walk) - 1))
@@ -410,7 +410,7 @@ def test_of_two_robots_on_one_path_that_with_more_readings_counts(field):
     if FULL:
         base.crash()
         base.until_held(1)
-    # Nor does it end the deployment that its name is on now.
+    # It does not end the deployment that has its name now either.
     base.until_state('to be reported on /scout_1/report')
     base.come_back()
     base.until_held(2)
@@ -418,7 +418,7 @@ def test_of_two_robots_on_one_path_that_with_more_readings_counts(field):
     report = replay(base.log)
     assert report.reproduced
     assert len(report.evidence.reports) == 2
-    # A recorder that was started again has heard it again.
+    # A restarted recorder received it again.
     (refused,) = set(report.evidence.refused)
     assert refused == told.replace('scout_1/report refused', '/scout_1/report')
 
@@ -427,11 +427,11 @@ def test_of_two_robots_on_one_path_that_with_more_readings_counts(field):
 @pytest.mark.parametrize('heard, first, second', some(
     ((heard, *numbers) for heard in ((1, 0), (0, 1)) for numbers in ((5, 5), (5, 6), (6, 5))), 6
 ))  # fmt: skip
-def test_it_does_not_matter_whose_report_is_heard_first(field, heard, first, second):
-    """Live, replayed and resumed beliefs agree also if recorder and estimator heard otherwise."""
+def test_the_order_of_the_two_reports_does_not_matter(field, heard, first, second):
+    """Live, replayed and resumed beliefs agree, also if recorder and estimator differ in order."""
     log = field.folder / 'mission.mcap'
     field.start('recorder', {'file': str(log)}, '/m')
-    # What the estimator hears and when is up to the test.
+    # The test decides what the estimator receives, and when.
     parameters = {**samples.FIELD, 'await_nodes': ['test', 'recorder']}
     field.start('estimator', parameters, '/m', {'scout_1/report': '/heard/report'})
     beliefs = field.listen(BeliefMaps, '/m/belief')
@@ -465,7 +465,7 @@ def test_it_does_not_matter_whose_report_is_heard_first(field, heard, first, sec
     assert told.evidence.refused
     resumed = field.listen(BeliefMaps, '/m/belief')
     field.start('estimator', {**samples.FIELD, 'await_nodes': ['test'], 'resume': str(log)}, '/m')
-    # The reports are heard again as well, in any order.
+    # Repeated reports, in any order.
     expected = beliefs[-1].joint
     field.until(lambda: resumed and resumed[-1].joint == expected, 'the same belief', may_end=True)
 
@@ -473,7 +473,7 @@ def test_it_does_not_matter_whose_report_is_heard_first(field, heard, first, sec
 @pytest.mark.processes
 @pytest.mark.full
 @pytest.mark.campaign
-def test_of_two_robots_that_do_not_hear_each_other_one_moves(tmp_path):
+def test_of_two_robots_of_one_name_only_one_moves(tmp_path):
     robots = 4
     with apart(tmp_path, robots, namesakes=2) as mission:
         mission.until(lambda: len(mission.reports()) == robots, 'reports')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an operator decides, by real services, and what becomes of it in any crash."""
+"""Operator actions by real services, and their effect across crashes."""
 
 from pathlib import Path
 import re
@@ -22,7 +22,7 @@ import yaml
 
 
 def progress_waiter(field):
-    """Return what waits until `progress` has a state, and a reason for it."""
+    """Return a function that waits for a state of `progress` and its reason."""
     heard = field.listen(Progress, '/progress')
 
     def until(state, reason):
@@ -34,7 +34,7 @@ def progress_waiter(field):
     return until
 
 
-def test_a_paused_mission_sends_nobody(field):
+def test_a_paused_mission_sends_no_robot(field):
     base = Base(field)
     until_progress = progress_waiter(field)
     base.until_sent(1)
@@ -62,7 +62,7 @@ def test_a_paused_mission_sends_nobody(field):
     ]
 
 
-def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field):
+def test_approved_robots_depart_and_refused_ones_go_elsewhere(field):
     base = Base(field, ['scout_1', 'scout_2'], approval=True)
     ways = [[base.proposed(agent) for agent in base.paths]]
     base.until_state(
@@ -85,7 +85,7 @@ def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field
     assert base.refused('approve', data=True) == 'nothing is proposed'
     for agent in base.paths:
         base.come_back(agent)
-    # Refusals are of one round.
+    # Refusals concern one round.
     base.until_held(2)
     base.proposed()
     report = base.replayed()
@@ -99,7 +99,7 @@ def test_robots_leave_when_they_are_approved_and_refused_ones_go_elsewhere(field
         assert [key.agent for key in action.paths] == ['scout_1', 'scout_2']
 
 
-def test_a_robot_that_is_known_lost_is_given_up(field):
+def test_a_robot_declared_lost_is_given_up(field):
     base = Base(field)
     assert base.refused('give_up', agent='scout_9') in (
         "no robot of 'scout_9' is in flight: none is",
@@ -122,7 +122,7 @@ def test_a_robot_that_is_known_lost_is_given_up(field):
     assert report.evidence.survived == 0
 
 
-def test_an_ended_mission_is_over_when_its_robots_are_home(field):
+def test_an_ended_mission_is_over_when_its_robots_have_returned(field):
     base = Base(field)
     base.until_sent(1)
     told = base.do('end_mission')
@@ -139,7 +139,7 @@ def test_an_ended_mission_is_over_when_its_robots_are_home(field):
     assert [each.action for each in base.replayed().evidence.actions] == [Action.END]
 
 
-def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
+def test_a_mission_ended_before_its_start_is_over_at_once(field):
     parameters = {**PARAMETERS, 'recorded': False, 'keep_running': False}
     planner = field.start('planner', parameters)
     client = field.node.create_client(Trigger, '/end_mission')
@@ -152,7 +152,7 @@ def test_a_mission_that_ends_before_it_has_begun_is_over_at_once(field):
 
 
 def megabytes(process):
-    """Return what a process has in memory."""
+    """Return the memory of a process in megabytes."""
     status = Path(f'/proc/{process.pid}/status').read_text()
     return int(re.search(r'VmRSS:\s*(\d+) kB', status)[1]) / 1024
 
@@ -184,7 +184,7 @@ def test_a_flood_of_calls_is_answered_and_changes_nothing(field):
     assert base.replayed().evidence.actions == []
 
 
-def test_a_pause_that_is_begun_and_ended_for_ever_stays_and_fills_no_log(field, request):
+def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
     rclpy.init(args=[])
     request.addfinalizer(rclpy.shutdown)
     node = MissionNode('planner')
@@ -228,7 +228,7 @@ def test_nothing_is_decided_before_it_is_on_disk(field):
 
 
 def typed(page):
-    """Return the calls of services on a page: name, type and request."""
+    """Return the service calls on a page: name, type and request."""
     text = ROOT.joinpath(page).read_text()
     return [shlex.split(line) for line in re.findall(r'(?m)^ros2 service call (.*)$', text)]
 
@@ -238,7 +238,7 @@ def test_the_services_are_called_as_the_page_says(field):
     commands = typed('docs/operator.md')
     assert len(commands) == 6
     for name, kind, request in commands:
-        # Each of them needs what the one before has brought about.
+        # Each call needs the state that the one before brought about.
         if name == '/give_up':
             base.until_state('however long that takes')
         elif name == '/approve':
@@ -259,7 +259,7 @@ def test_the_services_are_called_as_the_page_says(field):
 
 
 def has_left(base):
-    # No robot takes a path that was not on disk; it is sent anew then.
+    # A path that was not on disk is sent anew, and not before.
     base.field.until(base.sent, 'path')
     assert all(way == base.second for way in base.sent())
     base.until_state('to be reported on /scout_1/report')
@@ -277,7 +277,7 @@ def is_given_up(base):
     base.proposed()
 
 
-# What the operator does: the state that it needs, the call, and what it must lead to.
+# Operator actions: the required state, the call, and its effect.
 GIVE_UP = {'agent': 'scout_1', 'steps_survived': 2}
 STEPS = {
     'PAUSE': (
@@ -292,7 +292,7 @@ STEPS = {
     ),
     'REFUSE': (None, ('approve', {'data': False}), is_proposed_elsewhere),
     'APPROVE': (None, ('approve', {'data': True}), has_left),
-    # The robot leaves when its path is on disk.
+    # The robot departs when its path is on disk.
     'GIVE_UP': (
         lambda base: base.until_state('however long that takes'),
         ('give_up', GIVE_UP),
@@ -305,7 +305,7 @@ STEPS = {
     ),
 }
 
-# After which steps all nodes are killed, and whether before these have had any effect.
+# Steps after which all nodes are killed, and whether before these take effect.
 CASES = [
     (('REFUSE', 'GIVE_UP'), True),
     *(
@@ -317,7 +317,7 @@ CASES = [
 
 
 @pytest.mark.parametrize('crashes, at_once', CASES)
-def test_what_was_decided_is_so_after_any_crash(field, crashes, at_once):
+def test_operator_actions_survive_any_crash(field, crashes, at_once):
     base = Base(field, approval=True)
     for step, (prepare, (service, request), holds) in STEPS.items():
         if prepare:

@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def make_node():
-    """Make nodes that are given parameters as on a command line."""
+    """Make nodes with parameters as on a command line."""
     context = rclpy.Context()
     rclpy.init(context=context)
     nodes = []
@@ -65,7 +65,7 @@ def test_every_row_is_complete_and_its_default_is_allowed():
 
 @for_each('node', NODES)
 def test_no_name_begins_as_another_ends(node):
-    """`ros2 param dump` makes a mapping of each dot: a name cannot have a value and parts."""
+    """`ros2 param dump` nests names at dots, so no name can have both a value and parts."""
     table = node_parameters(node).values()
     names = [each.name for each in table]
     names += [f'team.scout_1.{each.of_agent}' for each in table if each.per_agent]
@@ -110,7 +110,7 @@ def test_nodes_declare_the_table(make_node, name):
     ({'team.scout_1.max_steps': 0}, 'team.scout_1.max_steps is 0: it must be from 1'),
     ({'team.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
 ])  # fmt: skip
-def test_what_is_not_allowed_is_refused_at_start_up(make_node, overrides, told):
+def test_bad_values_are_refused_at_start_up(make_node, overrides, told):
     with pytest.raises(ValueError) as refusal:
         declare(make_node(**overrides), 'estimator')
     assert told in str(refusal.value)
@@ -138,7 +138,7 @@ def test_numbers_to_learn_have_intervals_or_distributions():
     (('lethality',), (0.1, 0.5, 2.0), 'it must be low and high, or low, high, a and b'),
     (('lethality',), (0.0, 0.5, 0.0, 1.0), 'a of a Beta is 0.0: it must be above 0'),
 ])  # fmt: skip
-def test_what_is_no_distribution_is_refused(learn, given, told):
+def test_a_bad_distribution_is_refused(learn, given, told):
     with pytest.raises(ValueError, match=told):
         make_unknowns(DEFAULTS | {'learn.numbers': learn, 'learn.lethality': given})
 
@@ -176,7 +176,7 @@ def test_parameters_of_other_nodes_and_of_ros_are_passed_over(make_node):
     assert 'seed' not in declare(node, 'planner')
 
 
-def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
+def test_an_agent_has_its_own_and_the_shared_values(make_node):
     given = {
         'agents': ['scout_1', 'scout_2'], 'max_steps': 12, 'max_distance': 9.5, 'robots': 20,
         'team.scout_2.max_steps': 7, 'team.scout_2.max_distance': 5.0,
@@ -203,14 +203,14 @@ def test_an_agent_has_what_is_its_own_and_the_rest_is_that_of_all(make_node):
     assert make_robot_types(values, make_grid(values))['scout_2'].loss_cost == 0.5
 
 
-def test_what_of_its_own_an_agent_has_for_other_nodes_is_passed_over(make_node):
+def test_an_agent_s_values_for_other_nodes_are_ignored(make_node):
     values = declare(make_node(**{'team.scout_1.loss_cost': 2.0}), 'estimator')
     assert make_robot_types(values, make_grid(values)) == {'scout_1': RobotType()}
     sensors = make_node(**{'sensor.lethality': 1, 'team.scout_1.sensor.lethality': 0.5})
     assert not [name for name in declare(sensors, 'planner') if 'sensor' in name]
 
 
-def test_what_no_robot_shares_cannot_be_learnt():
+def test_a_number_that_no_robot_shares_cannot_be_learnt():
     own = {'team.scout_1.sensor.lethality': 0.3, 'learn.numbers': ('lethality',)}
     values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}
     with pytest.raises(ValueError, match='learn.numbers has lethality: the robots of every agent'):
@@ -234,7 +234,7 @@ def test_values_follow_changes(make_node):
     ('beam_width', 2.5, 'type'),
     ('use_sim_time', True, 'use_sim_time cannot change: start the node again with it'),
 ])  # fmt: skip
-def test_what_is_not_allowed_is_refused_while_running(make_node, name, value, told):
+def test_bad_values_are_refused_while_running(make_node, name, value, told):
     node = make_node()
     values = declare(node, 'planner')
     before = dict(values)
@@ -273,14 +273,14 @@ def test_values_are_read_as_they_are_typed(name, text, value):
     'name, text',
     [('robots', '7.5'), ('robots', '['), ('sensor.lethality', 'high'), ('robots', '')],
 )
-def test_what_stands_for_no_value_is_named(name, text):
+def test_text_without_a_value_is_named(name, text):
     row = next(parameter for parameter in TABLE if parameter.name == name)
     with pytest.raises(ValueError, match=f'parameter {name} is '):
         row.read(text)
 
 
 def write_map(folder, picture, resolution=0.5):
-    """Write a map of map_server, seen from above: # is occupied, ? unknown."""
+    """Write a map for map_server, seen from above: # is occupied, ? unknown."""
     rows = '\n'.join(
         ' '.join(str({'#': 0, '?': 205}.get(each, 254)) for each in row) for row in picture
     )
@@ -328,7 +328,7 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
     ({'map_topic': '/map'}, 'map and map_topic are both given'),
     ({'map': 'nowhere.yaml'}, 'nowhere.yaml cannot be read'),
 ])  # fmt: skip
-def test_fields_that_cannot_be_are_refused(tmp_path, given, told):
+def test_bad_fields_are_refused(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
         make_grid(write_map(tmp_path, ['.#..', '....']) | given)
 
@@ -368,7 +368,7 @@ def with_base(node):
         'team.scout_2.base and team.scout_2.base_position name the same',
     ),
 ])  # fmt: skip
-def test_bases_that_cannot_be_are_refused_by_name(tmp_path, given, told):
+def test_bad_bases_are_refused_by_name(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
         make_grid(write_map(tmp_path, ['.#..', '.#..']) | given)
 
@@ -380,6 +380,6 @@ def test_a_map_of_too_many_cells_is_refused(tmp_path):
     assert make_grid(values | {'grid.resolution': 0.1, 'unknown_blocks': False}).width == 501
 
 
-def test_a_map_that_has_not_come_is_no_field():
+def test_a_missing_map_is_no_field():
     with pytest.raises(ValueError, match='no map has come'):
         make_grid(DEFAULTS | {'map_topic': '/map'})

@@ -42,7 +42,7 @@ PARAMETERS = {'grid.width': 3, 'grid.height': 3, 'max_steps': 4, 'await_nodes': 
 
 
 class Mission:
-    """A planner, and the test in place of the agent and the estimator."""
+    """A planner; the test plays the agent and the estimator."""
 
     def __init__(self, field, parameters):
         self.field = field
@@ -56,11 +56,11 @@ class Mission:
         self.ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
 
     def show_belief(self):
-        """Publish the belief as it is."""
+        """Publish the current belief."""
         self.beliefs.publish(belief_maps(self.ledger, 0))
 
     def lose(self, number):
-        """Report a deployment's robot lost, and take that into the belief."""
+        """Report a deployment's robot lost, and assimilate the loss."""
         key, cells = read_path(GRID, 'scout_1', self.paths[number])
         report = report_message(key, Observation(cells, False), 0)
         self.ledger.record_path(key, cells)
@@ -73,15 +73,15 @@ class Mission:
         return read_path(GRID, 'scout_1', self.paths[number])[1].tolist()
 
     def until_state(self, words):
-        """Wait until the planner says what it does with these words."""
+        """Wait until the planner's state has these words."""
         self.field.until(lambda: words in self.field.state('/planner'), words)
 
     def planned(self):
-        """Return the path to plan on the belief as it is."""
+        """Return the path planned on the current belief."""
         return plan(GRID, self.ledger.belief, MODEL, 4).path.tolist()
 
 
-def test_a_robot_is_sent_when_the_last_one_is_reported_and_believed(field):
+def test_a_robot_is_sent_when_the_last_one_is_in_the_belief(field):
     mission = Mission(field, {'robots': 3})
     mission.until_state('waiting for the belief')
     mission.show_belief()
@@ -108,8 +108,8 @@ def test_a_robot_is_sent_when_the_last_one_is_reported_and_believed(field):
     assert len(mission.paths) == 3
 
 
-def test_paths_are_planned_with_the_robots_that_the_belief_tells_of(field):
-    """Its model and its robot types, which differ from the defaults of the parameters."""
+def test_paths_are_planned_with_the_robot_types_of_the_belief(field):
+    """Its model and robot types differ from the defaults of the parameters."""
     prior, model = Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.9, malfunction=0.2)
     frail = RobotType(malfunction=0.4)
     mission = Mission(field, {'robots': 1})
@@ -181,7 +181,7 @@ def test_bad_beliefs_are_refused_and_counted(field):
     assert mission.until_sent(0) == mission.planned()
 
 
-def test_a_restarted_planner_sends_the_robot_that_is_out_no_other_way(field):
+def test_a_restarted_planner_keeps_the_path_of_a_robot_in_flight(field):
     mission = Mission(field, {'robots': 3})
     mission.show_belief()
     mission.until_sent(0)
@@ -210,7 +210,7 @@ SILENT = {
 }
 
 
-def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
+def test_a_robot_whose_path_is_not_recorded_is_not_given_up(field):
     agents = ['scout_1', 'scout_2']
     paths = {agent: field.listen(Path, f'/{agent}/path') for agent in agents}
     reports = {agent: field.listen(DeploymentReport, f'/{agent}/report') for agent in agents}
@@ -223,7 +223,7 @@ def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
     mission.show_belief()
     field.until(lambda: all(paths.values()), 'paths')
     mission.until_state('waiting for scout_1')
-    # The other one's robot left later than this one would have, so it is given up no sooner.
+    # The other robot left later than this one would have, so it is given up no sooner.
     recorded['scout_2'].publish(on_disk(paths['scout_2'][0]))
     field.until(lambda: reports['scout_2'], 'loss of the robot that left')
     told = field.diagnosed_at('/planner')
@@ -234,16 +234,14 @@ def test_a_robot_whose_path_is_not_on_record_is_not_given_up(field):
     field.until(lambda: reports['scout_1'], 'loss of the other one')
 
 
-def test_a_report_that_waits_to_be_heard_keeps_its_robot_from_being_given_up(
-    field, monkeypatch, request
-):
+def test_a_pending_report_prevents_giving_up_its_robot(field, monkeypatch, request):
     paths = field.listen(Path, '/scout_1/path')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     agent = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
     ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
     beliefs.publish(belief_maps(ledger, 0))
-    # The planner is in the test, on a clock of the test's, in nanoseconds.
+    # The planner is in the test, with a clock of the test in nanoseconds.
     clock = [1]
     for name in ('now', 'elapsed'):
         monkeypatch.setattr(PlannerNode, name, lambda _: clock[-1])
@@ -259,12 +257,12 @@ def test_a_report_that_waits_to_be_heard_keeps_its_robot_from_being_given_up(
         field.until(lambda: executor.spin_once(timeout_sec=0.02) or condition(), what)
 
     until(lambda: paths, 'path')
-    # Enough looks to see it leave. With another timeout the executor then waits anew.
+    # Enough checks to see it leave. With another timeout the executor waits anew.
     for _ in range(20):
         executor.spin_once(timeout_sec=0.05)
     key, cells = read_path(GRID, 'scout_1', paths[0])
     report = report_message(key, Observation(cells, True, [True] * (len(cells) - 1)), 5)
-    # After work on another path a planner has both to do: hear the report, and look at the clock.
+    # After other work, a planner has two things to do: receive the report, check the clock.
     clock.append(10**10)
     agent.publish(report)
     assert agent.wait_for_all_acked(Duration(seconds=10))
@@ -310,7 +308,7 @@ def test_a_log_of_another_mission_is_not_resumed(field):
         assert told in field.said(f'{namespace.rstrip("/")}/planner')
 
 
-def test_robots_that_wait_for_their_plans_are_told_of_once(field):
+def test_waiting_for_plans_is_stated_once(field):
     mission = Mission(field, {'robots': 2, 'step_period': 1e-9})
     for number in range(2):
         mission.show_belief()
@@ -321,7 +319,7 @@ def test_robots_that_wait_for_their_plans_are_told_of_once(field):
     assert 'a lower beam_width, or the planner relaxed, takes less' in said
 
 
-def test_the_bound_of_a_plan_is_told_with_the_progress(field):
+def test_the_bound_of_a_plan_is_published_with_the_progress(field):
     mission = Mission(field, {'robots': 1, 'bound': True, 'presume_departure': True})
     shown = field.listen(Progress, '/progress')
     progress = field.node.create_publisher(Progress, '/progress', qos.LATCHED)
@@ -349,12 +347,12 @@ def test_a_mission_may_be_empty(field):
     assert not mission.paths
 
 
-def test_a_planner_that_waits_for_a_belief_tells_what_the_estimator_refuses(field):
+def test_a_planner_that_waits_for_a_belief_states_the_estimator_s_refusal(field):
     base = Base(field, **{'prior.hazard': 0.0, 'sensor.malfunction': 0.0})
     base.until_sent(1)
     sent, cells = read_path(FIVE_BY_FIVE, 'scout_1', base.paths['scout_1'][0])
     base.reports['scout_1'].publish(report_message(sent, Observation(cells, False), 1))
-    # Of path and report the later one is refused.
+    # Whichever of path and report comes second is refused.
     base.until_state(
         'refused: the outcome is impossible under this belief and sensor model: allow'
     )
@@ -364,7 +362,7 @@ def test_a_planner_that_waits_for_a_belief_tells_what_the_estimator_refuses(fiel
     field.until(lambda: told and 'impossible' in told[-1].reason, 'reason on record')
 
 
-# The planner listens while it searches, and a search ends as it must.
+# The planner handles messages during a search, and every search ends correctly.
 
 
 AGENTS = [f'scout_{number}' for number in range(1, 9)]
@@ -390,18 +388,18 @@ def base(field):
 
 
 def until_said(field, words):
-    """Wait until the planner has said something, after a search."""
+    """Wait for a message of the planner after a search."""
     field.until(lambda: words in field.said('/planner'), words, patience=240)
 
 
 @pytest.mark.full
-def test_a_pause_is_answered_while_paths_are_searched_for_and_no_robot_is_sent(base):
+def test_a_pause_during_a_search_is_answered_and_no_robot_is_sent(base):
     seconds = []
     for data in (True, False, True, False, True):
         begun = time.monotonic()
         base.do('pause', data=data)
         seconds.append(time.monotonic() - begun)
-    # Other processes may keep a call waiting, but not each.
+    # Other processes may delay a call, but not every call.
     assert min(seconds) < 0.5
     field = base.field
     assert 'paths were found' not in field.said('/planner')
@@ -414,7 +412,7 @@ def test_a_pause_is_answered_while_paths_are_searched_for_and_no_robot_is_sent(b
 
 
 @pytest.mark.full
-def test_what_was_found_by_other_parameters_is_dropped(base):
+def test_plans_by_other_parameters_are_discarded(base):
     base.field.set_parameter('/planner', 'loss_cost', 1.0)
     dropped = 'discarding the plan for scout_1, scout_2, scout_3 and 5 more'
     until_said(base.field, dropped)
@@ -424,8 +422,8 @@ def test_what_was_found_by_other_parameters_is_dropped(base):
 
 
 @pytest.mark.full
-def test_a_pause_is_answered_while_what_may_be_relied_on_is_computed(field):
-    """The hazards are drawn for a second or more, and lanes sought in all draws."""
+def test_a_pause_during_a_decision_is_answered(field):
+    """Drawing the hazards and searching lanes in all draws takes a second or more."""
     base = Base(field, **WIDE, **GOAL)
     paths, decisions = base.paths['scout_1'], field.listen(Decision, '/decision')
     field.until(lambda: paths, 'path', patience=240)
@@ -441,7 +439,7 @@ def test_a_pause_is_answered_while_what_may_be_relied_on_is_computed(field):
     field.until(lambda: len(paths) == 2, 'next path', patience=240)
 
 
-def test_plans_that_are_worth_nothing_are_not_sent(field):
+def test_plans_without_value_are_not_sent(field):
     progress = field.listen(Progress, '/progress')
     base = Base(field, loss_cost=1000.0)
     why = 'nothing is worth a robot: the best plan is expected to bring'
@@ -454,7 +452,7 @@ def test_plans_that_are_worth_nothing_are_not_sent(field):
     base.until_sent(2)
 
 
-def test_where_nothing_is_to_be_learnt_no_robot_is_sent(field):
+def test_without_information_to_gain_no_robot_is_sent(field):
     known = {'prior.hazard': 0.0, 'prior.target': 0.0}
     base = Base(field, **known)
     base.until_state('nothing is worth a robot: no plan is expected to bring more than')
@@ -462,7 +460,7 @@ def test_where_nothing_is_to_be_learnt_no_robot_is_sent(field):
     base.until_state('done: 0 of 4 robots deployed, ended by the operator')
 
 
-def test_robots_keep_the_distance_of_their_agent_and_one_that_allows_no_step_is_refused(field):
+def test_robots_keep_their_agent_s_distance_and_a_distance_below_a_step_is_refused(field):
     own = {'team.scout_2.max_distance': 2.0}
     base = Base(field, ['scout_1', 'scout_2'], max_distance=4.0, **own)
     for agent, longest in (('scout_1', 4.0), ('scout_2', 2.0)):
