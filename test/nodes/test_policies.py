@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Security policies and layouts of Foxglove name what nodes have in the graph, nothing else."""
+"""Security policies and Foxglove layouts name exactly what nodes have in the graph."""
 
 from collections import defaultdict
 from contextlib import suppress
@@ -30,7 +30,7 @@ from tf2_msgs.msg import TFMessage
 FOLDER = Path(__file__).parents[2] / 'security'
 FILES = sorted(FOLDER.glob('*.policy.xml'))
 
-# By what a policy allows: how the graph is asked for it.
+# Query of the graph for each kind of permission.
 ASKED = {
     'publish': 'get_publisher_names_and_types_by_node',
     'subscribe': 'get_subscriber_names_and_types_by_node',
@@ -40,7 +40,7 @@ ASKED = {
 
 
 def read_policy(path, replaced=('', '')):
-    """Return the enclave of a policy, the full name of its node, and what it allows."""
+    """Return a policy's enclave, its node's full name, and the permissions."""
     root = ElementTree.fromstring(path.read_text().replace(*replaced))
     (enclave,) = root.iter('enclave')
     (profile,) = enclave.findall('profiles/profile')
@@ -65,7 +65,7 @@ def _full_name(above, node, name):
 
 
 def in_graph(looking, full_name):
-    """Return what a node has in the graph, as another node sees it, by what it is allowed as."""
+    """Return a node's endpoints in the graph as another node sees them, by permission."""
     namespace, _, name = full_name.rpartition('/')
     namespace = namespace or '/'
     found = {
@@ -74,14 +74,14 @@ def in_graph(looking, full_name):
     }
     actions = get_action_client_names_and_types_by_node(looking, name, namespace)
     found['call'] = {each for each, _ in actions}
-    # An action is several topics and services, which are allowed with it.
+    # An action is several topics and services, covered by its permission.
     return {
         verb: {each for each in names if '/_action/' not in each} for verb, names in found.items()
     }
 
 
 def not_allowed(found, allowed):
-    """Return what a node has in the graph and its policy does not allow."""
+    """Return endpoints of a node that its policy does not allow."""
     return {
         (verb, name)
         for verb, names in found.items()
@@ -91,7 +91,7 @@ def not_allowed(found, allowed):
 
 
 def not_used(found, allowed):
-    """Return what a policy allows and its node has not in the graph."""
+    """Return permissions of a policy that its node does not use."""
     return {
         (verb, each)
         for verb, expressions in allowed.items()
@@ -100,10 +100,10 @@ def not_used(found, allowed):
     }
 
 
-# The security policies allow each node what it does in the graph, and nothing else.
+# The security policies allow exactly the nodes' endpoints in the graph.
 
 
-# All that a parameter can have a node publish or listen to; the map tells the field.
+# All topics that parameters enable; the map gives the field.
 PARAMETERS = {
     'map_topic': '/map', 'max_steps': 6, 'robots': 4, 'planner': 'relaxed', 'publish_pose': True,
     'publish_truth': True, 'recorded': True, 'seed': 1, 'step_period': 0.05,
@@ -112,7 +112,7 @@ LEARNING = {'method': 'kappa_bnitp_sampled', 'learn.numbers': ['lethality'], 'fi
 
 
 class Watched:
-    """What nodes have had in the graph so far, beside what their policies allow."""
+    """Endpoints of nodes so far, compared with their policies."""
 
     def __init__(self, node, names, **replaced):
         self._node = node
@@ -126,13 +126,13 @@ class Watched:
             self._allowed[full_name] = allowed
 
     def hears(self, name, topic):
-        """Say whether a node has listened to a topic when `is_all_used` looked."""
+        """Return whether a node subscribed to a topic at the last `is_all_used`."""
         return topic in self._found[name]['subscribe']
 
     def is_all_used(self):
-        """Look at the graph once more; say whether the nodes have had all that is allowed."""
+        """Scan the graph; return whether the nodes have used all permissions."""
         for name in self._allowed:
-            # One that has not started yet has nothing.
+            # A node that has not started has no endpoints.
             with suppress(NodeNameNonExistentError):
                 for verb, names in in_graph(self._node, name).items():
                     self._found[name][verb] |= names
@@ -141,7 +141,7 @@ class Watched:
         return not any(not_used(self._found[name], rules) for name, rules in self._allowed.items())
 
     def compare(self):
-        """See that policies and graph agree."""
+        """Check that policies and graph agree."""
         for name, rules in self._allowed.items():
             found = self._found[name]
             assert self._enclaves.get(name) == name
@@ -156,7 +156,7 @@ def publish_map(field):
 
 
 def watch(field, watched):
-    """Wait until the nodes have had in the graph what their policies allow, and compare."""
+    """Wait until the nodes have used all permissions, and compare."""
     with suppress(AssertionError):
         field.until(watched.is_all_used, 'full use of the policies', patience=30.0)
     watched.compare()
@@ -165,11 +165,11 @@ def watch(field, watched):
 @pytest.mark.full
 def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(field):
     publish_map(field)
-    # The recorder is to ask for the parameters of a node, as long as that has no answer.
+    # The recorder asks for a node's parameters until it answers.
     silent = rclpy.create_node(
         'silent', context=field.node.context, start_parameter_services=False
     )
-    # It records these as well, of which a mission alone has none.
+    # It records these too, which a mission alone does not have.
     silent.create_publisher(Clock, '/clock', 1)
     silent.create_publisher(TFMessage, '/tf_static', qos.LATCHED_POSES)
     mission = PARAMETERS | LEARNING | {'agents': ['scout_1', 'scout_2']}
@@ -190,7 +190,7 @@ def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(fiel
         lambda: watched.is_all_used() or watched.hears('/scout_2/robot', '/scout_2/tf_static'),
         'robot that listens to TF',
     )
-    # It takes its place from the one or the other.
+    # The robot takes its position from either.
     field.kill('/scout_2/robot')
     place = {'position': 'fix', 'datum': [52.0, 5.0, 0.0]}
     field.start('robot', mission | robot | place, '/scout_2', own)
@@ -238,24 +238,24 @@ def test_sros2_signs_permissions_that_are_those_of_the_policies(tmp_path):
             for name in names
             for each in middleware_topics(verb, name)
         }
-        # By this topic nodes tell each other what they publish and listen to.
+        # Nodes announce publishers and subscribers on this topic.
         graph = {(verb, 'ros_discovery_info') for verb in ('publish', 'subscribe')}
         assert granted == wanted | graph
 
 
 def signed_grant(keystore, enclave):
-    """Return what the keystore grants an enclave, once its signature is verified."""
+    """Return the grants of an enclave in the keystore, with a verified signature."""
     verify = ['openssl', 'smime', '-verify']
     verify += ['-in', str(keystore / 'enclaves' / enclave.strip('/') / 'permissions.p7s')]
     verify += ['-CAfile', str(keystore / 'public' / 'permissions_ca.cert.pem')]
     text = subprocess.run(verify, check=True, capture_output=True).stdout.decode()
-    # The headers of a mail come before it.
+    # Headers of a mail come before it.
     (grant,) = ElementTree.fromstring(text.partition('\r\n\r\n')[2]).iter('grant')
     return grant
 
 
 def middleware_topics(verb, name):
-    """Yield what of the middleware's topics a node publishes and subscribes to, by a rule."""
+    """Yield the middleware topics that a node publishes and subscribes to under a rule."""
     ends = {'request': ('publish', 'subscribe'), 'reply': ('subscribe', 'publish')}
     if verb in ends:
         sends, takes = ends[verb]
@@ -270,14 +270,14 @@ def middleware_topics(verb, name):
         yield verb, f'rt{name}'
 
 
-# The layouts of Foxglove name what a running mission has, and nothing else.
+# The Foxglove layouts name topics of a running mission only.
 
 
 ROOT = Path(__file__).parents[2]
 LAYOUTS = {1: 'kbnitp.json', 8: 'kbnitp_team.json'}
 PLACE = {'grid.width': 4, 'grid.height': 4, 'max_steps': 4, 'planner': 'relaxed', 'robots': 8}
 
-# What panels of 3D show, by how the layout sets it.
+# Topics shown by 3D panels, by layout setting.
 SHOWN = {
     'colorMode': 'nav_msgs/msg/OccupancyGrid',
     'gradient': 'nav_msgs/msg/Path',
@@ -294,7 +294,7 @@ def panels(content):
 
 
 def named(layout):
-    """Return the topics that a layout names with their types or fields."""
+    """Return the topics that a layout names, with their types or fields."""
     topics, fields = {}, {}
     for panel in panels(layout['content']):
         config = panel['config']
@@ -341,7 +341,7 @@ def test_a_layout_names_only_what_a_running_mission_has(field, agents, name):
 
     def graph():
         known = field.node.get_topic_names_and_types()
-        # Who only listens to a topic does not make it one that a mission has.
+        # A subscriber alone does not make a topic one of the mission's.
         return {topic: types for topic, types in known if field.node.count_publishers(topic)}
 
     wanted = {*topics, *fields}

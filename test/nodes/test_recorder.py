@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder writes down everything its mission publishes, and ends well when it cannot."""
+"""The recorder writes all messages of its mission, and ends well when it cannot."""
 
 from array import array
 from collections import defaultdict
@@ -39,7 +39,7 @@ LAST_OF_FIVE = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def record(field, namespace='/m', **parameters):
-    """Start a recorder, and return the file it writes."""
+    """Start a recorder, and return its file."""
     log = field.folder / 'record' / 'mission.mcap'
     log.parent.mkdir(exist_ok=True)
     field.start('recorder', {'file': str(log), **parameters}, namespace)
@@ -49,12 +49,12 @@ def record(field, namespace='/m', **parameters):
 
 
 def state_mission(field):
-    """Publish the prior of the mission that has no time, which the paths here are of."""
+    """Publish the prior of the mission without a time, to which these paths belong."""
     field.node.create_publisher(BeliefMaps, '/m/belief', qos.LATCHED).publish(prior())
 
 
 def record_path(field):
-    """Record a path; return the log, what the recorder tells of paths, and who publishes them."""
+    """Record a path; return the log, the recorder's confirmations, and the publisher."""
     log = record(field)
     state_mission(field)
     told = field.listen(Recorded, '/m/scout_1/recorded')
@@ -65,7 +65,7 @@ def record_path(field):
 
 
 def channels(log):
-    """Return the channels of a log that is finished."""
+    """Return the channels of a finished log."""
     with log.open('rb') as file:
         return make_reader(file).get_summary().channels.values()
 
@@ -79,12 +79,12 @@ def recorded(log):
 
 
 def values(log, topic):
-    """Return what the messages of a topic in a log hold."""
+    """Return the data of a topic's messages in a log."""
     return [message.data for message in recorded(log)[topic]]
 
 
 def deployment_stamps(messages):
-    """Return which deployments these paths or reports are about."""
+    """Return the deployment stamps of paths or reports."""
     return [
         read_report(message)[0].stamp
         if hasattr(message, 'deployment')
@@ -93,14 +93,14 @@ def deployment_stamps(messages):
     ]
 
 
-def test_no_message_is_lost_whatever_the_publisher_offers(field):
+def test_no_message_is_lost_under_any_qos_of_the_publisher(field):
     log = record(field)
     latched = field.node.create_publisher(String, '/m/latched', LAST_OF_FIVE)
     for number in range(9):
         latched.publish(String(data=str(number)))
     burst = field.talk(Int32, '/m/burst', QoSProfile(depth=2000))
     unreliable = field.talk(Int32, '/m/unreliable', BEST_EFFORT)
-    # What is sent with best effort may be dropped behind a burst, whoever listens.
+    # Best effort: messages behind a burst may be lost for any subscriber.
     unreliable.publish(Int32(data=7))
     for number in range(2000):
         burst.publish(Int32(data=number))
@@ -112,7 +112,7 @@ def test_no_message_is_lost_whatever_the_publisher_offers(field):
     assert [message.data for message in messages['/m/latched']] == list('45678')
 
 
-def test_only_the_mission_and_what_all_share_is_recorded(field):
+def test_only_the_mission_and_shared_topics_are_recorded(field):
     log = record(field)
     topics = ('/m/deep/er', '/tf', '/tf_static', '/clock', '/mm/other', '/other')
     for topic in topics:
@@ -123,7 +123,7 @@ def test_only_the_mission_and_what_all_share_is_recorded(field):
 
 
 def test_topics_of_others_in_the_namespace_are_recorded_as_they_are(field):
-    """None has a role in the mission, whatever its last name and its type are."""
+    """None has a role in the mission, under any name and type."""
     log = record(field)
     strangers = {
         '/m/battery/status': String(data='full'),
@@ -149,9 +149,9 @@ def test_without_a_namespace_everything_but_the_logs_of_ros_is_recorded(field):
     assert set(recorded(log)) == {'/a/topic', '/diagnostics'}
 
 
-def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
+def test_the_log_has_the_qos_of_a_publisher_that_returns(field):
     log = record(field)
-    # What is latched is heard by the reader before it as well.
+    # The reader receives latched messages from before as well.
     for profile, readers in ((RELIABLE, 1), (LAST_OF_FIVE, 2), (BEST_EFFORT, 1)):
         publisher = field.node.create_publisher(Int32, '/m/number', profile)
         field.until(lambda p=publisher, n=readers: p.get_subscription_count() == n, 'readers')
@@ -170,7 +170,7 @@ def test_the_log_names_what_is_offered_by_a_publisher_that_comes_back(field):
     ]
 
 
-def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
+def test_a_path_is_on_disk_before_it_is_confirmed(field):
     log = record(field, agents=['one', 'two'])
     state_mission(field)
     told = {agent: field.listen(Recorded, f'/m/{agent}/recorded') for agent in ('one', 'two')}
@@ -189,7 +189,7 @@ def test_a_path_is_on_the_disk_before_it_is_said_to_be(field):
 
 
 @pytest.mark.parametrize('profile', [RELIABLE, KEPT_BEST_EFFORT], ids=['volatile', 'best effort'])
-def test_evidence_that_no_other_node_hears_is_refused_and_its_node_named(field, profile):
+def test_evidence_that_no_other_node_receives_is_refused_and_its_node_named(field, profile):
     log = record(field)
     reports = field.node.create_publisher(DeploymentReport, '/m/scout_1/report', profile)
     told = field.until_refused('/m/recorder', 1)
@@ -224,7 +224,7 @@ def test_a_log_has_one_recorder_at_a_time(field):
     log, told, paths = record_path(field)
     field.set_aside('/m/recorder')
     other = field.start('recorder', {'resume': str(log)}, '/m', {'__node': 'other'})
-    # Its last words on diagnostics are for whom it knows first: the other recorder or the test.
+    # Its last diagnostics reach the other recorder or the test, whichever it knows first.
     assert other.wait(60) == 2
     field.processes.started.pop('/m/recorder')
     assert f'{log} is being written by another recorder' in field.said('/m/recorder')
@@ -260,7 +260,7 @@ def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(fi
     for number in range(3, 300):
         publishers[number % 3].publish(Int32(data=number))
         field.executor.spin_once(timeout_sec=0.001)
-    # Some of what is sent with best effort may be lost, whoever listens.
+    # Best effort: some messages may be lost for any subscriber.
     promised = {number for number in range(300) if number < 3 or number % 3 < 2}
     field.until(lambda: promised <= set(values(log, '/m/number')), 'last message')
     field.processes.stop()
@@ -268,7 +268,7 @@ def test_publishers_of_one_topic_may_differ_and_each_message_is_recorded_once(fi
     assert len(numbers) == len(set(numbers)) > 200
 
 
-def test_what_waits_for_a_recorder_that_was_stopped_is_recorded_once_and_in_order(field):
+def test_messages_for_a_stopped_recorder_are_recorded_once_and_in_order(field):
     log = record(field)
     kept = field.node.create_publisher(Int32, '/m/number', qos.EVIDENCE)
     field.talk(Int32, '/m/number', RELIABLE)
@@ -280,7 +280,7 @@ def test_what_waits_for_a_recorder_that_was_stopped_is_recorded_once_and_in_orde
         kept.publish(Int32(data=number))
     recorder.send_signal(signal.SIGCONT)
     assert kept.wait_for_all_acked(Duration(seconds=20))
-    # Most of it still waits, and is taken at once with this.
+    # Most of it is still pending, and is taken together with this.
     reports.publish(lost(1))
     field.until(lambda: recorded(log)['/m/scout_1/report'], 'report')
     field.processes.stop()
@@ -304,7 +304,7 @@ def test_a_topic_that_comes_back_with_another_type_is_refused_and_the_rest_goes_
 
 @pytest.fixture
 def defined_in_idl_alone(tmp_path, monkeypatch):
-    """Have rosgraph_msgs installed as a package whose types have no .msg files."""
+    """Install rosgraph_msgs as a package whose types have no .msg files."""
     described = pathlib.Path(get_package_share_directory('rosgraph_msgs'), 'msg', 'Clock.json')
     share = tmp_path / 'prefix' / 'share'
     for folder in ('ament_index/resource_index/packages', 'rosgraph_msgs/msg'):
@@ -324,7 +324,7 @@ def test_a_type_that_is_defined_in_idl_alone_is_refused_and_the_rest_goes_on(
     field.until(lambda: '/m/latched' in recorded(log), 'message')
 
 
-def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
+def test_a_signal_under_load_loses_no_received_message(field):
     log = record(field)
     reports = field.talk(DeploymentReport, '/m/scout_1/report')
     chatter = field.talk(Int32, '/m/chatter', QoSProfile(depth=5000))
@@ -347,13 +347,13 @@ def test_a_signal_under_load_loses_nothing_that_has_arrived(field):
 
 
 def complaints(field, name):
-    """Return what is wrong by the lines of a node, but what rcl says of the environment."""
+    """Return a node's error lines, without those of rcl about the environment."""
     lines = field.said(name).splitlines()
     return [line for line in lines if not line.startswith('[INFO]') and '[rcl]' not in line]
 
 
 def until_failed(field, name, exit_code):
-    """Wait until a node has given up, and return what it said: on diagnostics, and on stderr."""
+    """Wait until a node has failed; return its last diagnostics and stderr."""
     code, told = field.until_failed(name)
     assert code == exit_code
     (complaint,) = complaints(field, name)
@@ -362,14 +362,14 @@ def until_failed(field, name, exit_code):
 
 
 def refusal(field, parameters):
-    """Return what a recorder that cannot start says on its terminal."""
+    """Return the refusal of a recorder on stderr."""
     assert field.start('recorder', parameters).wait(60) == 2
     (complaint,) = complaints(field, '/recorder')
     assert complaint.startswith('recorder: ')
     return complaint
 
 
-def test_a_file_that_is_there_is_left_alone(field):
+def test_an_existing_file_is_left_alone(field):
     log = field.folder / 'mission.mcap'
     log.write_text('precious')
     assert 'mission.mcap exists' in refusal(field, {'file': str(log)})
@@ -379,7 +379,7 @@ def test_a_file_that_is_there_is_left_alone(field):
 @pytest.mark.parametrize(
     'content, told', [(None, 'No such file'), (b'no log', 'no MCAP file'), ('corrupt', 'corrupt')]
 )
-def test_a_log_that_cannot_be_gone_on_with_is_left_alone(field, content, told):
+def test_a_log_that_cannot_be_resumed_is_left_alone(field, content, told):
     log = field.folder / 'mission.mcap'
     if content == 'corrupt':
         with LogWriter(log) as writer:
@@ -394,7 +394,7 @@ def test_a_log_that_cannot_be_gone_on_with_is_left_alone(field, content, told):
 
 
 def report_until_it_fails(field, log):
-    """Send reports until the recorder fails; return why, and check what can be read after that."""
+    """Send reports until the recorder fails; return its error, and check the readable rest."""
     reports = field.talk(DeploymentReport, '/m/scout_1/report')
     talker = field.talk(UInt8MultiArray, '/m/bytes', RELIABLE)
     recorder = field.processes.started['/m/recorder']
@@ -416,7 +416,7 @@ def report_until_it_fails(field, log):
     return told
 
 
-def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, tmp_path):
+def test_a_full_disk_ends_the_recorder_and_keeps_its_log(field, tmp_path):
     with mounted(tmp_path / 'disk', 'size=1m') as disk:
         log = disk / 'mission.mcap'
         field.start('recorder', {'file': str(log)}, '/m')
@@ -428,7 +428,7 @@ def test_a_full_disk_ends_the_recorder_and_what_was_written_stays(field, tmp_pat
 def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
     log, told, paths = record_path(field)
     recorder = field.processes.started['/m/recorder']
-    # Between two of its looks nothing may be said to be safe, either.
+    # Between two checks no message may be confirmed either.
     recorder.send_signal(signal.SIGSTOP)
     if what == 'folder':
         shutil.rmtree(log.parent)
@@ -448,7 +448,7 @@ def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
 
 
 def test_a_belief_that_comes_before_its_path_is_recorded_after_it(field):
-    """DDS keeps the order of what one node publishes, not of what two do."""
+    """DDS keeps the order of one publisher, not of two."""
     log = record(field)
     beliefs = field.talk(BeliefMaps, '/m/belief', qos.LATCHED)
     paths = field.talk(Path, '/m/scout_1/path')
@@ -464,5 +464,5 @@ def test_a_belief_that_comes_before_its_path_is_recorded_after_it(field):
 
 
 def held_by(log):
-    """Return how many deployments the beliefs on record hold."""
+    """Return the numbers of deployments in the recorded beliefs."""
     return [logged.message.deployments for logged in read_log(log, ['kbnitp_msgs/msg/BeliefMaps'])]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission has one recorder, which loses no deployment and knows the parameters of nodes."""
+"""A mission has one recorder, which loses no deployment and records parameters of nodes."""
 
 from array import array
 from signal import SIGSTOP
@@ -56,7 +56,7 @@ def test_a_second_recorder_counts_when_the_first_has_ended(field):
     base.until_sent(3)
     first = field.processes.started.pop('/recorder 1')
     first.send_signal(SIGSTOP)
-    # What it said does not count for longer than it is heard.
+    # Its confirmations expire with its diagnostics.
     field.until(
         lambda: 'whose acknowledgements count' not in field.state('/other'), 'the second recorder'
     )
@@ -78,8 +78,8 @@ def test_recorders_of_other_namespaces_do_not_matter(field):
 
 
 @pytest.mark.processes
-def test_a_recorder_with_much_to_write_is_heard(monkeypatch):
-    """Of messages that take half a second each, on a clock of their own."""
+def test_a_recorder_with_a_backlog_publishes_diagnostics(monkeypatch):
+    """Messages that take half a second each, on their own clock."""
     written, heard = [], []
     monkeypatch.setattr(recorder.time, 'monotonic', lambda: 0.5 * len(written))
     arrived = [(None, b'', {'received_timestamp': number}) for number in range(100)]
@@ -95,12 +95,12 @@ def test_a_recorder_with_much_to_write_is_heard(monkeypatch):
     assert max(np.diff([0.0, *heard, 50.0])) < SILENT
 
 
-# A recorder that is killed again and again loses no deployment.
+# A recorder that is killed repeatedly loses no deployment.
 
 
 KILLS = 50 if FULL else 2
 
-# All that a publisher keeps for a recorder that comes back.
+# Depth that a publisher keeps for a restarted recorder.
 DEPLOYMENTS = qos.DEPTH
 
 PATH = 'nav_msgs/msg/Path'
@@ -108,7 +108,7 @@ REPORT = 'kbnitp_msgs/msg/DeploymentReport'
 
 
 class Load:
-    """Sends deployment after deployment, and much else."""
+    """Publishes deployments and many other messages."""
 
     def __init__(self, field):
         self._field = field
@@ -121,7 +121,7 @@ class Load:
         self.sent = 0
 
     def send(self, deployments, seconds):
-        """Send so many deployments, spread over some time, and the rest as fast as it goes."""
+        """Publish `count` deployments over some time, and other messages as fast as possible."""
         begun, before = time.monotonic(), self.sent
         while (passed := (time.monotonic() - begun) / seconds) < 1:
             while self.sent < before + deployments * passed:
@@ -133,7 +133,7 @@ class Load:
 
 
 def stamps(log, kind):
-    """Return which deployments the paths or the reports in a log are about."""
+    """Return the deployment stamps of the paths or the reports in a log."""
     messages = [logged.message for logged in read_log(log, {kind})]
     if kind == REPORT:
         return {read_report(message)[0].stamp for message in messages}
@@ -150,7 +150,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     load.send(100, 0.1)
     field.until(lambda: told, 'word of the first path')
     for kills in range(KILLS):
-        # A recorder that is killed before it has a file of its own has nothing to lose.
+        # A recorder without a file of its own has nothing to lose.
         field.until(lambda kills=kills: len(log_parts(log)) > kills, 'file of the next recorder')
         load.send((DEPLOYMENTS - 100) // (2 * max(KILLS, 10)), rng.uniform(0.5, 2.5))
         recorder.kill()
@@ -159,12 +159,12 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
         if told:
             newest = from_stamp(told[-1].stamp)
             sent = {key(number).stamp for number in range(1, load.sent + 1)}
-            # The word may have come from the recorder before the last.
+            # The confirmation may be of the recorder before the last.
             on_disk = set().union(*(stamps(part, PATH) for part in parts[-2:]))
             assert on_disk >= {stamp for stamp in sent if stamp <= newest}
         told.clear()
         recorder = field.start('recorder', {'resume': str(log), 'max_file_size': 0}, '/m')
-    # Word from the one before may still come.
+    # A confirmation of the recorder before may still arrive.
     field.until(lambda: len(log_parts(log)) > KILLS, 'file of the last recorder')
     last = key(load.sent).stamp
     field.until(lambda: told and from_stamp(told[-1].stamp) == last, 'word of the last path')
@@ -177,12 +177,12 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     assert load.sent <= DEPLOYMENTS
 
 
-# The recorder keeps on record which parameters the nodes of its mission have.
+# The recorder records the parameters of the mission's nodes.
 
 
 @pytest.fixture
 def log(field):
-    """Start a recorder, and return the file it writes."""
+    """Start a recorder, and return its file."""
     log = field.folder / 'mission.mcap'
     field.start('recorder', {'file': str(log)}, '/m')
     field.until(lambda: field.told('/m/recorder', 'log'), 'log')
@@ -190,7 +190,7 @@ def log(field):
 
 
 def until_known(field, log, node, **values):
-    """Wait until a node's parameters on record have these values, and return them all."""
+    """Wait until a node's recorded parameters have these values; return them all."""
 
     def known():
         return read_parameters(log).get(node, {}).items() >= values.items()
@@ -211,7 +211,7 @@ def test_every_node_of_the_mission_is_asked(field, log):
     assert read_metadata(log)[RUN]['rmw_implementation'] == 'rmw_fastrtps_cpp'
 
 
-def test_a_change_and_a_restart_are_on_record(field, log):
+def test_changes_and_restarts_are_recorded(field, log):
     planner = field.start('planner', {'robots': 5}, '/m')
     until_known(field, log, '/m/planner', robots=5)
     client = AsyncParameterClient(field.node, '/m/planner')
@@ -224,7 +224,7 @@ def test_a_change_and_a_restart_are_on_record(field, log):
     until_known(field, log, '/m/planner', robots=7, max_visits=2)
 
 
-def test_a_node_that_does_not_answer_holds_nothing_up_and_is_left_alone(field, log):
+def test_a_node_without_an_answer_delays_nothing_and_is_left_alone(field, log):
     silent = rclpy.create_node('silent', context=field.node.context, namespace='/m')
     talker = field.talk(String, '/m/chatter')
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A mission whose nodes have all died goes on with every deployment that its log has."""
+"""A mission whose nodes have all died resumes with all deployments of its log."""
 
 from extent import LONG
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
@@ -22,13 +22,13 @@ NODES = ('estimator', 'agent', 'planner')
 
 
 def ledger():
-    """Return that of an estimator before the first deployment."""
+    """Return an estimator's ledger before the first deployment."""
     prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
     return Ledger(GRID, FIELD['max_steps'], Estimator(prior, SensorModel(0.5)))
 
 
 def write(log, messages, *, resume=False):
-    """Write a prior and these messages of the agent to a log, or to its end these alone."""
+    """Write a log with a prior and these messages of the agent, or append the messages."""
     topics = {
         BeliefMaps: '/m/belief',
         Path: '/m/scout_1/path',
@@ -44,7 +44,7 @@ def write(log, messages, *, resume=False):
 
 
 def start(field, name, log, robots, *, resumed=True):
-    """Start a node of the mission that goes on with a log."""
+    """Start a node that resumes the mission from a log."""
     awaited = {'estimator': ['planner'], 'agent': ['planner', 'estimator'], 'recorder': []}
     field.start(
         name,
@@ -66,12 +66,12 @@ def until_done(field, robots):
 
 
 def reported(log):
-    """Return which deployments are reported in a log."""
+    """Return the reported deployments of a log."""
     return {from_stamp(each.message.deployment) for _, each in MissionLog(log).read('report')}
 
 
 def folded(log):
-    """Return the belief that an estimator has after all that is in a log."""
+    """Return an estimator's belief after all evidence of a log."""
     register = ledger()
     for role, logged in MissionLog(log).read('path', 'report'):
         record(register, role, logged.message)
@@ -102,13 +102,13 @@ def test_a_refused_report_takes_no_deployment_away(field):
     )
 
 
-def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(field):
+def test_reports_during_the_start_of_an_estimator_are_assimilated(field):
     log = field.folder / 'mission.mcap'
     write(log, [path(1), lost(1)])
     given = {**FIELD, 'recorded': True, 'await_nodes': ['test'], 'resume': str(log)}
     field.start('estimator', given, '/m')
     field.until(lambda: 'waiting for test' in field.state('/m/estimator'), 'wait')
-    # The robot comes home, and its node dies.
+    # The robot returns, and its node dies.
     write(log, [returned(1)], resume=True)
     beliefs = field.listen(BeliefMaps, '/m/belief')
     field.until(lambda: beliefs and beliefs[-1].deployments == 1, 'belief')
@@ -121,7 +121,7 @@ def test_what_only_the_recorder_heard_while_an_estimator_starts_is_taken_in(fiel
     pytest.param(MAX_ROBOTS - 10, qos.DEPTH, marks=LONG),
 ])  # fmt: skip
 def test_deployments_survive_every_restart(field, before, depth):
-    """Publishers keep the newest `depth`; the log has them all."""
+    """Publishers keep the newest `depth`; the log has all."""
     if depth < qos.DEPTH:
         field.keep_fewer(depth)
     log = field.folder / 'mission.mcap'
@@ -137,7 +137,7 @@ def test_deployments_survive_every_restart(field, before, depth):
     until_done(field, robots)
     field.until(lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all')
     last = read_belief_maps(beliefs[-1]).belief.joint.tobytes()
-    # The last reports may be believed before they are on record.
+    # The belief may include the last reports before they are recorded.
     field.until(lambda: len(reported(log)) == robots, 'all reports on record')
     assert last == folded(log)
     for name in ('recorder', *NODES):

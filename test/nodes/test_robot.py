@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot walks its orders by the actions of Nav2, and reports what truly happened."""
+"""A robot walks its orders by actions of Nav2, and reports its true walk."""
 
 from collections import Counter
 from functools import reduce
@@ -31,7 +31,8 @@ DATUM = (55.944904, -3.186693, -0.8)
 TURNED = {'placed': (40.0, -7.0, 2.1), 'datum': DATUM}
 POSES = {'driver': 'navigate_through_poses'}
 
-# What is simulated, and what the robot is told: one of these is told by fixes alone where it is.
+# Simulated detections and positions, and the robot's parameters; one robot is located by fixes
+# only.
 WALKS = {
     'follow_path': ({}, {'driver': 'follow_path'}),
     'turned': (TURNED, POSES),
@@ -46,13 +47,13 @@ WALKS = {
     *list(WALKS)[:4],
     *(pytest.param(kind, marks=pytest.mark.full) for kind in list(WALKS)[4:]),
 ])  # fmt: skip
-def test_a_robot_reports_the_walk_that_it_was_driven(field, kind):
+def test_a_robot_reports_its_true_walk(field, kind):
     simulated, told = WALKS[kind]
     fleet, reports = Fleet.simulated(field, **simulated)
     fleet.start(**told)
     report = fleet.wait_for_report(reports, fleet.send(1, ROUND))
     fleet.see_that_it_is_true(report)
-    # A detector of pictures tells no more than each moment where it was.
+    # A detector of images only gives the robot's cell at each time.
     if kind != 'pictures':
         assert [cell for cell, _ in report.readings] == ROUND[1:]
     if 'placed' not in simulated:
@@ -78,7 +79,7 @@ def test_bad_fixes_are_refused_by_name_and_counted(field):
     fleet = Fleet(field, datum=DATUM)
     fleet.start(position='fix')
     receiver = field.talk(NavSatFix, '/scout_1/fix', 10)
-    # The robot may know the receiver a moment later, and nothing is sent to it again.
+    # The robot may discover the receiver a moment later, and fixes are not repeated.
     known = time.monotonic() + 1.0
     field.until(lambda: time.monotonic() > known, 'second')
     for number, (told, changes) in enumerate(BAD_FIXES.items(), 1):
@@ -95,14 +96,14 @@ def test_bad_fixes_are_refused_by_name_and_counted(field):
 
 
 def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
-    """It takes no path from the base of others, in a file of parameters that names both."""
+    """It refuses paths from others' bases, with a file of parameters that names both."""
     fleet = Fleet(field)
     reports = fleet.reports()
     fleet.simulate(scout_1=(11.5, 11.5))
     fleet.start(**{'team.scout_1.base_position': [11.2, 11.9], 'team.scout_2.base': 11})
     fleet.send(1, [0, 1, 0])
     field.until(lambda: field.count('/scout_1/robot', 'refused') == 1, 'refusal')
-    # What it waits for may be told in the meantime.
+    # It may state meanwhile what it waits for.
     assert 'path must start at the base 143, not at cell 0' in field.said('/scout_1/robot')
     orders = [143, 142, 130, 131, 143]
     report = fleet.wait_for_report(reports, fleet.send(2, orders))
@@ -110,12 +111,12 @@ def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
     assert fleet.walked() == orders
 
 
-# How often each failure is injected.
+# Number of injections of each failure.
 ROUNDS = 20 if FULL else 1
 
 
 def fail(fleet, how, when):
-    """Have a failure strike a robot that is to leave, or has left some time ago, in seconds."""
+    """Inject a failure into a robot before its departure, or some seconds after it."""
     if how in ('reject', 'abort', 'silent', 'lie'):
         fleet.inject(how)
         return
@@ -162,13 +163,13 @@ WAY_ROUND = [0, 1, 2, 3, 16, 15, 14, 13, 0]
 
 
 def is_out_and_back(report):
-    """Say whether a robot came home by the way it came, before the end of its orders."""
+    """Return whether a robot returned the way it came, before the end of its orders."""
     cells = moves([0, *(cell for cell, _ in report.readings)])
     turn = len(cells) // 2
     return cells == cells[::-1] and cells[: turn + 1] == WAY_ROUND[: turn + 1]
 
 
-def test_a_robot_that_cannot_go_on_goes_home_and_tells_how_far_it_came(field):
+def test_a_stuck_robot_goes_home_and_reports_its_walk(field):
     fleet, reports = Fleet.simulated(field)
     fleet.start(attempts=2)
     key = fleet.send(1, WAY_ROUND)
@@ -221,7 +222,7 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
     first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)
     before, after = report.readings[:first], report.readings[first:]
     assert all(reading == -1 for _, reading in after)
-    # The shortest way to where it seemed to be begins with cells that it was not seen in.
+    # The shortest way to its apparent position begins with cells where it was not seen.
     assert all(reading in (cell in TARGETS, -1) for cell, reading in before)
     assert before[0] == (1, False)
 
@@ -237,7 +238,7 @@ def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told)
     fleet.start(attempts=1)
     key = fleet.send(1, [0, 1, 0])
     field.until(lambda: told in field.said('/scout_1/robot'), 'wait for Nav2 on the console')
-    # What the operator decides meanwhile holds when Nav2 is ready.
+    # Operator actions meanwhile still hold when Nav2 is ready.
     fleet.hold(True)
     fleet.inject('live')
     field.until(lambda: 'the operator to end the pause' in fleet.state(), 'wait for the operator')
@@ -248,7 +249,7 @@ def test_a_robot_does_not_depart_before_nav2_takes_goals(field, lifecycle, told)
     assert moves([0, *(cell for cell, _ in report.readings)]) == [0, 1, 0]
 
 
-def test_a_robot_waits_for_what_drives_it_and_says_so(field):
+def test_a_robot_waits_for_its_action_servers_and_says_so(field):
     fleet = Fleet(field)
     reports = fleet.reports()
     fleet.start()
@@ -262,11 +263,11 @@ def test_a_robot_waits_for_what_drives_it_and_says_so(field):
     fleet.wait_for_report(reports, key)
 
 
-# Missions of robots that Nav2's actions drive, in a simulator that is not ours
+# Missions of robots driven by Nav2's actions in a third-party simulator
 
 MISSION = '/mission'
 NODES = ('recorder', 'estimator', 'planner')
-# When the base dies, in seconds after a path was sent, and how long it is gone.
+# Seconds after a path was sent at which the base dies, and seconds until its restart.
 CRASHES = np.random.default_rng(4).uniform(0, [3.0, 5.0], (20, 2)).tolist()
 
 
@@ -278,10 +279,10 @@ CRASHES = np.random.default_rng(4).uniform(0, [3.0, 5.0], (20, 2)).tolist()
         for driver in ('follow_waypoints', 'navigate_through_poses', 'follow_path')
     ),
 ])  # fmt: skip
-def test_a_mission_ends_and_its_log_tells_what_the_simulator_did(
+def test_a_mission_ends_and_its_log_agrees_with_the_simulator(
     field, driver, names, robots, max_steps, crashes
 ):
-    """Also where its base dies while a robot is out, and goes on from the log."""
+    """Also if the base dies with a robot in flight, and resumes from the log."""
     fleet = Fleet(field, names, mission=MISSION)
     log = field.folder / 'log' / 'mission.mcap'
     log.parent.mkdir()
@@ -295,7 +296,7 @@ def test_a_mission_ends_and_its_log_tells_what_the_simulator_did(
 
     def start_base(**own):
         for name in NODES:
-            # A log can be replayed from the belief before the first deployment.
+            # Replay needs the belief before the first deployment.
             awaited = {'await_nodes': ['planner', 'recorder']} if name == 'estimator' else {}
             field.start(name, {**base, **awaited, **own}, MISSION)
 
@@ -318,7 +319,7 @@ def test_a_mission_ends_and_its_log_tells_what_the_simulator_did(
     print(dict(where))
     done = f'done: {robots} of {robots} robots deployed'
     field.until(lambda: field.state(f'{MISSION}/planner') == done, done, 300)
-    # The planner may be heard before the belief that it is done by.
+    # The planner's diagnostics may arrive before its last belief.
     field.until(lambda: beliefs[-1].deployments == robots, 'belief in all')
     said = ''.join(field.said(f'{MISSION}/{name}/robot') for name in names)
     assert where['out'] >= len(crashes) // 3
@@ -327,7 +328,7 @@ def test_a_mission_ends_and_its_log_tells_what_the_simulator_did(
     told = replay(log)
     assert told.reproduced
     assert not told.evidence.refused
-    # What the recorder heard again says what it said before, and is what the robots said.
+    # Repeated reports equal the first, and equal the robots'.
     on_record = {read_report(logged.message) for logged in read_log(log, [REPORT])}
     assert on_record == {read_report(message) for each in heard.values() for message in each}
     assert len(on_record) == len({key for key, _ in on_record}) == robots
@@ -337,23 +338,23 @@ def test_a_mission_ends_and_its_log_tells_what_the_simulator_did(
         ]
         fleet.see_that_all_is_true(reports, name=name)
         assert all(report.survived for report in reports)
-        # Detections arrive: of no cell but the last is nothing known.
+        # Detections arrive: only the last cell may lack them.
         readings = [reading for each in reports for _, reading in each.readings[:-1]]
         assert -1 not in readings
 
 
-# A robot that loses its power, in the field or at home, and what it had not synced with it.
+# Power loss of a robot in the field or at home, with loss of unsynced data.
 
 
 ORDERS = [0, 1, 2, 3, 16, 15, 14, 13, 0]
 
-# When the power is cut, in seconds after the robot has left: in the field, or at any time.
+# Seconds after departure at which the power is cut: in the field, or at any time.
 CUTS = np.random.default_rng(6).uniform(0, 4.5, 100) if FULL else (0.7,)
 
 
 @pytest.fixture
 def synced(tmp_path, monkeypatch):
-    """Have processes that are started keep how much of each journal is on the disk."""
+    """Record, for processes that start, how much of each journal is synced."""
     library = tmp_path / 'keep_synced.so'
     source = Fleet.SOURCES / 'keep_synced.c'
     subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)
@@ -361,7 +362,7 @@ def synced(tmp_path, monkeypatch):
 
 
 def cut_power(fleet, rng):
-    """Cut the power of a robot: it is off, it stands, and what was not synced is gone."""
+    """Cut a robot's power: it stops, and unsynced data is lost."""
     fleet.field.kill('/scout_1/robot')
     fleet.inject('die')
     fleet.inject('live')
@@ -369,7 +370,7 @@ def cut_power(fleet, rng):
     content = journal.read_bytes()
     synced = int(journal.with_name(f'{journal.name}.synced').read_text())
     assert synced <= len(content)
-    # Of what was written and not synced, any part may be there, and blocks of zeros.
+    # Any part of unsynced data may be on disk, also as blocks of zeros.
     end = int(rng.integers(synced, len(content) + 1))
     journal.write_bytes(content[:end] + bytes(int(rng.integers(0, 20))))
 
@@ -377,7 +378,7 @@ def cut_power(fleet, rng):
 @pytest.mark.processes
 @pytest.mark.interpreter
 @pytest.mark.usefixtures('synced')
-def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
+def test_a_robot_without_power_anywhere_reports_its_walk_once(request):
     field = request.getfixturevalue('field')
     rng = np.random.default_rng(5)
     fleet, reports = Fleet.simulated(field)
@@ -407,7 +408,7 @@ def test_a_robot_that_loses_its_power_anywhere_reports_its_walk_once(request):
 
 @pytest.mark.processes
 @pytest.mark.interpreter
-def test_a_launched_robot_that_is_killed_in_the_field_comes_home(field):
+def test_a_launched_robot_that_is_killed_in_the_field_returns(field):
     pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
     fleet, reports = Fleet.simulated(field)
     parameters = field.folder / 'robot.yaml'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What robots hear of where they are and of what they see, whatever comes first."""
+"""Positions and detections of robots, in any order of arrival."""
 
 from collections import deque
 from contextlib import closing
@@ -49,8 +49,8 @@ def transform(field, x, y, parent='map', child='base_link', turned=1.0):
     return TFMessage(transforms=[told])
 
 
-def test_positions_that_none_can_be_make_no_step(field):
-    """The robot goes where the test says; nothing drives it, so it waits for its action server."""
+def test_impossible_positions_make_no_step(field):
+    """The test sets the position; no Nav2 drives the robot, so it waits for its action server."""
     fleet = Fleet(field)
     deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0), 1, [Step(1, 1), Step(2, 2)])
     journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
@@ -84,13 +84,13 @@ def test_positions_that_none_can_be_make_no_step(field):
     poses.publish(transform(field, 2.5, 0.5, turned=7.0))
     field.until(lambda: field.count('/scout_1/robot', 'refused') == 2, 'two refusals')
     assert not reports
-    # Far away for as long as tf_timeout it has been there, by some way.
+    # After tf_timeout far away, it has been there, by some way.
     stand(0.5, 0.5, lambda: reports, 'report')
     report = fleet.wait_for_report(reports, fleet.key(1))
     assert report.readings == ((1, -1), (2, -1), (1, -1), (0, -1))
 
 
-def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
+def test_an_endless_walk_is_reported_up_to_the_maximum(field):
     """The robot was lost for hours and is at its base, where its power was off."""
     fleet = Fleet(field)
     deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0))
@@ -128,8 +128,8 @@ def test_of_a_walk_without_end_as_much_is_reported_as_a_report_has(field):
     assert kept.deployments[0].is_home
 
 
-# How late positions come, in seconds, whether the robot is stopped again and again, and how fast a
-# simulated clock runs.
+# Delay of positions in seconds, whether the robot is stopped repeatedly, and the speed of a
+# simulated clock.
 RACES = {
     'late positions': (0.3, False, 0.0),
     'a busy robot': (0.0, True, 0.0),
@@ -139,10 +139,10 @@ RACES = {
 
 @pytest.mark.parametrize('detection_type', some(['bool', 'detection2d_array'], 2))
 @pytest.mark.parametrize('late, is_busy, rate', RACES.values(), ids=RACES)
-def test_what_is_seen_counts_where_the_robot_was_whatever_comes_first(
+def test_detections_count_in_the_robot_s_cell_in_any_order(
     field, detection_type, late, is_busy, rate
 ):
-    """The robot goes home from cell 5 as the test says; the only target is in cell 2."""
+    """The robot returns from cell 5 under control of the test; the only target is in cell 2."""
     fleet = Fleet(field, detection_type=detection_type)
     deployment = Deployment(10**9, 5, (0, 5, 0), 1, [Step(5, 1)])
     with closing(Journal(fleet.journal('scout_1'), 'scout_1', GRID)) as journal:
@@ -176,11 +176,11 @@ def test_what_is_seen_counts_where_the_robot_was_whatever_comes_first(
     def goes_home():
         clock.publish(Clock(clock=stamp()))
         now = time.monotonic() - begun
-        # A second in cell 5, then home at about 2 m/s, and slower in the cell of the target.
+        # A second in cell 5, then home at about 2 m/s, slower in the target's cell.
         x = float(np.interp(now, [1.0, 2.3, 2.7, 4.0], [5.5, 2.7, 2.2, 0.5]))
         pose = transform(field, x, 0.5)
         pose.transforms[0].header.stamp = stamp()
-        # The oldest of many are gone when a robot that was busy takes them.
+        # A busy robot misses the oldest of many messages.
         queue.extend([(now + late, pose)] * (10 if is_busy else 1))
         while queue and queue[0][0] <= now:
             poses.publish(queue.popleft()[1])
@@ -212,7 +212,7 @@ def test_detections_at_1_khz_and_none_at_all(field):
     sent = 0
     begun = time.monotonic()
     while len(reports) < 2 and time.monotonic() < begun + 60:
-        # As many as are due, in between what else there is to do.
+        # As many as are due, between other callbacks.
         while sent < 1000 * (time.monotonic() - begun):
             detections.publish(Bool(data=True))
             sent += 1
@@ -235,7 +235,7 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     paths.publish(path_message(GRID, [0, 13, 26, 13, 0], 10**9, 5))
     assert 'enters a blocked cell' in field.until_refused('/scout_1/robot', 2)
     fleet.wait_for_report(reports, fleet.send(1, [0, 1, 0]))
-    # The clock of its base was set back. The robot says so there, for good.
+    # The clock of its base was set back. The robot refuses there, for good.
     key = fleet.send(2, [0, 1, 0], mission=4)
     journal = fleet.journal('scout_1')
     why = (
@@ -256,7 +256,7 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     fleet.wait_for_report(reports, fleet.send(3, [0, 1, 0]))
 
 
-def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field):
+def test_a_robot_departs_in_a_new_mission_and_keeps_the_last_journal(field):
     fleet, reports = Fleet.simulated(field)
     for number, mission in ((1, 5), (2, 7), (3, 9)):
         fleet.start()
@@ -271,12 +271,12 @@ def test_a_robot_leaves_in_a_new_mission_and_keeps_the_journal_of_the_last(field
             opened.close()
 
 
-def test_a_disk_that_is_full_costs_no_step(field):
+def test_a_full_disk_loses_no_step(field):
     fleet, reports = Fleet.simulated(field)
     robot = fleet.start()
     field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
     journal = fleet.journal('scout_1')
-    # The orders have room and two or three steps; then there is no more.
+    # Room for the orders and two or three steps.
     size = journal.stat().st_size + 250
     resource.prlimit(robot.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
     report = fleet.wait_for_report(reports, fleet.send(1, [0, 1, 2, 14, 13, 0]))
@@ -286,7 +286,7 @@ def test_a_disk_that_is_full_costs_no_step(field):
     said = field.said('/scout_1/robot')
     assert f'{journal}: File too large (raise the limit' in said
     assert 'the rest is kept in memory' in said
-    # Without room it does not leave.
+    # Without room it does not depart.
     key = fleet.send(2, [0, 1, 0])
     field.until(lambda: 'waiting for room on the disk' in fleet.state(), 'word of it')
     resource.prlimit(
@@ -300,10 +300,10 @@ def test_a_disk_that_is_full_costs_no_step(field):
     assert kept.deployments[0].cells == [0, 1, 2, 14, 13, 0]
 
 
-# What a robot makes of the messages of its target detector, and of a type that it lacks.
+# Messages of a robot's target detector, and a missing message type.
 
 
-# Of the message as vision_msgs 4.1.1 of ROS 2 Jazzy defines it, with all that it holds.
+# The message as in vision_msgs 4.1.1 of ROS 2 Jazzy, with all its fields.
 HASH = '214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968'
 
 ROCK, TARGET_CLASS, DOUBTFUL = ('rock', 0.9), ('target', 0.5), ('target', 0.49)
@@ -311,7 +311,7 @@ NOT_A_NUMBER = ('target', float('nan'))
 
 
 def array(*objects, sec=0):
-    """Return a message with objects, each of them of some classes with their scores."""
+    """Return a message with objects, each with some classes and scores."""
     message = Detection2DArray(
         detections=[
             Detection2D(
@@ -358,7 +358,7 @@ def test_arrays_are_those_of_vision_msgs():
 
 
 @pytest.mark.processes
-def test_a_robot_without_vision_msgs_says_what_to_install(tmp_path):
+def test_a_robot_without_vision_msgs_names_the_package(tmp_path):
     folders = os.environ['PYTHONPATH'].split(os.pathsep)
     others = [each for each in folders if not Path(each, 'vision_msgs').exists()]
     assert others != folders

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base and robot on two networks, with no way from one to the other while the robot is out."""
+"""Base and robot on two networks that are disconnected while the robot is in flight."""
 
 import time
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.processes
 
 
 def flap(mission, number, times, rng):
-    """Take the link up and down while a robot reports that it is home; it is down in the end."""
+    """Toggle the link while a robot reports its return; end with it down."""
     for ups in range(times):
         if len(mission.reports()) == number:
             return ups
@@ -25,8 +25,7 @@ def flap(mission, number, times, rng):
 
 
 @pytest.mark.full
-# How many robots leave, how long the link is down at least, in seconds, and how often it is up for
-# a moment when the robot is home.
+# Number of robots, minimum seconds of a link down, and short links at the robot's return.
 @pytest.mark.parametrize('robots, longest, flaps', [
     (2, 1.5, 3),
     pytest.param(20, 90.0, 0, marks=LONG),
@@ -59,8 +58,8 @@ def test_each_robot_that_was_out_of_reach_is_reported_once(tmp_path, robots, lon
 
 @pytest.mark.full
 @pytest.mark.campaign
-def test_a_robot_that_is_cut_off_for_30_seconds_is_given_up_and_its_return_counts(tmp_path):
-    """DDS forgets those that it does not hear for 20 s; by then the robot counts as lost."""
+def test_a_robot_cut_off_for_30_seconds_is_given_up_and_its_return_counts(tmp_path):
+    """DDS forgets participants after 20 s of silence; by then the robot counts as lost."""
     with apart(tmp_path, 2, silent_loss=True, step_period=1.0, return_deadline=5.0) as mission:
         mission.until(lambda: mission.count('leaving on') == 1, 'departure')
         mission.switch('down')
@@ -80,13 +79,11 @@ def test_a_robot_that_is_cut_off_for_30_seconds_is_given_up_and_its_return_count
 @pytest.mark.full
 @pytest.mark.campaign
 @pytest.mark.parametrize('what', ['reboot', 'readdress'])
-def test_a_robot_is_heard_again_that_was_rebooted_without_a_link_or_has_another_address(
-    tmp_path, what
-):
+def test_a_robot_reconnects_after_a_reboot_without_link_or_a_new_address(tmp_path, what):
     with apart(tmp_path, 2) as mission:
         mission.until(lambda: mission.count('leaving on') == 1, 'departure')
         mission.switch('down')
-        # While the robot is out.
+        # While the robot is in flight.
         getattr(mission, what)()
         mission.until(lambda: mission.count('home from') == 1, 'return')
         if what == 'reboot':

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/robots.md tells of agents and of costmap filters, and the agent that it prints."""
+"""Agents and costmap filters of docs/robots.md, with the printed agent."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ AGENT = re.search(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.
 
 @pytest.fixture
 def minimal_agent(tmp_path):
-    """Provide a function that starts the agent as it is printed; it is ended in the end."""
+    """Provide a function that starts the printed agent; end it afterwards."""
     started = []
 
     def start():
@@ -45,7 +45,7 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     minimal_agent()
     for node in ('recorder', 'estimator'):
         field.start(node, parameters)
-    # A log can be replayed from the belief before the first deployment.
+    # Replay needs the belief before the first deployment.
     waiting = 'waiting for a planner to publish AGENT/path in'
     field.until(lambda: field.state('/recorder').startswith(waiting), 'belief to record')
     field.start('planner', parameters)
@@ -57,12 +57,12 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     assert len(replayed.evidence.reports) == 3
 
 
-# Nav2's costmap filters take the map of hazards for their mask, set up as docs/robots.md says.
+# Costmap filters of Nav2 take the hazard map as mask, set up as in docs/robots.md.
 
 
 PAGE = Path(__file__).parents[2] / 'docs/robots.md'
 
-# Subscribes as nav2_costmap_2d 1.3 does, and prints what a value of the mask means to it.
+# Subscribes like nav2_costmap_2d 1.3, and prints the effect of the mask's values.
 NAV2 = """
 import json
 import sys
@@ -118,7 +118,7 @@ PRINTED = printed()
 
 
 def started(field, **parameters):
-    """Have an estimator publish its belief in a field with an obstacle; return the belief."""
+    """Start an estimator in a field with an obstacle; return its published belief."""
     hazard = np.random.default_rng(1).random((3, 4))
     hazard[0, :3] = 0.0, 1.0, 0.004
     np.save(field.folder / 'hazard.npy', hazard)
@@ -161,7 +161,7 @@ def test_a_filter_that_starts_later_gets_the_hazards_back(field, example):
     assert hazard[free].min() < 0.1 < 0.9 < hazard[free].max()
 
 
-def test_the_examples_are_of_parameters_and_filters_that_there_are():
+def test_the_examples_name_existing_parameters_and_filters():
     table = node_parameters('estimator')
     plugins = {KEEPOUT: 'KeepoutFilter', SPEED_PERCENT: 'SpeedFilter'}
     assert [of_filter['type'] for of_filter, _ in PRINTED] == list(plugins)
@@ -172,7 +172,7 @@ def test_the_examples_are_of_parameters_and_filters_that_there_are():
         assert costmap[name]['plugin'] == f'nav2_costmap_2d::{plugins[of_filter["type"]]}'
 
 
-def test_without_a_filter_nothing_is_told(field):
+def test_without_a_filter_nothing_is_published(field):
     started(field)
     assert not field.node.count_publishers('/mission/belief/costmap_filter_info')
 
@@ -184,12 +184,12 @@ def test_without_a_filter_nothing_is_told(field):
     (SPEED_PERCENT, 101.5, -1.0, '100.5 % at 1 % of hazard .* must be from 0 to 100 %'),
     (SPEED_ABSOLUTE, 1.0, -0.02, '0.98 m/s at 1 % of hazard and -1 m/s at 100 %'),
 ])  # fmt: skip
-def test_limits_that_nav2_takes_for_none_are_refused(filter_type, base, multiplier, why):
+def test_limits_without_effect_in_nav2_are_refused(filter_type, base, multiplier, why):
     with pytest.raises(ValueError, match=why):
         check_filter(filter_type, base, multiplier)
 
 
-def test_limits_that_nav2_takes_are_allowed():
+def test_limits_of_nav2_are_allowed():
     check_filter(KEEPOUT, 0.0, 1.0)
     check_filter(SPEED_PERCENT, 100.0, -1.0)
     check_filter(SPEED_ABSOLUTE, 1.5, -0.015)

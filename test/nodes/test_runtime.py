@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How nodes spin, and what they have of rclpy and of Fast DDS."""
+"""How nodes spin, and parts of rclpy and Fast DDS that they use."""
 
 from contextlib import contextmanager
 import os
@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 
 @pytest.fixture
 def here(field):
-    """Provide a node in the test and how to spin it until something holds."""
+    """Provide a node in the test, and a function that spins it until a condition holds."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = MissionNode('estimator')
     executor = node.make_executor()
@@ -49,7 +49,7 @@ def fail(*_):
 
 
 def ask(node, until):
-    """Call a service, and return what its answer comes to."""
+    """Call a service, and return its response."""
     client = node.create_client(Trigger, 'how')
     until(client.service_is_ready)
     return client.call_async(Trigger.Request())
@@ -125,7 +125,7 @@ estimator.main()
     assert ended.returncode == 0, ended.stderr
 
 
-# The parts of rclpy that are private or experimental and used here are as they were.
+# Private and experimental parts of rclpy are unchanged.
 
 
 def test_rclpy_is_of_jazzy():
@@ -141,7 +141,7 @@ def test_nodes_hold_what_they_held():
     rclpy.try_shutdown()
 
 
-# Nodes use no shared memory, which a killed process leaves behind.
+# Nodes use no shared memory, which a killed process would leave behind.
 
 
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -168,7 +168,7 @@ LOCAL = [{'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}, {'ROS_LOCALHOST_ONLY': 
 
 
 def of_user(domain, **variables):
-    """Return the environment of a user who has set these variables for ROS."""
+    """Return the environment of a user with these variables of ROS."""
     others = {name: value for name, value in os.environ.items() if not name.startswith('ROS_')}
     others.pop(PROFILES, None)
     return {**others, 'ROS_DOMAIN_ID': str(domain), **variables}
@@ -176,7 +176,7 @@ def of_user(domain, **variables):
 
 @contextmanager
 def started(program, variables):
-    """Yield a process that is ready, and kill it in the end."""
+    """Yield a process that is ready; kill it afterwards."""
     process = subprocess.Popen(
         [sys.executable, '-c', program], env=variables, stdout=subprocess.PIPE, text=True
     )
@@ -190,7 +190,7 @@ def started(program, variables):
 
 
 def shared_memory(process):
-    """Return which shared memory of Fast DDS a process has mapped."""
+    """Return the shared memory of Fast DDS that a process has mapped."""
     lines = Path(f'/proc/{process.pid}/maps').read_text().splitlines()
     return {line.split()[-1] for line in lines if '/dev/shm/fastrtps' in line}
 
@@ -211,7 +211,7 @@ def test_robots_that_are_killed_leave_no_shared_memory_and_are_found_again(said)
 
 
 @pytest.mark.processes
-def test_the_demo_uses_none_whatever_the_user_has_set(monkeypatch):
+def test_the_demo_uses_no_shared_memory_under_any_setting(monkeypatch):
     for variables in LOCAL:
         for name, value in variables.items():
             monkeypatch.setenv(name, value)
@@ -229,7 +229,7 @@ def test_a_tool_on_localhost_hears_nodes_without_shared_memory():
 
 
 @pytest.mark.processes
-def test_what_the_user_decides_is_left_alone():
+def test_settings_of_the_user_are_kept():
     assert udp_only({PROFILES: 'mine.xml', **LOCAL[0]}, CONFIG) == {}
     for far in (
         {},
@@ -243,7 +243,7 @@ def test_what_the_user_decides_is_left_alone():
 
 
 @pytest.mark.processes
-def test_a_node_says_when_a_discovery_server_would_have_it_wait_for_ever(tmp_path):
+def test_a_node_warns_of_a_discovery_server_that_hides_nodes(tmp_path):
     server = {'ROS_DISCOVERY_SERVER': '127.0.0.1:11811'}
     told = deaf_to_server(server)
     for client in ({}, server | {'ROS_SUPER_CLIENT': 'TRUE'}, {'ROS_SUPER_CLIENT': 'FALSE'}):

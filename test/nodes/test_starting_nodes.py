@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the nodes start, are seen, what they say and how they end."""
+"""How nodes start, appear in the graph, print and end."""
 
 from contextlib import suppress
 import os
@@ -31,7 +31,7 @@ import pytest
 
 @pytest.fixture
 def run(server, tmp_path):
-    """Return a function that runs commands at once, and returns of each exit code and words."""
+    """Return a function that runs commands in parallel, and returns exit codes and outputs."""
 
     def run(commands):
         started = []
@@ -46,13 +46,13 @@ def run(server, tmp_path):
 
 
 def complaints(said, told='[INFO]'):
-    """Return the lines of a node that tell of no wait and of no deployment."""
+    """Return a node's lines that are not about waits or deployments."""
     return [line for line in said.splitlines() if not line.startswith(told)]
 
 
 ROBOT = 'agent:=scout_1 journal:=FOLDER'
 
-# Parameters that a node refuses, and what of its only line says why.
+# Refused parameters, and the reason in the node's only line.
 CANNOT_START = [
     ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
     ('planner', 'planner:=coverage objective:=behavioral', 'the planner coverage seeks'),
@@ -119,7 +119,7 @@ def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
 
 
 @pytest.mark.processes
-def test_help_tells_what_a_node_does_and_what_can_be_given(run):
+def test_help_describes_a_node_and_its_parameters(run):
     for name, (code, said) in zip(NODES, run([name, '--help'] for name in NODES)):
         assert code == 0, name
         assert said.startswith(f'usage: {name}')
@@ -127,7 +127,7 @@ def test_help_tells_what_a_node_does_and_what_can_be_given(run):
         told = ' '.join(said.split())
         for parameter in node_parameters(name).values():
             assert f' {parameter.name} {parameter.summary}{parameter.changeable}' in told
-        # The example can be typed.
+        # The example is a command.
         check_given(name, shlex.split(said.splitlines()[-1])[4:])
 
 
@@ -142,14 +142,14 @@ def test_arguments_that_are_not_for_ros_are_refused(run):
 @pytest.mark.parametrize('number', some([signal.SIGTERM, signal.SIGINT], 2), ids=lambda s: s.name)
 def test_a_signal_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
-    # A robot would answer for the agent as well.
+    # A robot would publish in place of the agent as well.
     names = [name for name in NODES if name != 'robot']
-    # A belief ahead of its path would be told of.
+    # A belief ahead of its path would be reported.
     parameters = {'file': str(log), 'recorded': True}
     nodes = {name: field.start(name, parameters) for name in names}
     for name in names:
         field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')
-    # It opens its log when it has heard of no other recorder.
+    # It opens its log when no other recorder was discovered.
     field.until(lambda: field.told('/recorder', LOG), 'log')
     for process in nodes.values():
         process.send_signal(number)
@@ -162,7 +162,7 @@ def test_a_signal_ends_every_node_well(field, number):
 @pytest.mark.parametrize('number', some([signal.SIGINT, signal.SIGTERM], 2), ids=lambda s: s.name)
 def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
-    # Kernels that are compiled for the first time are told of on the terminal.
+    # First compilations are announced on the console.
     grid = Grid(4, 4)
     plan(grid, Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(0.5), 6)
     field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6}, '/', log)
@@ -178,7 +178,7 @@ def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
 
 @pytest.fixture
 def nothing_compiled(tmp_path, monkeypatch):
-    """Have the nodes that are started next compile their kernels, for the first time."""
+    """Use an empty kernel cache for nodes that start next."""
     pytest.importorskip('numba')
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
 
@@ -193,14 +193,14 @@ def test_a_signal_ends_a_planner_that_compiles(nothing_compiled, field):
     field.until(lambda: planner.poll() is not None, 'end of the planner', may_end=True)
     assert planner.returncode == 0
     assert len(complaints(field.said('/planner'))) == 1
-    # It did not complete what it was compiling for.
+    # It did not finish what it compiled for.
     field.until(lambda: field.node.count_publishers('/scout_1/path') == 0, 'silence')
     assert paths == []
 
 
 @pytest.mark.interpreter
 @pytest.mark.parametrize('gap', some([0.0, 0.3, 0.6, 0.9], 2))
-def test_interrupts_do_not_kill_what_ends_well(field, gap):
+def test_interrupts_do_not_kill_an_ending_node(field, gap):
     agent = field.start('agent')
     field.until(lambda: field.diagnosed('/agent').values, 'diagnostics')
     agent.send_signal(signal.SIGINT)
@@ -212,7 +212,7 @@ def test_interrupts_do_not_kill_what_ends_well(field, gap):
 
 
 @pytest.mark.interpreter
-def test_a_node_that_waits_to_be_made_ends_well_however_often_it_is_told(field):
+def test_a_starting_node_ends_well_after_any_number_of_signals(field):
     planner = field.start('planner', {'map_topic': '/map'})
     field.until(lambda: 'waiting for a map' in field.state('/planner'), 'waiting planner')
     while planner.poll() is None:
@@ -220,7 +220,7 @@ def test_a_node_that_waits_to_be_made_ends_well_however_often_it_is_told(field):
     assert planner.returncode == 0
 
 
-def test_a_node_that_takes_in_a_log_ends_before_it_is_through(monkeypatch):
+def test_a_node_ends_while_it_reads_a_log(monkeypatch):
     monkeypatch.setattr(signals, 'SIGNALS', [])
     items = MissionNode.tell_progress(None, range(9), 'taking in a log')
     assert next(items) == 0
@@ -229,7 +229,7 @@ def test_a_node_that_takes_in_a_log_ends_before_it_is_through(monkeypatch):
         next(items)
 
 
-# What nodes say on the console, and how a mission ends.
+# Console lines, and the end of a mission.
 
 
 GRID = Grid(3, 3)
@@ -239,20 +239,20 @@ PARAMETERS = {'grid.width': 3, 'grid.height': 3, 'max_steps': 4}
 
 
 def ledger():
-    """Return what an estimator knows before the first deployment."""
+    """Return an estimator's ledger before the first deployment."""
     return Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
 
 
 def until_said(field, name, *words):
-    """Wait until a node has said all of this on its console."""
+    """Wait until a node's console has all these lines."""
     field.until(lambda: all(each in field.said(name) for each in words), f'{words} of {name}')
 
 
-def test_who_serves_a_role_may_be_called_anything(field):
+def test_nodes_in_a_role_may_have_any_name(field):
     paths = field.listen(Path, '/scout_1/path')
     reports = field.listen(DeploymentReport, '/scout_1/report')
     for node in ROLES:
-        # Agents do not listen to beliefs.
+        # Agents do not subscribe to beliefs.
         passed_over = (node, 'agent') if node == 'estimator' else (node,)
         parameters = {
             **PARAMETERS,
@@ -265,7 +265,7 @@ def test_who_serves_a_role_may_be_called_anything(field):
     field.until(lambda: len(paths) == len(reports) == 2, 'mission')
 
 
-def test_the_others_say_for_whom_they_wait(field):
+def test_nodes_name_what_they_wait_for(field):
     field.start('recorder', {'file': str(field.folder / 'mission.mcap')})
     field.start('estimator', PARAMETERS)
     field.start('agent', PARAMETERS)
@@ -283,7 +283,7 @@ def test_the_others_say_for_whom_they_wait(field):
 
 
 def deployments_said(field, name):
-    """Return what a node has said of each deployment."""
+    """Return a node's lines on each deployment."""
     lines = field.said(name).splitlines()
     return [line.partition(f'{DEPLOYMENTS}]: ')[2] for line in lines if DEPLOYMENTS in line]
 
@@ -324,7 +324,7 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
     assert 0 < lost < 5
 
 
-# How a mission ends, and what console and log tell of that.
+# The end of a mission on console and in the log.
 
 
 SILENT = {'silent_loss': True, 'step_period': 0.001, 'return_deadline': 2.0}
@@ -345,7 +345,7 @@ def test_a_base_stays_for_robots_that_were_given_up(field):
     assert [each.survived for each in report.evidence.reports.values()] == [True]
 
 
-def test_console_and_replay_tell_how_a_mission_ended(field):
+def test_console_and_replay_state_the_end_of_a_mission(field):
     progress = field.listen(Progress, '/progress')
     base = Base(field, robots=2)
     base.until_sent(1)
@@ -369,7 +369,7 @@ def test_console_and_replay_tell_how_a_mission_ended(field):
     said = field.said('/planner')
     assert 'parameter loss_cost is 0.5 now, and was 0.0' in said
     assert f'the mission is over: {ended}' in said
-    # The estimator tells it in `progress`, from the diagnostics of the planner.
+    # The estimator publishes it in `progress`, from the planner's diagnostics.
     field.until(lambda: progress and progress[-1].reason.startswith('done'), 'end in progress')
     report = base.replayed()
     assert f'the log of the mission is {base.log}' in field.said('/recorder')
