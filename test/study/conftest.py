@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small study, run once, whose pictures are drawn by one test unless all are run."""
+"""A small study, run once; only one test draws its figures unless all tests run."""
 
 from extent import FULL
 from kbnitp_ros.study import benchmark, comparison
@@ -9,7 +9,7 @@ import small_study
 
 
 def placeholders(figure, path, *formats):
-    """Write the files of a figure, which `test_study_figures.py` draws."""
+    """Write empty files for a figure, which `test_study_figures.py` draws."""
     files = [path.with_suffix(f'.{each}') for each in formats]
     for file in files:
         file.write_text(file.name)
@@ -18,7 +18,7 @@ def placeholders(figure, path, *formats):
 
 @pytest.fixture
 def pictures():
-    """Have pictures drawn."""
+    """Draw figures in this test."""
 
 
 @pytest.fixture(autouse=True)

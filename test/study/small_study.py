@@ -29,7 +29,7 @@ CONTENT = {
 
 
 def changed(key, value):
-    """Return the content with the value of a key (dots for levels) changed, or without it."""
+    """Return the content with one key (dots for levels) changed, or removed."""
     content = {k: dict(v) if isinstance(v, dict) else v for k, v in CONTENT.items()}
     *sections, last = key.split('.')
     section = content
@@ -55,12 +55,12 @@ def run(scenario):
 
 
 def compared_by(scenario, teams):
-    """Return the results of missions by some strategies, of one method at one lethality."""
+    """Return the results of missions by strategies, of one method at one lethality."""
     return run(replace(scenario, teams=teams, methods=('kappa_bnitp',), lethalities=(0.9,)))
 
 
 def written(results, comparison, folder):
-    """Write a report; return its summary, and the rows of a comparison with their cells."""
+    """Write a report; return its summary, and the rows and cells of a comparison."""
     write_report(results, folder)
     summary = json.loads((folder / 'summary.json').read_text())
     told = comparison.table(summary[comparison.name]).markdown()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Planners and methods are compared from Python and by the frozen benchmark, whoever made them."""
+"""Planners and methods are compared from Python and by the frozen benchmark."""
 
 from hashlib import sha256
 from pathlib import Path
@@ -19,7 +19,7 @@ SMALL = {**CONTENT, 'trials': 2, 'robots': 3, 'lethalities': [0.9]}
 
 
 def sweep(finder, objective):
-    """Plough the field, as the planner 'coverage' does."""
+    """Go row by row, like the planner 'coverage'."""
     return coverage(finder, objective)
 
 
@@ -28,7 +28,7 @@ def results():
     return compare(SMALL, planners=['random', sweep], methods=[Ignorant, 'kappa_bnitp'], workers=1)
 
 
-def test_a_function_does_as_the_planner_of_a_name(results):
+def test_a_function_equals_the_named_planner(results):
     named = compare(SMALL, planners=['random', 'coverage'], methods=['kappa_bnitp'], workers=1)
     one, other = (
         each.to_dataframe().query("planner != 'random' and method == 'kappa_bnitp'")
@@ -54,7 +54,7 @@ def test_a_class_is_the_method(results):
 
 
 @pytest.mark.processes
-def test_other_processes_have_functions_without_a_module():
+def test_other_processes_get_functions_without_a_module():
     planners = {'mine': lambda *given: coverage(*given)}
     here, there = (
         compare(SMALL, planners=planners, workers=count).to_dataframe() for count in (1, 2)
@@ -106,18 +106,18 @@ def locked(lock):
     ({'trials': 0}, ValueError, 'trials is 0: it must be a whole number from 1'),
     ({'trails': 3}, ValueError, 'trails is unknown: it has seed, trials'),
 ])  # fmt: skip
-def test_what_cannot_be_compared_is_refused(given, error, words):
+def test_bad_comparisons_are_refused(given, error, words):
     with pytest.raises(error, match=words):
         compare(**{'scenario': SMALL, **given}, workers=1)
 
 
 @pytest.mark.processes
-def test_what_cannot_be_sent_to_processes_is_refused():
+def test_functions_that_cannot_be_pickled_are_refused():
     with pytest.raises(TypeError, match='cannot be sent to other processes: with workers=1'):
         compare(SMALL, planners={'mine': locked(Lock())}, workers=2)
 
 
-# The benchmark is frozen, its bounds hold, and whoever is installed takes part.
+# The benchmark is frozen, its bounds hold, and installed methods take part.
 
 
 SCENARIOS = Path(__file__).parents[2] / 'scenarios'
@@ -149,7 +149,7 @@ def test_the_benchmark_is_frozen(scenario):
 
 
 @for_each('planner', ['random', 'coverage', 'shortest_unvisited', 'relaxed'])
-def test_no_plan_is_worth_more_than_the_bound(scenario, planner):
+def test_no_plan_exceeds_the_bound(scenario, planner):
     beliefs = benchmark.frozen()
     ratio, _ = benchmark.plan_worths(planner, scenario.field(), 18, beliefs)
     assert ratio.shape == (len(beliefs),)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strategies are compared in the same worlds, by what the table says of their missions."""
+"""Strategies are compared in the same worlds, and tables agree with their missions."""
 
 from dataclasses import astuple, replace
 from functools import partial
@@ -104,7 +104,7 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
         return mission
 
     monkeypatch.setattr(running, 'continue_mission', noting)
-    # Robots whose first step is their last have nothing to be heard of.
+    # Robots whose first step is their last make no contact.
     teams = (*PLANNERS[1:], *CONTACTS[:2])
     few = replace(scenario, teams=teams, robots=30, trials=1, lethalities=(0.5,))
     for trial in list_trials(replace(few, methods=('kappa_bnitp',))):
@@ -118,7 +118,7 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
 
 
 @pytest.mark.slow
-def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
+def test_file_names_of_information_trials_are_unchanged(scenario, tmp_path):
     scenario = replace(
         scenario, teams=OBJECTIVES, methods=('kappa_bnitp',), trials=1, lethalities=(0.9,)
     )
@@ -133,13 +133,13 @@ def test_trials_of_the_information_have_the_files_they_had(scenario, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_a_planner_does_not_seek_is_refused(scenario):
+def test_objectives_that_a_planner_lacks_are_refused(scenario):
     team = Strategy(planner='coverage', objective='behavioral', alpha=2.0)
     with pytest.raises(ValueError, match='the planner coverage seeks none'):
         replace(scenario, teams=(team,)).check_search()
 
 
-# What a robot is worth: missions are compared where they know as much.
+# The value of a robot: missions are compared at equal log loss.
 
 
 COSTS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
@@ -147,7 +147,7 @@ COSTS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
 
 @pytest.fixture(scope='module')
 def costs(scenario):
-    """Return the results of missions at three loss costs, not in their order."""
+    """Return the results of missions at three loss costs, out of order."""
     return compared_by(scenario, COSTS)
 
 
@@ -190,7 +190,7 @@ def test_a_mission_counts_up_to_where_it_first_got_there():
 
 
 @pytest.mark.slow
-def test_a_mission_that_learns_nothing_is_compared_with_nothing():
+def test_a_mission_without_information_is_not_compared():
     nothing = [[0, 1, 2], [10, 11, 12]]
     compared = equal([[0, 1, 2], [10, 6, 4]], nothing)
     assert compared == dict.fromkeys(EQUAL, 0) | {'log_loss': 10}
@@ -240,10 +240,10 @@ def test_the_report_of_loss_costs_has_their_figure(costs, tmp_path, trials):
     assert (summary['loss_cost']['rows'][0]['difference']['low'] is None) == (trials == 1)
     general, _, compared = (tmp_path / 'summary.md').read_text().partition('At equal log loss')
     assert compared
-    assert 'ifference' not in general  # there is but one method
+    assert 'ifference' not in general  # there is only one method
 
 
-# Teams are compared by the robots they send and by the rounds it takes.
+# Teams are compared by robots sent and by rounds.
 
 
 SIZES = (Strategy(), Strategy(3, 'independent'), Strategy(2, 'voronoi'))
@@ -270,14 +270,14 @@ def test_a_round_is_over_when_its_last_robot_is(robots, agents, expected):
 
 
 @pytest.mark.slow
-def test_what_a_robot_and_a_round_bring(teams):
-    """With three at a time one full round can be made: what it brings is compared with others."""
+def test_information_by_robot_and_by_round(teams):
+    """With three at a time there is one full round: its information is compared with others."""
     summary = BY_SIZE.summarise(teams)
     assert (summary['robots'], summary['rounds']) == (4, 1)
     assert [row['rounds'] for row in summary['rows']] == [4, 2, 2]
 
     def mean(team, robots, *names):
-        """Return the sum of some measures after some robots, the mean over trials."""
+        """Return the sum of some measures after some robots, averaged over trials."""
         outcomes = [teams.outcomes[Trial(0.9, 'kappa_bnitp', t, team)] for t in range(3)]
         values = [[o.measures[robots, MEASURES.index(name)] for name in names] for o in outcomes]
         return np.sum(values) / 3
@@ -300,7 +300,7 @@ def test_what_a_robot_and_a_round_bring(teams):
             assert row[name]['mean'] == pytest.approx(expected, abs=1e-6), name
             assert row[name]['low'] <= row[name]['mean'] <= row[name]['high']
     assert summary['rows'][0]['difference'] == {'mean': 0.0, 'low': 0.0, 'high': 0.0}
-    # A robot's information is what its own update took, robot after robot.
+    # A robot's information is that of its own update, robot after robot.
     realised = teams.series(0.9, 'kappa_bnitp', 'realised_information', team=SIZES[1])
     gained = summary['rows'][1]['information_a_robot']['mean']
     assert gained == pytest.approx(realised[:, 1:].mean(), abs=1e-6)
@@ -321,7 +321,7 @@ def test_the_report_of_teams_alone_has_their_figure(teams, results, tmp_path):
     assert names == {'by_round.png', 'by_round.svg', 'by_round.pdf'}
 
 
-# What a second base is worth is what the missions say, counted from the table by hand.
+# The value of a second base, counted from the table by hand.
 
 
 BASES = (Strategy(agents=2), Strategy(agents=2, second_base=11))
@@ -334,7 +334,7 @@ def compared(scenario):
 
 
 def first_at(level, log_loss):
-    """Return after how many robots a log loss was first reached, between two by the slope."""
+    """Return the number of robots to a log loss first reached, interpolated between two."""
     lowest = np.minimum.accumulate(log_loss)
     after = int(np.flatnonzero(lowest <= level)[0])
     if after == 0:
@@ -368,7 +368,7 @@ def test_the_robots_to_the_same_log_loss(compared):
     ((Strategy(2, 'voronoi'), Strategy(2, 'greedy')), set()),
     *((each[:1], set()) for each in (OBJECTIVES, MAPS, COSTS, SIZES, BASES)),
 ])  # fmt: skip
-def test_strategies_are_compared_that_differ_in_one_thing(scenario, teams, names):
+def test_compared_strategies_differ_in_one_option(scenario, teams, names):
     among = replace(scenario, teams=teams)
     found = {
         'objective': differ_in_objective(among),

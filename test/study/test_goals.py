@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goals are worth, and what the belief in a kind of hazards is."""
+"""Value of goals, and of the belief in a kind of hazards."""
 
 from dataclasses import replace
 from itertools import product
@@ -84,7 +84,7 @@ def test_every_strategy_is_asked_for_the_same_decision(asked, lanes):
         assert set(measured['free']) <= {0.0, 1.0}
         if hazard[GOAL]:
             assert not measured['free'].any()
-        # Nothing is declared of a cell but that it is free at the probability for that.
+        # A cell is declared free only, at the required probability.
         declared = outcome.believed[0, GOAL] <= 1.0 - DECLARED
         assert measured['declared'][-1] == declared
         assert measured['declared_free'][-1] == (declared and not hazard[GOAL])
@@ -106,7 +106,7 @@ def test_lanes_are_compared_with_those_of_the_first_strategy(lanes):
 
 
 @pytest.mark.slow
-def test_missions_that_stop_are_told_by_what_they_state(certificates):
+def test_stopped_missions_have_the_stated_numbers(certificates):
     [team] = certificates.scenario.teams
     rows = CERTIFICATES.summarise(certificates)['rows']
     assert [row['confidence'] for row in rows] == [0.9, 0.95]
@@ -126,7 +126,7 @@ def test_missions_that_stop_are_told_by_what_they_state(certificates):
         assert row['stated']['mean'] == pytest.approx(np.mean(stated), abs=1e-6)
         assert row['free']['mean'] == pytest.approx(np.mean(true), abs=1e-6)
         assert row['sent']['mean'] == pytest.approx(np.mean(robots), abs=1e-6)
-    # A mission that stopped is carried on as it was, and one that did not sent all robots.
+    # A stopped mission keeps its last values; one that did not stop sent all robots.
     assert (sent[:, -1] < 12).any()
     for mission in range(12):
         end = int(sent[mission, -1])
@@ -160,8 +160,8 @@ def test_too_few_draws_certify_nothing(certificates):
 
 
 @pytest.mark.slow
-def test_areas_are_told_by_how_many_robots_declare_most_of_them(asked):
-    """The rows agree with measures written by hand."""
+def test_areas_are_measured_by_the_robots_to_declare_most_cells(asked):
+    """The rows agree with independent measures."""
     area = replace(
         asked,
         trials=2,
@@ -208,7 +208,7 @@ def test_the_report_has_one_table_and_a_figure_of_it(lanes, certificates, tmp_pa
 
 
 @pytest.mark.slow
-def test_without_a_decision_nothing_of_it_is_measured(scenario, results):
+def test_without_a_decision_there_are_no_measures_of_it(scenario, results):
     assert not set(OF_GOALS) & set(results.table().column_names)
     assert results.table().column('goal').unique().to_pylist() == ['map']
 
@@ -227,7 +227,7 @@ def test_without_a_decision_nothing_of_it_is_measured(scenario, results):
     ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 0.999}}, 'independent draws'),
     ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 1.0}}, 'confidence is 1.0'),
 ])  # fmt: skip
-def test_what_does_not_fit_is_refused(changes, named):
+def test_inconsistent_goals_are_refused(changes, named):
     with pytest.raises(ValueError, match=named):
         parse_scenario({**CONTENT, **changes})
 
@@ -285,14 +285,14 @@ def test_beliefs_are_scored_by_the_field_of_their_time(scenario, kind, monkeypat
 
 
 @for_each('kind', KINDS)
-def test_who_has_the_same_paths_has_the_same_evidence(scenario, kind):
+def test_the_same_paths_give_the_same_evidence(scenario, kind):
     scenario = of_kind(scenario, kind)
     static, same = (run_trial(scenario, Trial(0.9, 'kappa_bnitp', 1, t)) for t in (STATIC, SAME))
     lost = running.MEASURES.index('robots_lost')
     assert (same.measures[:, lost] == static.measures[:, lost]).all()
     assert (same.truth == static.truth).all()
     assert not np.array_equal(same.believed, static.believed)
-    # In the worlds of static hazards all of them believe the same.
+    # In worlds of static hazards all beliefs are equal.
     still = replace(scenario, hazards=Hazards())
     a, b, c = (run_trial(still, Trial(0.9, 'kappa_bnitp', 1, team)) for team in scenario.teams)
     assert a.believed.tobytes() == b.believed.tobytes() == c.believed.tobytes()
@@ -321,7 +321,7 @@ def test_each_belief_is_compared_with_the_first(scenario, tmp_path):
     assert (tmp_path / 'summary.md').read_text().endswith('\n'.join(told))
 
 
-def test_rows_are_called_by_what_is_believed(scenario):
+def test_rows_are_named_by_the_belief(scenario):
     scenario = of_kind(scenario, 'used_up')
     labels = 'used up, own paths', 'static, own paths', 'used up, static paths'
     assert tuple(team_labels(scenario).values()) == labels
@@ -338,7 +338,7 @@ def test_rows_are_called_by_what_is_believed(scenario):
     ('teams', [{'clustering': 'learn'}], 'hazards: .* does not take clustered hazards'),
     ('teams', [{'objective': 'odd'}], "'odd': it must be one of information, behavioral"),
 ])  # fmt: skip
-def test_what_no_method_takes_is_refused(key, value, told):
+def test_dynamics_that_no_method_supports_are_refused(key, value, told):
     with pytest.raises(ValueError, match=told):
         parse_scenario(changed(key, value))
 
@@ -357,7 +357,7 @@ def test_hazards_lie_closer_than_by_chance(lay_out):
 
 
 @for_each('layout', ['blobs', 'rows'])
-def test_a_layout_moves_hazards_and_nobody_elses_luck(scenario, layout):
+def test_a_layout_changes_hazards_and_no_other_draw(scenario, layout):
     laid_out = replace(scenario, hazards=Hazards(layout=layout))
     truth = scenario.truth(0.9, 0)
     worlds, left = [], []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies of numbers that nobody knows."""
+"""Studies of unknown parameters."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ LEARNT_STUDY = {
     'methods': ['kappa_bnitp', LEARNING, SAMPLED],
     'learn': PRIORS,
 }
-# Everything is drawn that can be learnt.
+# Draws every parameter that can be learnt.
 DRAWN_STUDY = {
     **LEARNT_STUDY,
     'methods': [LEARNING, SAMPLED],
@@ -58,24 +58,24 @@ DRAWN_STUDY = {
 
 
 def study(tmp_path, content):
-    """Return the scenario of some content."""
+    """Return the scenario of a file's content."""
     return read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
 
 
 @pytest.fixture(scope='module')
 def learnt(tmp_path_factory):
-    """Return a study that learns, run; not to be changed."""
+    """Return the results of a study that learns; do not change them."""
     return small_study.run(study(tmp_path_factory.mktemp('learnt'), LEARNT_STUDY))
 
 
 @pytest.fixture(scope='module')
 def drawn(tmp_path_factory):
-    """Return a study whose numbers are drawn, run; not to be changed."""
+    """Return the results of a study with drawn parameters; do not change them."""
     return small_study.run(study(tmp_path_factory.mktemp('drawn'), DRAWN_STUDY))
 
 
 @for_each('believed', [None, 1.0])
-def test_the_method_that_learns_is_told_the_rest(learnt, believed):
+def test_the_learning_method_knows_the_other_numbers(learnt, believed):
     scenario = replace(learnt.scenario, believed_lethality=believed)
     outcome = run_trial(scenario, Trial(0.9, LEARNING, 2))
     rng = np.random.default_rng([7, 2])
@@ -100,12 +100,12 @@ def test_the_method_that_learns_is_told_the_rest(learnt, believed):
     assert np.isnan(outcome.learnt[:, NUMBERS.index('kappa')]).all()
 
 
-def test_methods_that_are_told_learn_nothing(learnt):
+def test_methods_that_know_the_numbers_learn_nothing(learnt):
     for trial, outcome in learnt.outcomes.items():
         assert np.isnan(outcome.learnt).all() == (trial.method != LEARNING)
 
 
-def test_what_is_drawn_is_drawn_for_each_world_and_told_to_those_that_know(drawn):
+def test_numbers_are_drawn_by_world_and_known_to_informed_methods(drawn):
     scenario = drawn.scenario
     worlds = [scenario.truth(None, number) for number in range(3)]
     assert len({world['kappa'] for world in worlds}) == 3
@@ -137,7 +137,7 @@ def test_numbers_are_drawn_from_their_priors():
         assert prior.low <= min(sample) < max(sample) <= prior.high
 
 
-def test_what_was_learnt_is_summarised(drawn):
+def test_learnt_numbers_are_summarised(drawn):
     (row,) = (
         row for row in OF_NUMBERS.summarise(drawn)['rows'] if row['number'] == 'target_background'
     )
@@ -152,7 +152,7 @@ def test_what_was_learnt_is_summarised(drawn):
     assert row['within']['mean'] == pytest.approx(within.mean(), abs=1e-6)
 
 
-def test_what_learning_costs_is_paired(learnt):
+def test_the_cost_of_learning_is_paired(learnt):
     value = OF_LEARNING.summarise(learnt)
     assert value['robots'] == [4]
     rows = {(row['lethality'], row['method']): row['costs'] for row in value['rows']}
@@ -165,7 +165,7 @@ def test_what_learning_costs_is_paired(learnt):
 
 
 @for_each('kind', ['learnt', 'drawn'])
-def test_what_was_learnt_can_be_read(request, kind):
+def test_learnt_numbers_can_be_read(request, kind):
     figures = study_figures(request.getfixturevalue(kind))
     assert 'numbers' in figures
     for figure in figures.values():
@@ -197,6 +197,6 @@ def test_a_study_that_learns_has_its_report(request, tmp_path, kind):
     ({'lethalities': [None], 'learn': {'kappa': {}}}, 'learn: lethality has no prior here'),
     ({'world': {**small_study.CONTENT['world'], 'kappa': None}}, 'learn: kappa has no prior'),
 ])  # fmt: skip
-def test_what_cannot_be_learnt_is_refused(tmp_path, changes, complaint):
+def test_bad_numbers_to_learn_are_refused(tmp_path, changes, complaint):
     with pytest.raises(ValueError, match=f'scenario.yaml: {complaint}'):
         study(tmp_path, {**LEARNT_STUDY, **changes})

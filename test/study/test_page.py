@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/results.md says follows from the tables, and its example from arithmetic."""
+"""The statements of docs/results.md follow from its tables, its example from arithmetic."""
 
 from itertools import product
 from math import prod
@@ -28,7 +28,7 @@ def split_row(line):
 
 
 def table_text(scenario):
-    """Return what stands between the marks of a scenario's page of tables."""
+    """Return the text between the marks of a scenario's page of tables."""
     text = (DOCS / f'tables/{scenario}.md').read_text()
     (block,) = re.findall('<!-- table -->\n(.*?)<!-- end -->', text, re.DOTALL)
     return block
@@ -42,7 +42,7 @@ def table_rows(scenario, place=0):
 
 
 def numbers(cell):
-    """Return (mean, low, high), or what there is of it."""
+    """Return the numbers in a cell: (mean, low, high), or fewer."""
     return tuple(map(float, re.findall(r'-?\d+\.\d+', cell)))
 
 
@@ -57,7 +57,7 @@ def table(scenario):
 
 
 @for_each('path', sorted((DOCS / 'tables').glob('*.md')))
-def test_tables_are_of_whole_studies_and_call_rows_as_a_study_does(path):
+def test_tables_are_of_whole_studies_with_their_names_of_rows(path):
     scenario = read_scenario(SCENARIOS / path.name.replace('.md', '.yaml'))
     labels = team_labels(scenario)
     told = [(row['lethality'], row['method'].partition(', ')[2]) for row in table_rows(path.stem)]
@@ -87,7 +87,7 @@ def test_every_figure_is_shown():
     'scenario, before, worse',
     [('paper', 107, (0.5, 0.6, 0.9)), ('calibrated', 74, LETHALITIES[2:])],
 )
-def test_where_the_printed_update_knows_less_than_nothing(scenario, before, worse):
+def test_the_printed_update_can_be_worse_than_the_prior(scenario, before, worse):
     rows = table(scenario)
     for lethality, method in product(LETHALITIES, METHODS):
         printed = method in ('relaxed_bnitp', 'kappa_bnitp_published')
@@ -101,7 +101,7 @@ def test_where_the_printed_update_knows_less_than_nothing(scenario, before, wors
 
 
 @for_each('name, nats', [('paper', 107), ('calibrated', 74)])
-def test_what_is_known_before_the_first_robot(name, nats):
+def test_the_log_loss_before_the_first_robot(name, nats):
     scenario = read_scenario(SCENARIOS / f'{name}.yaml')
     prior = scenario.belief(scenario.truth(0.5, 0))
     losses = []
@@ -121,7 +121,7 @@ def survival(lethality=0.9):
 
 
 def printed_loss(hazards):
-    """Return the hazards of a, b and c after a loss, by the formula of the page."""
+    """Return the hazards of a, b and c after a loss, by the formula on the page."""
     s0, s1 = survival()
     marginals = [(1 - z) * (1 - s0) + z * (1 - s1) for z in hazards] + [1 - s0]
     w = [d * prod(1 - before for before in marginals[:j]) for j, d in enumerate(marginals)]
@@ -134,7 +134,7 @@ def printed_loss(hazards):
 
 
 def exact_hazard(losses):
-    """Return the hazard of a, which is that of b and c, by enumeration."""
+    """Return the hazard of a, equal to that of b and c, by enumeration."""
     s0, s1 = survival()
     states = list(product((0, 1), repeat=3))
     weights = [(1 - s0 ** (4 - sum(z)) * s1 ** sum(z)) ** losses for z in states]
@@ -155,7 +155,7 @@ def test_the_example_is_right():
 
 
 @pytest.mark.processes
-def test_tables_are_brought_between_their_marks_and_figures_that_are_shown(tmp_path):
+def test_tables_and_shown_figures_are_copied_to_the_pages(tmp_path):
     runs, docs = tmp_path / 'runs', tmp_path / 'docs'
     (runs / 'paper').mkdir(parents=True)
     (docs / 'images').mkdir(parents=True)
@@ -188,7 +188,7 @@ def test_every_study_of_the_page_has_a_page_of_tables():
         assert '[Results](../results' in (DOCS / f'tables/{scenario}.md').read_text()
 
 
-def test_numbers_of_the_page_stand_in_the_tables_of_their_studies():
+def test_numbers_on_the_page_are_in_the_tables_of_their_studies():
     number = re.compile(r'-?\d+(?:\.\d+)?')
     checked = []
     for section in re.split('^(?=#)', results(), flags=re.MULTILINE):

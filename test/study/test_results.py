@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table has a row for every deployment; figures, means and intervals say what it says."""
+"""The table has a row for every deployment; figures, means and intervals agree with it."""
 
 from dataclasses import replace
 import json
@@ -70,7 +70,7 @@ def test_final_maps_are_those_of_all_trials(results):
 # Means, their intervals and the paired differences.
 
 
-def test_the_interval_holds_the_true_mean_about_as_often_as_it_says():
+def test_the_interval_contains_the_true_mean_about_as_often_as_stated():
     samples = np.random.default_rng(5).exponential(size=(25, 400))
     mean, low, high = bootstrap_mean(samples)
     np.testing.assert_allclose(mean, samples.mean(axis=0))
@@ -143,7 +143,7 @@ def test_a_single_trial_has_no_interval(results):
     assert '[' not in summary_table(summary).markdown().split('|---|')[1]
 
 
-def test_the_table_for_people_says_what_the_summary_says(results):
+def test_the_printed_table_agrees_with_the_summary(results):
     summary = summarise(results)
     lines = summary_table(summary).markdown().splitlines()
     cells = [line.strip('| ').split(' | ') for line in lines if line.startswith('| 0')]
@@ -155,11 +155,11 @@ def test_the_table_for_people_says_what_the_summary_says(results):
         assert log_loss == f'{entry["mean"]:.1f} [{entry["low"]:.1f}, {entry["high"]:.1f}]'
 
 
-# Figures are drawn of any study, and reliability is what it says.
+# Figures of any study; reliability is as defined.
 
 
 @pytest.mark.slow
-def test_a_belief_that_means_what_it_says_is_on_the_diagonal():
+def test_a_calibrated_belief_is_on_the_diagonal():
     rng = np.random.default_rng(0)
     believed = rng.random((25, 4000))
     held, there = reliability(believed, rng.random(believed.shape) < believed)
@@ -193,12 +193,12 @@ def test_every_study_has_its_report(results, tmp_path, pictures, lethalities, tr
 
 
 @pytest.mark.slow
-def test_a_disk_that_has_no_room_for_the_report_is_named(results, tmp_path):
+def test_a_full_disk_is_reported_by_file(results, tmp_path):
     with room_for(1000), pytest.raises(OSError, match=f'File too large: {str(tmp_path)!r}'):
         write_report(results, tmp_path)
 
 
-# Everybody can read a study's figures, however much it compares.
+# Figures of a study are legible with any number of contenders.
 
 
 ALLOCATED = (
@@ -270,7 +270,7 @@ def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
 
 
 @pytest.mark.slow
-def test_what_has_no_kinds_is_beside_the_first(scenario):
+def test_contenders_without_kinds_are_beside_the_first(scenario):
     groups = group_contenders(changed(scenario, STUDIES['surveys']).contenders)
     assert [[each.team for each in group] for group in groups] == [
         [Strategy(), *SURVEYS[1:4]],
@@ -297,7 +297,7 @@ def test_what_has_no_kinds_is_beside_the_first(scenario):
         [f'{of}, {team}' for of in ALL_METHODS[:2] for team in ('one by one', '2 greedy')],
     ),
 ])  # fmt: skip
-def test_contenders_are_called_what_tells_them_apart(scenario, methods, teams, expected):
+def test_contenders_are_named_by_their_differences(scenario, methods, teams, expected):
     scenario = replace(scenario, methods=methods, teams=teams)
     assert list(contender_labels(scenario).values()) == expected
 
@@ -308,7 +308,7 @@ def test_rows_of_panels_are_full_if_they_can_be():
 
 
 @pytest.mark.slow
-def test_lines_are_what_was_measured(scenario):
+def test_lines_are_the_measured_values(scenario):
     """The log loss after each round is read back from the figure of the rounds."""
     scenario = changed(scenario, {**STUDIES['allocations'], 'lethalities': (0.1, 0.9)})
     outcomes = {trial: run_trial(scenario, trial) for trial in list_trials(scenario)}

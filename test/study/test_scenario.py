@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scenario is what its file says, or one clear error."""
+"""A scenario equals its file, or is refused with one error."""
 
 from pathlib import Path
 
@@ -75,7 +75,7 @@ def test_one_error_names_the_key_the_value_and_what_is_allowed(tmp_path, key, va
     (b'', 'it is None: it must have the keys seed'),
     (b'- seed', 'it must have the keys seed'),
 ])  # fmt: skip
-def test_what_is_no_scenario_is_refused(tmp_path, text, complaint):
+def test_other_files_are_refused(tmp_path, text, complaint):
     file = tmp_path / 'mine.yaml'
     file.write_bytes(text)
     with pytest.raises(ValueError, match=f'mine.yaml.* {complaint}') as refusal:
@@ -140,7 +140,7 @@ def test_the_shipped_scenarios_are_the_experiment_of_the_paper():
 
 
 @for_each('path', sorted(SHIPPED.glob('*.yaml')))
-def test_what_the_paper_leaves_open_is_said_where_it_is_decided(path):
+def test_choices_that_the_paper_leaves_open_are_documented(path):
     text = path.read_text()
     said = {line.split(':')[0].strip() for line in text.splitlines() if '# open' in line}
     decided = {'base', 'max_steps', 'width', 'max_visits', *yaml.safe_load(text)['world']}

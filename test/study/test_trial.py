@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A trial is a mission of the core, measured after every robot, perhaps with a map beforehand."""
+"""A trial is a mission of the core, measured after every robot, perhaps with a prior map."""
 
 from dataclasses import replace
 
@@ -92,7 +92,7 @@ def test_trials_of_one_number_share_their_world(results):
 
 
 def test_methods_share_the_fate_of_the_first_robot(results):
-    """They plan on the same belief until evidence sets them apart."""
+    """They plan on the same belief until evidence separates them."""
     for number in range(3):
         for measure in ('planned_information', 'robots_lost'):
             exact, published = (
@@ -112,7 +112,7 @@ def test_a_team_leaves_together(scenario):
     assert outcome.truth.tolist() == alone.truth.tolist()
 
 
-def test_what_is_believed_of_the_lethality_may_be_wrong(scenario):
+def test_the_believed_lethality_may_be_wrong(scenario):
     trial = Trial(0.2, 'kappa_bnitp', 0)
     outcome = run_trial(replace(scenario, believed_lethality=1.0), trial)
     _, _, mission = fly(scenario, trial, believed=1.0)
@@ -131,7 +131,7 @@ def test_the_trials_are_all_combinations(scenario):
     ]
 
 
-# Maps of hazards known beforehand: how often they are right, and believed.
+# Prior maps of hazards: their accuracy, and the trust in them.
 
 
 GRID = Grid(40, 40)
@@ -140,7 +140,7 @@ PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)
 
 
 @pytest.mark.slow
-def test_a_map_is_right_as_often_as_told_and_believed_as_often_as_trusted():
+def test_a_map_has_the_stated_accuracy_and_trust():
     cells = np.arange(1, GRID.cells)
     for survey, trusted in ((0.7, 0.0), (0.9, 0.0), (0.5, 0.8)):
         belief = surveyed(PRIOR, WORLD, Strategy(survey=survey, trusted=trusted), 1, 2)

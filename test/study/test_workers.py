@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wherever the trials run, their outcomes are the same, and what is done stays done."""
+"""Outcomes of trials do not depend on where they run, and finished trials are kept."""
 
 from dataclasses import replace
 from functools import partial
@@ -29,7 +29,7 @@ PATIENCE = 180.0
 
 @pytest.fixture
 def dask_cluster(tmp_path):
-    """Start a scheduler and two workers, processes of their own; return its address."""
+    """Start a scheduler and two workers as processes; return the address."""
     distributed = pytest.importorskip('distributed')
     file = tmp_path / 'scheduler.json'
     dask = [sys.executable, '-m', 'dask']
@@ -80,14 +80,14 @@ def test_a_dask_cluster_gives_the_same_table(scenario, results, dask_cluster):
 
 
 @pytest.mark.processes
-def test_no_trials_need_no_work(scenario):
+def test_without_trials_there_are_no_outcomes(scenario):
     with workers('loky', 2) as pool:
         assert list(pool.run(partial(run_trial, scenario), [])) == []
 
 
 @pytest.mark.processes
 def test_a_trial_that_fails_is_named(scenario):
-    """Robots are lost where nothing is believed able to destroy them."""
+    """Robots are lost although the belief excludes losses."""
     sensor = replace(scenario.sensor, malfunction=0.0)
     impossible = replace(scenario, believed_lethality=0.0, sensor=sensor)
     trials = [trial for trial in list_trials(impossible) if trial.lethality == 0.9]
@@ -146,7 +146,7 @@ def test_arguments_that_do_not_go_together_are_refused(monkeypatch, arguments, c
     (OverflowError('int too large'), 'failed: int too large'),
     (MemoryError('14.6 TiB'), r'needs more memory than there is: 14\.6 TiB'),
 ])  # fmt: skip
-def test_a_trial_is_named_whatever_it_fails_of(scenario, error, told):
+def test_a_trial_is_named_with_any_error(scenario, error, told):
     def fail(trial):
         raise error
 
@@ -163,7 +163,7 @@ def test_a_number_of_workers_that_no_machine_has_is_refused(count):
         pool.__enter__()
 
 
-# What is done stays done, and nothing else counts.
+# Finished trials are kept, and nothing else counts.
 
 
 TRIAL = Trial(0.9, 'kappa_bnitp', 1)
@@ -171,7 +171,7 @@ TRIAL = Trial(0.9, 'kappa_bnitp', 1)
 
 @pytest.fixture
 def folder(tmp_path, scenario, results):
-    """Return a folder with one trial done."""
+    """Return a folder with one finished trial."""
     folder = Folder(tmp_path / 'made' / 'here', scenario)
     folder.save(TRIAL, results.outcomes[TRIAL])
     return folder
@@ -182,7 +182,7 @@ def the_file(tmp_path):
     return file
 
 
-def test_a_trial_that_the_disk_has_no_room_for_is_named_and_run_again(folder, results, tmp_path):
+def test_a_trial_on_a_full_disk_is_named_and_run_again(folder, results, tmp_path):
     other = TRIAL._replace(number=2)
     with room_for(100), pytest.raises(OSError, match=r'File too large: .*trials/.*-2\.npz\.part'):
         folder.save(other, results.outcomes[TRIAL])
@@ -212,7 +212,7 @@ def test_an_outcome_is_kept_to_the_last_bit(folder, results):
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_a_trial_that_is_damaged_does_not_count(folder, tmp_path, results, data):
-    """Or the damage is where nothing of the trial stands."""
+    """Also if the damage is in unused bytes."""
     folder.save(TRIAL, results.outcomes[TRIAL])
     file = the_file(tmp_path)
     file.write_bytes(data.draw(spoilt(file.read_bytes())))
@@ -241,7 +241,7 @@ def test_a_trial_of_another_shape_does_not_count(folder, results):
         assert folder.outcomes() == {}
 
 
-def test_a_trial_that_cannot_be_opened_is_told(folder, tmp_path):
+def test_a_trial_that_cannot_be_opened_is_reported(folder, tmp_path):
     file = the_file(tmp_path)
     file.unlink()
     file.mkdir()
