@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a benchmark is: cases that are timed on one machine in one run, and compared."""
+"""A benchmark: cases that are timed on one machine in one run, and compared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import time
 
 PAGE = Path(__file__).parents[1] / 'docs' / 'performance.md'
 
-# How often a case is run at most, and for how many seconds it is run again.
+# Maximum number of runs of a case, and seconds of repetition.
 RUNS = 20
 SECONDS = 2.0
 
@@ -40,9 +40,9 @@ class Benchmark:
 
 def timed(call: Callable[[], object]) -> float:
     """
-    Return the median of the seconds that a call takes.
+    Return the median seconds of a call.
 
-    It is made once before, since a kernel's first call loads or compiles it.
+    Called once before, since the first call of a kernel loads or compiles it.
     """
     call()
     times: list[float] = []
@@ -54,7 +54,7 @@ def timed(call: Callable[[], object]) -> float:
 
 
 def in_words(seconds: float) -> str:
-    """Return a time to three digits, in a unit that suits it."""
+    """Return a time to three digits, in a suitable unit."""
     for unit, size in (('s', 1.0), ('ms', 1e-3)):
         if seconds >= size:
             return f'{seconds / size:.3g} {unit}'
@@ -62,7 +62,7 @@ def in_words(seconds: float) -> str:
 
 
 def write(name: str, text: str, page: Path = PAGE) -> None:
-    """Replace what a page has between the marks of a name."""
+    """Replace the text between a name's marks on a page."""
     marked = re.compile(rf'(?<=<!-- table {name} -->\n)(.*?)(?=<!-- end -->)', re.DOTALL)
     # Once: after an empty match the same place would match again.
     page.write_text(marked.sub(lambda old: f'{text}\n', page.read_text(), 1), encoding='utf-8')

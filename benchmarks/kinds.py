@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long it takes to take in one deployment more, by what is believed of hazards."""
+"""Time of one update, by kind of hazards."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kbnitp_ros.core import Belief, Clustering, Dynamics, Estimator, Grid, Senso
 import numpy as np
 from updates import SIDE, STEPS, walk
 
-# Updates are timed up to this deployment, so many of them in each mission.
+# Number of timed updates up to this deployment, in each mission.
 DEPLOYMENTS, WINDOW = 100, 20
 MISSIONS = 10
 
@@ -31,7 +31,7 @@ METHODS = {
 
 @cache
 def times(method: str) -> dict[str, list[float]]:
-    """Return the seconds of the processor that updates take, which alternate between kinds."""
+    """Return the processor seconds of updates, which alternate between kinds."""
     taken: dict[str, list[float]] = {kind: [] for kind in METHODS[method]}
     for mission in range(MISSIONS):
         grid, rng, model = Grid(SIDE, SIDE), np.random.default_rng(mission), SensorModel(0.5)
@@ -49,7 +49,7 @@ def times(method: str) -> dict[str, list[float]]:
 
 
 def update_timer(method: str, kind: str) -> Callable[[], float]:
-    """Return what gives the mean of a kind's updates."""
+    """Return a function that returns the mean time of a kind's updates."""
     return lambda: float(np.mean(times(method)[kind]))
 
 

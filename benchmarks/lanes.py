@@ -21,9 +21,9 @@ from kbnitp_ros.core.mission import Learning
 import numpy as np
 from tqdm import tqdm
 
-# A threshold that no probability reaches: flights are for the expected best lane throughout.
+# Above every probability: all flights are for the expected best lane.
 NEVER = 2.0
-# Of a field with so many cells a side: enough for the far corner and back.
+# Steps on a field with `side` cells a side: enough for the far corner and back.
 MAX_STEPS = {5: 12, 9: 18, 15: 30}
 MAX_ROBOTS = 60
 LETHALITIES = 0.1, 0.3, 0.5, 0.9
@@ -31,7 +31,7 @@ UNKNOWN = Learning(Unknowns(lethality=(0.0, 1.0)))
 
 
 def mission(side, lethality, threshold, seed):
-    """Return the robots sent and lost, and whether the goal was reached and the lane free."""
+    """Return robots sent and lost, whether the goal was reached, and whether the lane was free."""
     goals.PROBABLE = threshold
     grid, rng = Grid(side, side), np.random.default_rng([seed, 11])
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
@@ -56,7 +56,7 @@ def mission(side, lethality, threshold, seed):
 
 
 def compare(side, lethality, thresholds, worlds, processes):
-    """Print robots, losses, goals reached and lanes free, and how each threshold changes them."""
+    """Print robots, losses, goals reached and lanes free, and the effect of each threshold."""
     jobs = [(threshold, seed) for seed in range(worlds) for threshold in (NEVER, *thresholds)]
     fly = partial(mission, side, lethality)
     missions = Parallel(n_jobs=processes, return_as='generator')(

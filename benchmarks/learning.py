@@ -57,14 +57,14 @@ UNKNOWN = {
 
 
 def true_dynamics(kind: str, rate: float = 0.0) -> Dynamics:
-    """Return hazards of a kind; where they change the expected number of them stays."""
+    """Return dynamics of a kind that keep the expected number of hazards."""
     if kind == 'changing':
         return Dynamics(kind, rate * DENSITY / (1 - DENSITY), rate)
     return Dynamics(kind, move=rate if kind == 'moving' else 0.0)
 
 
 def fly(seed, lethality, robots, dynamics=STATIC, **kwargs):
-    """Return a mission with a relaxed planner that knows the truth, but for what is given."""
+    """Return a mission of a relaxed planner that knows the truth unless given otherwise."""
     world = World.random(GRID, np.random.default_rng([seed, 1]), DENSITY, KAPPA, BACKGROUND)
     rng = np.random.default_rng([seed, 2])
     kwargs = {'options': SearchOptions('relaxed'), 'dynamics': dynamics, **kwargs}
@@ -103,7 +103,7 @@ def numbers(seed: int) -> Iterator[dict]:
 
 
 def coverage(seed: int) -> Iterator[dict]:
-    """Worlds whose numbers are drawn from the prior: the share of 90 % intervals that hold."""
+    """Share of 90 % intervals that contain numbers drawn from the prior."""
     for name, unknowns in (('two', TWO), ('seven', SEVEN)):
         rng = np.random.default_rng([seed, 3])
         true = {
@@ -147,7 +147,7 @@ def missions(seed: int) -> Iterator[dict]:
 
 
 def rates(seed: int) -> Iterator[dict]:
-    """Lethality unknown where hazards are used up, and rates unknown, against what is told."""
+    """Unknown lethality of used-up hazards, and unknown rates, against known ones."""
     for lethality in (0.3, 0.5, 0.9):
         mission = fly(seed, lethality, 60, Dynamics('used_up'))
         observations = [each.observation for each in mission]
@@ -176,7 +176,7 @@ def rates(seed: int) -> Iterator[dict]:
 
 
 def kinds(seed: int) -> Iterator[dict]:
-    """Kinds that are learnt, beside what is told and hazards believed static."""
+    """Learnt kinds, against the known kind and assumed static hazards."""
     fields = [('static', 0.0), ('used_up', 0.0)]
     fields += [(kind, rate) for kind in ('changing', 'moving') for rate in (0.002, 0.005, 0.02)]
     for kind, rate in fields:
@@ -203,7 +203,7 @@ def kinds(seed: int) -> Iterator[dict]:
 
 
 def check(seed: int) -> Iterator[dict]:
-    """Share of missions in doubt, where the model is right and where it is not."""
+    """Share of missions in doubt, with a correct and with a wrong model."""
     static, right = Dynamics(), SensorModel(0.5)
     moving = true_dynamics('moving', 0.02)
     used_up = Dynamics('used_up')
@@ -223,7 +223,7 @@ def check(seed: int) -> Iterator[dict]:
         for estimator, unknowns in (('told', Unknowns()), ('learning', TWO)):
             found = fold_checked(observations, model, unknowns, seed)
             yield {'case': name, 'estimator': estimator, 'holds': float(found)}
-    # Learning where the numbers come from their prior.
+    # Learning with numbers drawn from their prior.
     rng = np.random.default_rng([seed, 4])
     density, lethality = rng.beta(1.5, 5.0), rng.random()
     world = World.random(GRID, rng, density, KAPPA, BACKGROUND)
@@ -239,7 +239,7 @@ def fold_checked(observations, model, unknowns, seed):
 
 
 def with_blasts(seed: int) -> list[Observation]:
-    """Return a mission in which hazards reach the cells around them with 15 %."""
+    """Return a mission in which hazards reach adjacent cells with 15 %."""
     rng = np.random.default_rng([seed, 5])
     world = World.random(GRID, rng, DENSITY, KAPPA, BACKGROUND)
     model, estimator = SensorModel(0.5), Estimator(PRIOR, SensorModel(0.5))
@@ -268,7 +268,7 @@ def run_world(study: str, seed: int) -> list[dict]:
 
 
 def summary(path: Path) -> None:
-    """Print the mean of each quantity, and differences to the last estimator of a case, paired."""
+    """Print the mean of each quantity, and paired differences to a case's last estimator."""
     table = pd.read_csv(path)
     for case, of_case in table.groupby('case', sort=False):
         print(f'{case}: {of_case.world.nunique()} worlds')

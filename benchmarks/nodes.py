@@ -117,7 +117,7 @@ def run_nodes(deployments: int, **common: Any) -> list[Sample]:
         heard = time.monotonic()
         with tqdm(total=deployments, unit='deployment', disable=None) as bar:
             while held < deployments:
-                # The newest belief waits until then: to take each would slow the nodes down.
+                # Take the newest belief only: each would slow the nodes down.
                 time.sleep(PERIOD)
                 rclpy.spin_once(node, timeout_sec=0.0)
                 now = time.monotonic()
@@ -136,7 +136,7 @@ def run_nodes(deployments: int, **common: Any) -> list[Sample]:
 
 
 def deployment_rate(samples: list[Sample]) -> float:
-    """Return how many deployments a second there were."""
+    """Return deployments per second."""
     first, last = samples[0], samples[-1]
     return (last.deployments - first.deployments) / (last.time - first.time)
 
@@ -149,7 +149,7 @@ def memory(pid: int) -> dict[str, int]:
 
 
 def run_bare(rounds: int) -> float:
-    """Return how many times a second bare rclpy passes the messages round."""
+    """Return rounds per second of bare rclpy."""
     program = str(Path(__file__).with_name('ping_pong.py'))
     with free_domain() as domain:
         processes = [

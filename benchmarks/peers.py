@@ -20,23 +20,23 @@ from numpy.typing import NDArray
 CELLS = 20
 MODEL = SensorModel(0.5)
 SAFE, HAZARDOUS = MODEL.survival((0, 1)).tolist()
-# The base, where no hazard is, is not one of the cells; the step to it is one more.
+# The base has no hazard and is no cell; it takes one step more.
 LEAK = 1.0 - SAFE ** (CELLS + 1)
 HAZARD = np.random.default_rng(1).uniform(0.05, 0.6, CELLS)
 
-# Answers that are further from this project's than this are an error.
+# Maximum difference of answers from this project's.
 TOLERANCE = 1e-12
 
 
 def by_update() -> NDArray[np.float64]:
-    """Return P(Z = 1 | lost) of each cell, as this project computes it."""
+    """Return P(Z = 1 | lost) of each cell by this project."""
     belief = Belief.from_maps([0.0, *HAZARD], np.full(CELLS + 1, 0.3), np.full(CELLS + 1, 0.3))
     lost = Observation([*range(CELLS + 1), 0], survived=False)
     return update(belief, MODEL, lost).hazard[1:]
 
 
 def by_enumeration() -> NDArray[np.float64]:
-    """Return it from all 2^20 fields, in numpy."""
+    """Return P(Z = 1 | lost) from all 2^20 fields, in numpy."""
     fields = (np.arange(2**CELLS)[:, None] >> np.arange(CELLS) & 1).astype(bool)
     prior = np.where(fields, HAZARD, 1.0 - HAZARD).prod(axis=1)
     weight = prior * (1.0 - SAFE * np.where(fields, HAZARDOUS, SAFE).prod(axis=1))
@@ -45,7 +45,7 @@ def by_enumeration() -> NDArray[np.float64]:
 
 
 def by_pyagrum() -> NDArray[np.float64]:
-    """Return it from a noisy-OR of pyAgrum, which is made for it."""
+    """Return P(Z = 1 | lost) by a noisy-OR of pyAgrum, its own model for this."""
     import pyagrum
 
     net = pyagrum.BayesNet()
@@ -61,7 +61,7 @@ def by_pyagrum() -> NDArray[np.float64]:
 
 
 def by_pgmpy() -> NDArray[np.float64]:
-    """Return it from variable elimination by pgmpy, from a table of all 2^20 fields."""
+    """Return P(Z = 1 | lost) by pgmpy's variable elimination, from a table of all 2^20 fields."""
     from pgmpy.factors.discrete import TabularCPD
     from pgmpy.inference import VariableElimination
     from pgmpy.models import DiscreteBayesianNetwork
@@ -80,7 +80,7 @@ def by_pgmpy() -> NDArray[np.float64]:
 
 
 def checked(posterior: Callable[[], NDArray[np.float64]]) -> Callable[[], float]:
-    """Return what times a way to the posterior once it has given the right one."""
+    """Return a function that times a way to the posterior, after checking its result."""
 
     def run() -> float:
         off = abs(posterior() - by_update()).max()

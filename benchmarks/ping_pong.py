@@ -50,7 +50,7 @@ TOPICS = {
 
 
 def main() -> None:
-    """Answer as often as there are rounds."""
+    """Answer as many messages as there are rounds."""
     role, rounds = sys.argv[1], int(sys.argv[2])
     before = {'path': 'belief', 'report': 'path', 'belief': 'report'}[role]
     rclpy.init()
@@ -69,7 +69,7 @@ def main() -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     if role == 'path':
-        # Who is not there yet gets it later.
+        # Late joiners receive it.
         answer()
     while len(times) <= rounds + 1:
         executor.spin_once()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long plans take: by size and steps, by width, and by robots in a round."""
+"""Time of plans, by size and steps, by width, and by robots in a round."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from kbnitp_ros.core import (
 )
 import numpy as np
 
-# The malfunction of robots that are to survive this many steps.
+# Malfunction of robots for so many steps.
 MALFUNCTION = 0.001
 
 
 def belief_of_a_mission(side: int, steps: int, robots: int) -> tuple[Grid, Belief, SensorModel]:
-    """Return a field, what is believed of it after some robots, and their model."""
+    """Return a field, the belief after some robots, and their model."""
     grid, rng, model = Grid(side, side), np.random.default_rng(1), SensorModel(0.5, MALFUNCTION)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), model)
@@ -35,7 +35,7 @@ def belief_of_a_mission(side: int, steps: int, robots: int) -> tuple[Grid, Belie
 
 
 def one_plan(side: int, steps: int, width: int = 1) -> Callable[[], float]:
-    """Return what times one plan."""
+    """Return a function that times one plan."""
 
     def run() -> float:
         grid, belief, model = belief_of_a_mission(side, steps, 3)
@@ -45,7 +45,7 @@ def one_plan(side: int, steps: int, width: int = 1) -> Callable[[], float]:
 
 
 def one_round(robots: int) -> Callable[[], float]:
-    """Return what times the plans of a round."""
+    """Return a function that times the plans of a round."""
 
     def run() -> float:
         grid, belief, model = belief_of_a_mission(9, 18, 10)

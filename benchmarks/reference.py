@@ -53,7 +53,7 @@ def mission(lethality: float, number: int) -> list[Observation]:
 
 
 def posterior(lethality: float, observations: list[Observation], seed: int) -> NDArray[np.float64]:
-    """Return the cells' joints by chains that start from where a sampler's have come to."""
+    """Return the cells' joints by chains that start from a sampler's end."""
     sampler = Estimator(PRIOR, SensorModel(lethality), 'kappa_bnitp_sampled', seed=seed)
     tally = Tally.empty(GRID.cells)
     for observation in observations:

@@ -34,7 +34,7 @@ BENCHMARKS = (
     *peers.BENCHMARKS,
 )
 
-# A benchmark and the seconds of each of its cases.
+# A benchmark, and the seconds of each of its cases.
 Measured = tuple[Benchmark, dict[str, float]]
 
 
@@ -55,14 +55,14 @@ def main() -> int:
 
 
 def rows(seconds: dict[str, float]) -> Iterator[tuple[str, str, str]]:
-    """Yield each case, the time it takes and the ratio of that to the first one's."""
+    """Yield each case with its time and the ratio to the first."""
     first = next(iter(seconds.values()))
     for name, each in seconds.items():
         yield name, in_words(each), f'{each / first:.3g}'
 
 
 def summary(measured: Sequence[Measured]) -> Iterator[str]:
-    """Yield one table of all, in Markdown."""
+    """Yield one table of all benchmarks, in Markdown."""
     yield '| | | takes | ratio |'
     yield '|---|---|---|---|'
     for benchmark, seconds in measured:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long it takes to take in one deployment more by sampling, and to learn numbers with it."""
+"""Time of one update by sampling, with and without learning numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ALL = Unknowns(
     false_positive=Beta(1, 9),
 )
 UNKNOWNS = {'all told': Unknowns(), 'lethality learnt': LETHALITY, 'all seven learnt': ALL}
-# Cells a side, and after how many deployments updates are timed.
+# Cells a side, and deployments at which updates are timed.
 LENGTHS = {9: (100, 1000), 50: (100,)}
 
 
@@ -46,7 +46,7 @@ def times(side: int, told: str) -> list[float]:
 
 
 def mean_up_to(side: int, told: str, deployments: int) -> Callable[[], float]:
-    """Return what gives the mean over the window that ends with a deployment."""
+    """Return a function that returns the mean over the window up to a deployment."""
     return lambda: float(np.mean(times(side, told)[deployments - WINDOW : deployments]))
 
 

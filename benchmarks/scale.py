@@ -47,7 +47,7 @@ def in_library(side: int, steps: int, deployments: int) -> list[tuple[int, float
 
 
 def over_ros(side: int, steps: int, deployments: int) -> list[tuple[int, float, float]]:
-    """Return the same of the four nodes together."""
+    """Return the same for the four nodes together."""
     rates = {f'hazards.{name}': getattr(CHANGING, name) for name in ('appear', 'vanish')}
     field = {'grid.width': side, 'grid.height': side, 'max_steps': steps}
     samples = nodes.run_nodes(deployments, **field, **rates, **{'hazards.dynamics': 'changing'})
@@ -69,7 +69,7 @@ def main() -> None:
     """Run all missions, write the figure and the table."""
     found = {}
     for side, steps, alone, with_nodes in SIZES:
-        # A process of its own, whose memory is of this mission alone.
+        # In a new process, whose memory is of this mission alone.
         with ProcessPoolExecutor(1, get_context('spawn')) as pool:
             course = pool.submit(in_library, side, steps, alone).result()
         found[f'{side}x{side} cells, {steps} steps, library'] = by_part(course)

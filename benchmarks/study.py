@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a study takes: one mission of each method at each lethality, on one core."""
+"""Time of a study: one mission of each method at each lethality, on one core."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAPER = Path(__file__).parents[1] / 'scenarios' / 'paper.yaml'
 
 
 def mission_timer(scenario: Scenario, method: str) -> Callable[[], float]:
-    """Return what times a method's missions in the first world, the mean of all lethalities."""
+    """Return a function that times a method's mission in the first world, mean of lethalities."""
 
     def run() -> float:
         start = time.perf_counter()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long it takes to take in one deployment more, early and late in a mission."""
+"""Time of one update, early and late in a mission."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from kbnitp_ros.core import Belief, Estimator, Grid, SensorModel, World
 import numpy as np
 
 DEPLOYMENTS = (200, 1000, 5000, 10_000)
-# How many deployments up to each of these are averaged over.
+# Number of deployments up to each of these that are averaged.
 WINDOW = 100
 SIDE, STEPS = 9, 18
 
 
 def walk(grid: Grid, rng: np.random.Generator) -> list[int]:
-    """Return a random walk from the base and, in time, back to it."""
+    """Return a closed random walk from the base."""
     path = [grid.base]
     for left in range(int(rng.integers(2, STEPS + 1)) - 1, 0, -1):
         near = [cell for cell in grid.neighbors(path[-1]) if max(divmod(cell, grid.width)) <= left]
@@ -42,7 +42,7 @@ def times() -> list[float]:
 
 
 def mean_up_to(deployments: int) -> Callable[[], float]:
-    """Return what gives the mean over the window that ends with a deployment."""
+    """Return a function that returns the mean over the window up to a deployment."""
     return lambda: float(np.mean(times()[deployments - WINDOW : deployments]))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python3 -m kbnitp_ros NAME` finds the command; a signal ends it well also while it starts."""
+"""`python3 -m kbnitp_ros NAME` finds the command; a signal ends it well, also while it starts."""
 
 from importlib import metadata
 from itertools import product
@@ -20,7 +20,7 @@ from kbnitp_ros.starting import EXECUTABLES, EXTRAS
 from laws import for_each
 import pytest
 
-# Options that stand for nothing when they are not given.
+# Options without a default value.
 FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out', '--page')
 
 
@@ -44,7 +44,7 @@ def test_the_names_are_listed(arguments, status):
 
 @pytest.mark.processes
 @for_each('name', ['', *EXECUTABLES], every=4)
-def test_every_command_tells_its_version_and_how_to_use_it(name):
+def test_every_command_has_a_version_and_a_help(name):
     def run(option):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -62,13 +62,13 @@ def test_every_command_tells_its_version_and_how_to_use_it(name):
 
 
 def help_options(told):
-    """Return what a help says of each option of its command, by the option."""
+    """Return the text on each option in a command's help, by option."""
     options = re.findall(r'(?m)^  (--[\w-]+) (.*\n(?: {19,}.*\n)*)', told)
     return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
 
 
 @for_each('name', ['demo', 'study', 'replay', 'report', 'watch', 'forecast'])
-def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(name, capsys):
+def test_the_help_of_a_command_has_ranges_and_valid_examples(name, capsys):
     with pytest.raises(SystemExit):
         commands.main([name, '--help'])
     told, examples = capsys.readouterr().out.split('\nexamples:\n')
@@ -82,7 +82,7 @@ def test_the_help_of_a_command_has_ranges_and_examples_of_options_that_it_has(na
 
 
 @for_each('name', NODES)
-def test_the_help_of_a_node_has_its_parameters_with_defaults_and_what_they_must_be(name):
+def test_the_help_of_a_node_has_its_parameters_with_defaults_and_limits(name):
     parser = node_parser(name, 'Does it.')
     told = ' '.join(parser.format_help().split())
     for parameter in node_parameters(name).values():
@@ -104,10 +104,10 @@ def test_nothing_is_imported_before_its_name_is_known():
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0
 
 
-# A signal ends every executable well, also while it starts.
+# A signal ends every executable well, even during its start.
 
 
-# Stands for a library that takes long to import, which all need.
+# Replaces a library that is slow to import and used by all.
 SLOW = """
 import time
 print('importing', flush=True)

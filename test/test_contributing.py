@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lists of CONTRIBUTING.md are enough, and newcomers are held to what holds of all."""
+"""The lists of CONTRIBUTING.md are complete, and laws hold for methods of other packages."""
 
 import gzip
 from importlib import import_module
@@ -128,7 +128,7 @@ def test_a_list_names_all_that_a_change_needs(tmp_path, change, edits, script):
     assert told.returncode == 0, told.stderr
 
 
-# A method, planner or allocation of another package is held to what holds of all.
+# Methods, planners and allocations of other packages are held to all laws.
 
 
 NAME = 'newcomer'
@@ -159,8 +159,7 @@ ADDED = {
     'allocations': {NAME: 'allocate'},
 }
 
-# The tests that take names from the registries or have names of their own, those of them that
-# tell most in little time, and those with laws that hold of all methods or planners.
+# Quick tests that use registered names, and laws of all methods or planners.
 CONCERNED = [
     'test/core',
     'test/messages',
@@ -188,12 +187,12 @@ LAWS = [
 
 @pytest.fixture(scope='module')
 def environment(tmp_path_factory):
-    """Return the environment of a machine on which the newcomers are installed."""
+    """Return the environment of a machine with the newcomers installed."""
     return install(tmp_path_factory.mktemp('newcomers'), 'newcomers', SOURCE, ADDED)
 
 
 def check(environment, *runs):
-    """See that runs of tests hold where the newcomers are installed; return what pytest prints."""
+    """Check that runs of tests pass with the newcomers installed; return pytest's output."""
     common = ['-q', '-p', 'no:cacheprovider']
     code = f'import pytest, sys; sys.exit(any(pytest.main({common} + each) for each in {[*runs]}))'
     command = [sys.executable, '-c', code]
@@ -203,7 +202,7 @@ def check(environment, *runs):
 
 
 @pytest.mark.processes
-def test_newcomers_are_held_to_what_holds_of_all_and_disturb_nobody(environment):
+def test_newcomers_are_held_to_all_laws_and_disturb_no_others(environment):
     told = check(
         environment,
         ['-vv', '--case', NAME, *LAWS],
@@ -226,7 +225,7 @@ def test_every_test_holds_with_newcomers(environment):
     check(environment, CONCERNED)
 
 
-# The benchmarks measure what they say, and write it down.
+# Benchmarks measure what they state, and write it down.
 
 
 FOLDER = Path(__file__).parents[1] / 'benchmarks'
@@ -234,7 +233,7 @@ FOLDER = Path(__file__).parents[1] / 'benchmarks'
 
 @pytest.fixture
 def load(monkeypatch):
-    """Return a function that imports a file of benchmarks/ as the command does."""
+    """Return a function that imports a file of benchmarks/ like the command does."""
     monkeypatch.syspath_prepend(str(FOLDER))
     before = set(sys.modules)
     yield import_module
@@ -243,7 +242,7 @@ def load(monkeypatch):
             del sys.modules[name]
 
 
-def test_all_are_listed_and_told_apart(load):
+def test_all_benchmarks_are_listed_under_different_titles(load):
     command = load('run')
     titles = [each.title for each in command.BENCHMARKS]
     assert len(set(titles)) == len(titles) >= 8

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tests and cases run: those that take long, that start processes, and one alone."""
+"""Selection of tests and cases: slow ones, those that start processes, and a single one."""
 
 import inspect
 import os
@@ -72,7 +72,7 @@ def test_other(place):
 
 @pytest.fixture
 def run(tmp_path):
-    """Return a function that runs tests as `make test` does, and returns its status and words."""
+    """Return a function that runs tests like `make test`, and returns status and output."""
     folder = Path(__file__).parent
     for name in ('conftest.py', 'extent.py', 'laws.py'):
         tmp_path.joinpath(name).write_text(folder.joinpath(name).read_text())
@@ -99,14 +99,14 @@ def run(tmp_path):
     ('full', 0, '2 passed'),
     ('ful', 4, f"{VARIABLE} is 'ful': it must be full, or not be set"),
 ])  # fmt: skip
-def test_all_is_tested_if_asked_for(run, asked, expected, told):
+def test_all_tests_run_on_request(run, asked, expected, told):
     status, words = run(LONG, asked=asked)
     assert status == expected
     assert told in words
 
 
 @pytest.mark.processes
-def test_what_starts_processes_is_marked_and_may_be_left_out(run):
+def test_tests_with_processes_are_marked_and_may_be_left_out(run):
     status, words = run(PROCESSES)
     assert status == 1
     assert '2 failed, 3 passed' in words
@@ -127,7 +127,7 @@ def test_the_case_that_failed_runs_alone(run):
     assert '1 failed, 1 skipped' in run(CASES, '--case', 'seed=4')[1]
 
 
-# A law runs for all of its cases, names the one that fails, and runs it alone.
+# A law runs all its cases, names a failing one, and runs it alone.
 
 
 def small(seed, ran):
@@ -135,7 +135,7 @@ def small(seed, ran):
     assert seed < 3, 'too large'
 
 
-def test_of_several_all_combinations_run_and_each_runs_alone(monkeypatch):
+def test_all_combinations_of_cases_run_and_each_runs_alone(monkeypatch):
     ran = []
 
     @for_each('seed', range(2))
@@ -158,7 +158,7 @@ def test_each_case_has_a_folder_of_its_own(tmp_path):
     assert len(list(tmp_path.glob('*/file'))) == 3
 
 
-def test_what_a_case_sets_is_undone_after_it(monkeypatch):
+def test_settings_of_a_case_are_undone_after_it(monkeypatch):
     def law(seed, monkeypatch):
         assert 'KBNITP_CASE' not in os.environ
         monkeypatch.setenv('KBNITP_CASE', str(seed))
@@ -167,7 +167,7 @@ def test_what_a_case_sets_is_undone_after_it(monkeypatch):
     assert 'KBNITP_CASE' not in os.environ
 
 
-def test_the_first_of_every_so_many_cases_run_always_and_the_rest_as_full():
+def test_the_first_of_every_few_cases_always_runs_and_the_rest_as_full():
     ran = []
     law = for_each('seed', range(3), every=2)(small)
     law(ran=ran, rest=False)

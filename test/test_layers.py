@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-# What each layer, a folder, may stand on.
+# Layers (folders) that each layer may import.
 BELOW = {
     'files': set(),
     'plugins': set(),
@@ -44,10 +44,10 @@ BELOW = {
     },
 }  # fmt: skip
 
-# What a method calls the object, or the class, that it belongs to.
+# Names in a method for its object or class.
 OWN = ('self', 'cls')
 
-# Modules and functions of files, processes and sockets that the core has no use for.
+# Modules and functions of files, processes and sockets that the core must not use.
 FILES = 'glob io multiprocessing os pathlib pickle shutil socket subprocess tempfile'
 CALLS = 'fromfile genfromtxt load loadtxt memmap open print save savetxt savez tofile'
 
@@ -66,13 +66,13 @@ def sources():
 
 
 def find_layer(path):
-    """Return the folder of a module in kbnitp_ros, dotted, or a file that is a layer; or ''."""
+    """Return a module's folder in kbnitp_ros, dotted, or a file that is a layer; or ''."""
     inside = path.relative_to(ROOT / 'kbnitp_ros')
     return '.'.join(inside.parts[:-1]) or (inside.stem if inside.stem in BELOW else '')
 
 
 def layer_seen(layer, module):
-    """Return the layer of a module as another one sees it: the core has rooms for itself alone."""
+    """Return a module's layer as another layer sees it: rooms of the core are its own affair."""
     below = find_layer(MODULES[module])
     return below if layer.startswith('core') else re.sub(r'^core\..*', 'core', below)
 
@@ -85,7 +85,7 @@ def find_module(name):
 
 
 def imports():
-    """Yield (path, layer, absolute dotted name) for everything that is imported."""
+    """Yield (path, layer, absolute dotted name) of all imports."""
     for path, tree in sources().items():
         package = path.parent.relative_to(ROOT).parts
         for node in ast.walk(tree):
@@ -115,7 +115,7 @@ def test_imports_point_down():
     assert not upwards
 
 
-def test_all_that_a_layer_may_stand_on_it_stands_on():
+def test_every_allowed_import_of_a_layer_is_used():
     used = {
         (layer, layer_seen(layer, find_module(name)))
         for _, layer, name in imports()
@@ -135,7 +135,7 @@ def test_no_private_name_of_another_module_is_imported():
 
 
 def private_names(tree):
-    """Return the private names that a module defines, those of its classes included."""
+    """Return the private names that a module defines, with those of its classes."""
     names = set()
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
@@ -177,12 +177,12 @@ def test_only_nodes_and_commands_run_ros():
     assert not spinning
 
 
-# What makes messages of these modules imports their packages at once.
+# These modules import packages of ROS to make messages.
 WRITERS = {'messages/markers.py', 'messages/poses.py', 'messages/progress.py'}
 
 
 def test_logs_are_read_without_ros():
-    """Only what makes messages, or describes the types of a log, imports packages of ROS."""
+    """Only modules that make messages, or describe a log's types, import packages of ROS."""
     needed = [
         (str(path.relative_to(ROOT)), name)
         for path, tree in sources().items()
@@ -203,7 +203,7 @@ def test_the_core_needs_numpy_only_and_compiles_in_one_place():
         for path, layer, name in imports()
         if layer.split('.')[0] == 'core' and name.split('.')[0] not in allowed
     ]
-    # pandas is imported when a table is asked for.
+    # pandas is imported for a table only.
     assert {path: name.split('.')[0] for path, name in foreign} == {
         'kbnitp_ros/core/field/compiled.py': 'numba',
         'kbnitp_ros/core/mission.py': 'pandas',

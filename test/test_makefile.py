@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Machines are checked, and what tests need is installed, in few lines that have a remedy."""
+"""Checks of machines and installations print few lines, each with a remedy."""
 
 import os
 from pathlib import Path
@@ -21,7 +21,7 @@ UNKNOWN = 'echo Collecting quark; echo "ERROR: No matching distribution found" >
 
 @pytest.fixture
 def tree(tmp_path):
-    """Return a folder with the Makefile, and pip and npm that do what they are told."""
+    """Return a folder with the Makefile, and pip and npm replaced by scripts."""
     for name in ('Makefile', 'requirements-dev.lock', 'tools'):
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, tmp_path / name)
@@ -29,7 +29,7 @@ def tree(tmp_path):
     for name in (*locks, '.venv/.run', '.venv/bin/pip', 'bin/npm'):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
-    # Newer than what it is made of.
+    # Newer than its sources.
     os.utime(tmp_path / '.venv/.run')
     (tmp_path / 'requirements.lock').touch()
     os.utime(tmp_path / 'requirements.lock', (0, 0))
@@ -37,7 +37,7 @@ def tree(tmp_path):
 
 
 def make(tree, pip, npm):
-    """Return what comes of installing what tests need with programs that do this, in shell."""
+    """Return the result of installing test dependencies with these shell scripts."""
     for name, does in (('.venv/bin/pip', pip), ('bin/npm', npm)):
         (tree / name).write_text(f'#!/bin/bash\n{does}\n')
         (tree / name).chmod(0o755)
@@ -51,7 +51,7 @@ def make(tree, pip, npm):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        # Shells start background jobs deaf to it.
+        # Background jobs of shells ignore SIGINT.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
@@ -79,7 +79,7 @@ def test_progress_is_shown_in_few_lines(tree):
     ],
     ids=['pip', 'npm'],
 )
-def test_what_fails_says_why(tree, pip, npm, reasons, missing):
+def test_failures_state_the_reason(tree, pip, npm, reasons, missing):
     made = make(tree, pip, npm)
     _, complaints = made.communicate(timeout=60)
     assert made.returncode == 2
@@ -117,7 +117,7 @@ def test_a_certificate_that_is_not_trusted_has_its_remedy(tree):
 
 
 @pytest.mark.processes
-def test_an_interrupt_ends_what_runs(tree):
+def test_an_interrupt_ends_running_programs(tree):
     made = make(tree, 'echo $$ > pid; exec sleep 60', WORKS)
     deadline = time.monotonic() + 30
     while not (tree / 'pid').exists() or not (tree / 'pid').read_text():
@@ -129,7 +129,7 @@ def test_an_interrupt_ends_what_runs(tree):
     assert not Path('/proc', (tree / 'pid').read_text().strip()).exists()
 
 
-# `make build` says in one line what the machine lacks.
+# `make build` names missing parts of the machine in one line.
 
 
 SCRIPT = Path(__file__).parents[1] / 'tools' / 'check_machine.sh'
@@ -179,7 +179,7 @@ def machine(tmp_path):
 
 @pytest.mark.processes
 @for_each('version', ['3.10', '3.11', '3.12', '3.13'])
-def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
+def test_a_complete_machine_is_accepted_silently(machine, version):
     done = machine(version=version)
     assert (done.returncode, done.stdout, done.stderr) == (0, '', '')
 
@@ -197,7 +197,7 @@ def test_a_machine_with_everything_is_accepted_in_silence(machine, version):
     ({'system': 'Darwin arm64'}, 'Darwin arm64', 'colcon build'),
     ({'version': '2.7'}, '2.7', 'make PYTHON='),
 ])  # fmt: skip
-def test_what_is_missing_takes_one_line_with_its_remedy(machine, lack, missing, remedy):
+def test_missing_parts_take_one_line_with_a_remedy(machine, lack, missing, remedy):
     done = machine(**lack)
     assert done.returncode == 1
     assert done.stderr.count('\n') == 1

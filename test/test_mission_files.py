@@ -70,7 +70,7 @@ def test_units_of_systemd_give_launch_files_arguments_that_they_take(name, file)
 
 
 def run_until_over(folder, reports, missions):
-    """Launch missions, and check that each ends by itself when it has so many reports."""
+    """Launch missions, and check that each ends with its number of reports."""
     with free_domain() as domain:
         running = [launched(folder, domain, *arguments) for arguments in missions.values()]
         try:
@@ -84,7 +84,7 @@ def run_until_over(folder, reports, missions):
 
 
 def assert_is_whole(log, reports):
-    """Check that a log is reproduced, and has so many deployments."""
+    """Check that a log is reproduced, and its number of deployments."""
     report = replay(log)
     assert report.reproduced
     assert len(report.evidence.reports) == reports
@@ -97,7 +97,7 @@ def configured(tmp_path):
 
     def change(**values):
         config = CONFIG.read_text()
-        # Planned in no time, so that nodes are not at it when they are to end.
+        # Planning takes no time, so that nodes end quickly.
         for name, value in {'width': 4, 'height': 4, 'max_steps': 6, **values}.items():
             config = re.sub(rf'(?m)^( *{name}:) \S+', rf'\1 {value}', config)
         (tmp_path / 'short.yaml').write_text(config)
@@ -106,7 +106,7 @@ def configured(tmp_path):
 
 
 @pytest.mark.processes
-def test_the_launch_file_runs_a_mission_in_a_namespace_and_goes_on_with_it(tmp_path, configured):
+def test_the_launch_file_runs_and_resumes_a_mission_in_a_namespace(tmp_path, configured):
     arguments = ['params_file:=short.yaml', 'namespace:=north', 'file:=mission.mcap']
     configured(robots=3)
     run_until_over(tmp_path, 3, {'mission.mcap': arguments})
@@ -135,7 +135,7 @@ def test_two_teams_are_launched_side_by_side(tmp_path, configured):
 
 
 @pytest.mark.processes
-def test_a_mission_that_is_over_is_kept_if_wished_and_takes_options(tmp_path, configured):
+def test_a_finished_mission_stays_on_request_and_takes_options(tmp_path, configured):
     configured(robots=1000)
     log = tmp_path / 'mission.mcap'
     arguments = ['params_file:=short.yaml', 'file:=mission.mcap', 'robots:=2', 'max_steps:=4']
@@ -200,7 +200,7 @@ def test_the_base_of_a_mission_is_launched_without_robots(tmp_path, configured):
         finally:
             interrupt(base)
     assert_is_whole(tmp_path / 'mission.mcap', 3)
-    # The file has what is for simulated robots, which come home at once.
+    # The file is for simulated robots, which return at once.
     planner = read_parameters(tmp_path / 'mission.mcap')['/planner']
     assert planner['silent_loss']
     assert (planner['step_period'], planner['return_deadline']) == (5.0, 60.0)
@@ -274,7 +274,7 @@ LATE = '/planner: {ros__parameters: {}}\n/**/planner: {ros__parameters: {robots:
       for each in ('0', '-1', 'a b')),
     (['file:=mission.mcap'], None, 'mission.mcap exists, and no log is written over: name'),
 ])  # fmt: skip
-def test_what_cannot_be_launched_starts_nothing(tmp_path, configured, arguments, content, told):
+def test_bad_arguments_of_launch_start_no_node(tmp_path, configured, arguments, content, told):
     (tmp_path / 'mission.mcap').touch()
     if content:
         (tmp_path / 'own.yaml').write_text(content)
@@ -297,7 +297,7 @@ def test_what_cannot_be_launched_starts_nothing(tmp_path, configured, arguments,
 
 
 def launched_until(folder, domain, condition, *arguments):
-    """Launch a mission, and return it and its log, named by nobody, when a condition holds."""
+    """Launch a mission; return it and its log with a default name, once a condition holds."""
     mission = launched(folder, domain, *arguments)
     deadline = time.monotonic() + 120
     while not (logs := list(folder.glob('runs/*/mission.mcap'))) or not condition(*logs):
@@ -319,7 +319,7 @@ def test_two_missions_in_a_folder_have_logs_of_their_own(tmp_path, configured):
 
 
 @pytest.mark.processes
-def test_a_node_of_a_mission_on_record_that_dies_goes_on_with_its_log(tmp_path, configured):
+def test_a_node_of_a_recorded_mission_that_dies_resumes_from_its_log(tmp_path, configured):
     configured(robots=1000, step_period=0.02)
     with free_domain() as domain:
         arguments = ['params_file:=short.yaml', 'agents:=2', 'namespace:=north']
@@ -337,7 +337,7 @@ def test_a_node_of_a_mission_on_record_that_dies_goes_on_with_its_log(tmp_path, 
 
 
 @pytest.mark.processes
-def test_a_node_of_a_mission_that_nobody_records_ends_it_when_it_dies(tmp_path, configured):
+def test_a_node_of_an_unrecorded_mission_ends_it_when_it_dies(tmp_path, configured):
     configured(robots=1000, step_period=0.02)
     with free_domain() as domain:
         mission = launched(
@@ -349,7 +349,7 @@ def test_a_node_of_a_mission_that_nobody_records_ends_it_when_it_dies(tmp_path, 
             time.sleep(0.1)
         os.kill(node_pids(mission)['/scout_2/agent'], signal.SIGKILL)
         time.sleep(2)
-        # The others of a team carry on.
+        # The other agents of a team continue.
         assert mission.poll() is None
         os.kill(node_pids(mission)['/estimator'], signal.SIGKILL)
         assert mission.wait(timeout=120) == 1
@@ -367,7 +367,7 @@ def test_any_number_of_interrupts_ends_a_mission(tmp_path, configured, trial):
             interrupt(mission)
             time.sleep(0.003)
         try:
-            # Python itself may be ending when the last of them comes.
+            # The last interrupts may meet a Python that is ending.
             assert mission.wait(timeout=120) in (0, 1, -signal.SIGINT)
         finally:
             mission.kill()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the package needs and has is declared, locked, installed and tried."""
+"""Requirements and contents of the package are declared, locked, installed and tested."""
 
 import ast
 from collections import defaultdict
@@ -21,8 +21,8 @@ import yaml
 
 ROOT = Path(__file__).parents[1]
 
-# What is imported -> its rosdep key and its wheel. Other imports are ROS packages: the key is the
-# name, the wheels are those of rclpy and the common interfaces. rosdep has no key for None.
+# Import name -> its rosdep key and its wheel. Other imports are ROS packages: the key is the name,
+# the wheels are those of rclpy and the common interfaces. rosdep has no key for None.
 PYTHON_PACKAGES = {
     'colorspacious': (None, 'colorspacious'),
     'cyclonedds': (None, 'cyclonedds'),
@@ -60,12 +60,12 @@ NAV2 = {
     'NavigateThroughPoses': '4e680a34fd27772095da6ffdb32ae348adbc3d948248d38cf8d5ca3fc7a3a6c4',
 }
 
-# Imported only by those who ask for them.
+# Imported only by optional parts.
 OPTIONAL = {'distributed', 'sphinx'}
 
 
 def imported_by(*folders):
-    """Return the names of the packages from elsewhere that the sources in folders import."""
+    """Return the names of external packages that sources in folders import."""
     names = set()
     local = {'kbnitp_ros'}
     for folder in folders:
@@ -102,7 +102,7 @@ def pinned(*files):
         ['requirements.txt', 'requirements-dev.txt'],
     ),
 ])  # fmt: skip
-def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds, files):
+def test_imports_are_declared_for_ros_and_for_the_wheels(folders, kinds, files):
     imported = imported_by(*folders)
     keys = {PYTHON_PACKAGES.get(name, (name,))[0] for name in imported} - {None}
     wheels = {PYTHON_PACKAGES[name][1] for name in imported & PYTHON_PACKAGES.keys()}
@@ -111,8 +111,8 @@ def test_what_is_imported_is_declared_for_ros_and_for_the_wheels(folders, kinds,
 
 
 @pytest.mark.processes
-def test_nodes_need_nothing_that_a_robot_is_not_given():
-    """What package.xml leaves out where KBNITP_ROLE is robot cannot be imported here."""
+def test_nodes_need_no_package_that_robots_lack():
+    """Packages that package.xml omits for KBNITP_ROLE robot cannot be imported here."""
     keys = {
         each.text
         for each in ElementTree.parse(ROOT / 'package.xml').getroot().iter('exec_depend')
@@ -142,14 +142,14 @@ def test_the_dockerfile_installs_by_the_commands_of_the_readme():
 
 
 @for_each('file', FILES)
-def test_all_that_is_installed_is_locked_by_its_hashes(file):
+def test_all_installed_packages_are_locked_by_hashes(file):
     lock = ROOT.joinpath(file).with_suffix('.lock').read_text()
     entries = re.findall(
         r'^([\w.\[\]-]+==[\w.]+)( ; .+)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)',
         lock,
         re.M,
     )
-    # Nothing else stands in it, such as a registry.
+    # No other options, such as a registry.
     comment, _, rest = lock.partition('\n')
     assert comment.startswith('#')
     assert len(rest.splitlines()) == sum(1 + hashes.count('\n') for _, _, hashes in entries)
@@ -210,7 +210,7 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
 
 @pytest.mark.processes
 @pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the sources are no repository')
-def test_nothing_that_is_to_be_ignored_is_in_the_repository():
+def test_no_ignored_file_is_in_the_repository():
     command = ['git', '-C', str(ROOT), 'ls-files', '--cached', '--ignored', '--exclude-standard']
     assert subprocess.run(command, check=True, capture_output=True).stdout == b''
 
@@ -222,7 +222,7 @@ def test_every_field_of_a_message_is_explained(message):
 
 
 @for_each('name', NAV2)
-def test_robots_and_costmap_filters_speak_to_nav2(name):
+def test_robots_and_costmap_filters_use_the_types_of_nav2(name):
     share = Path(get_package_share_directory('nav2_msgs'))
     (file,) = share.glob(f'*/{name}.json')
     hashes = {
@@ -235,7 +235,7 @@ def test_robots_and_costmap_filters_speak_to_nav2(name):
 @pytest.mark.processes
 @pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the sources are no repository')
 def test_a_clone_in_a_workspace_is_built_with_its_messages(tmp_path):
-    """What the first build says makes colcon find both packages."""
+    """The message of the first build makes colcon find both packages."""
     clone = tmp_path / 'src' / 'kbnitp_ros'
     files = subprocess.check_output(['git', '-C', ROOT, 'ls-files', '-z'], text=True).split('\0')
     for name in filter(None, files):
@@ -267,7 +267,7 @@ def test_colcon_runs_the_tests_with_pytest():
     assert "'test': ['pytest']" in ROOT.joinpath('setup.py').read_text()
 
 
-# The workflows do what the README tells people to do, with what the tests import.
+# The workflows run the commands of the README, with the tests' dependencies.
 
 
 WORKFLOWS = sorted(ROOT.joinpath('.github/workflows').glob('*.yml'))
@@ -276,7 +276,7 @@ COMMANDS = (ROOT / 'docs/commands.md').read_text()
 
 
 def steps(name):
-    """Return what a workflow runs, line by line."""
+    """Return the commands of a workflow, line by line."""
     workflow = yaml.safe_load((ROOT / f'.github/workflows/{name}.yml').read_text())
     (job,) = workflow['jobs'].values()
     return [line for step in job['steps'] for line in step.get('run', '').splitlines()]
@@ -290,7 +290,7 @@ def test_actions_are_pinned_by_commit(path):
         assert re.fullmatch(r'[\w-]+/[\w-]+@[0-9a-f]{40}  # v\d+\.\d+\.\d+', action)
 
 
-def test_wheels_are_tried_by_the_commands_of_the_readme():
+def test_wheels_are_tested_by_the_commands_of_the_readme():
     made = [line.split()[1] for line in steps('wheels') if line.startswith('make ')]
     assert made == ['build', 'demo', 'check', 'docs', 'test']
     targets = re.findall(r'^(\w+):', (ROOT / 'Makefile').read_text(), re.MULTILINE)
@@ -298,14 +298,14 @@ def test_wheels_are_tried_by_the_commands_of_the_readme():
     assert '```bash\nmake build\nmake demo\n```' in README
 
 
-def test_wheels_are_tried_with_every_python_that_they_are_for():
+def test_wheels_are_tested_with_every_supported_python():
     workflow = yaml.safe_load((ROOT / '.github/workflows/wheels.yml').read_text())
     versions = workflow['jobs']['build']['strategy']['matrix']['python']
     script = (ROOT / 'tools/check_machine.sh').read_text()
     assert ' | '.join(versions) + ')' in script
 
 
-def test_ros_is_tried_by_the_commands_of_the_readme():
+def test_ros_is_tested_by_the_commands_of_the_readme():
     run = steps('ros')
     told = re.search(r'(rosdep install .*)\n(colcon build)\n', COMMANDS)
     assert told[1] in run
@@ -315,7 +315,7 @@ def test_ros_is_tried_by_the_commands_of_the_readme():
 
 
 @pytest.mark.slow
-def test_ros_is_tried_with_what_rosdep_does_not_know():
+def test_ros_is_tested_with_packages_unknown_to_rosdep():
     imported = imported_by('kbnitp_ros', 'test')
     unknown = {wheel for name, (key, wheel) in PYTHON_PACKAGES.items() if key is None}
     wanted = {PYTHON_PACKAGES[name][1] for name in imported & PYTHON_PACKAGES.keys()} & unknown

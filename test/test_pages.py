@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the pages tell people to type works as it stands there, and what they link is there."""
+"""Commands, examples, numbers and links on the pages are correct."""
 
 from collections import Counter
 from dataclasses import fields, is_dataclass
@@ -34,7 +34,7 @@ COMMAND = re.compile(r'^python3 -m kbnitp_ros (\w+) .*$', re.MULTILINE)
 
 
 def run(program, folder, text=''):
-    """Run a program on a text in a folder; return what it prints."""
+    """Run a program on a text in a folder; return its output."""
     ran = subprocess.run(
         program,
         input=text,
@@ -49,7 +49,7 @@ def run(program, folder, text=''):
 
 
 def lines(text):
-    """Return the lines of a console without what depends on the machine and on time."""
+    """Return the lines of a console, without parts that depend on machine or time."""
     domain, stamp, tree = (
         r'(?<=ROS_DOMAIN_ID=)\d+',
         r'(?<=\[)\d+\.\d+(?=\])',
@@ -60,7 +60,7 @@ def lines(text):
 
 
 def follow(page, folder):
-    """Do what a page says, block after block, in a folder."""
+    """Execute a page's blocks, one after another, in a folder."""
     printed = ''
     for language, block in blocks(page):
         file = re.match(r'# (\w+\.\w+)\n', block)
@@ -85,8 +85,8 @@ def test_a_tutorial(name, tmp_path):
 
 @pytest.mark.full
 @pytest.mark.processes
-def test_commands_work_one_after_another(tmp_path):
-    """But for a study, which takes hours and is interrupted, and a forecast of fewer missions."""
+def test_commands_of_a_page_work_in_order(tmp_path):
+    """Except for a study, which takes hours, and a forecast, with fewer missions."""
     tmp_path.joinpath('hidden.yaml').write_text(shown('world'))
     made = Counter()
     for page in ('README.md', 'docs/commands.md', 'docs/files.md'):
@@ -114,7 +114,7 @@ def test_commands_work_one_after_another(tmp_path):
 
 @pytest.mark.processes
 @for_each('page, printed', [('docs/commands.md', None), ('docs/decisions.md', 'True')])
-def test_an_example_in_python_prints_what_it_says(page, printed, tmp_path):
+def test_an_example_in_python_prints_the_stated_output(page, printed, tmp_path):
     (example,) = (block for language, block in blocks(page) if language == 'python')
     told = run([sys.executable, '-'], tmp_path, example)
     assert example.endswith(f'# {told}') if printed is None else told.endswith(f'{printed}\n')
@@ -132,7 +132,7 @@ def test_the_readme_is_short_and_so_are_its_sentences():
 
 
 def shown(name):
-    """Return the file of a kind that the page shows."""
+    """Return the page's example of a kind of file."""
     (text,) = (text for _, text in blocks('docs/files.md') if text.startswith(f'# {name}\n'))
     return text
 
@@ -169,7 +169,7 @@ def keys_in(kind):
 
 
 @pytest.mark.slow
-def test_numbers_of_the_demo_are_those_that_it_comes_to():
+def test_numbers_of_the_demo_are_correct():
     first, deployments, world, _ = demo_mission()
     beliefs = [first, *(deployment.belief for deployment in deployments)]
     entropy = [f'{belief.entropy():.1f}' for belief in beliefs]
@@ -198,7 +198,7 @@ def test_numbers_of_the_demo_are_those_that_it_comes_to():
         assert [each for each in map(str, numbers) if each not in words(page)] == [], page
 
 
-def test_quality_of_service_and_what_a_log_may_lose_are_as_said():
+def test_quality_of_service_and_possible_losses_are_as_stated():
     topics = rows('docs/topics.md', 'QoS')
     for topic, profile in (
         ('belief', qos.LATCHED),
@@ -211,7 +211,7 @@ def test_quality_of_service_and_what_a_log_may_lose_are_as_said():
     assert f'at most {mcap_file.CHUNK // 2**20} MiB of them' in words('docs/log.md')
 
 
-def test_the_glossary_is_short_and_names_code_that_is_there():
+def test_the_glossary_is_short_and_names_existing_code():
     glossary = ROOT.joinpath('docs/glossary.md').read_text()
     assert 0 < len(re.findall(r'^\| (?!word)[a-z]', glossary, re.MULTILINE)) < 25
     names = re.findall(r'`(core\.[\w.]+)`', glossary)
@@ -292,7 +292,7 @@ def dead(path):
 
 
 @for_each('path', PAGES)
-def test_links_lead_somewhere(path):
+def test_links_have_targets(path):
     assert list(dead(path)) == []
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pages of docs/ as a site: they need no network, and their equations are typeset."""
+"""The site of docs/ works offline, and its equations are typeset."""
 
 from itertools import product
 from pathlib import Path
@@ -17,7 +17,7 @@ DERIVATIONS = ['mathematics', *sorted(f'mathematics/{p.stem}' for p in DOCS.glob
 # `make docs` fails on warnings by itself.
 pytestmark = [pytest.mark.full, pytest.mark.processes]
 
-# In pixels: of a phone, a tablet and a desk; and the schemes that readers may have chosen.
+# Pixels of a phone, a tablet and a desktop, and colour schemes of readers.
 WIDTHS, SCHEMES = (390, 800, 1400), ('light', 'dark')
 # Where `make docs` puts the site as well.
 PICTURES = ROOT / 'build/docs/pictures'
@@ -27,7 +27,7 @@ LOADED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)="
 
 @pytest.fixture(scope='module')
 def site(tmp_path_factory):
-    """Return the folder of the site, as `make docs` builds it."""
+    """Return the folder of the site, built like by `make docs`."""
     pytest.importorskip('sphinx', reason='make docs installs what the site needs')
     html = tmp_path_factory.mktemp('site')
     options = ['--fail-on-warning', '--keep-going', '--quiet', '-d', html / '.doctrees']
@@ -38,7 +38,7 @@ def site(tmp_path_factory):
 
 
 def missing(site):
-    """Yield what the pages load that is no file of the site."""
+    """Yield resources of pages that are not files of the site."""
     for page in site.rglob('*.html'):
         for source in LOADED.findall(page.read_text()):
             path = page.parent / source.partition('?')[0].partition('#')[0]
@@ -69,7 +69,7 @@ def test_every_equation_is_typeset_without_a_network(site, browser, name):
     assert failed == []
 
 
-# Words that users search for, and the page that answers each.
+# Search terms of users, and the page that answers each.
 SOUGHT = {
     'approve': 'operator',
     'blast': 'tutorials/heard',
@@ -97,7 +97,7 @@ def test_the_search_finds_what_users_call_it_among_the_first_three(site, browser
 
 
 def test_no_page_is_wider_than_the_window(site, browser):
-    """The pictures of all pages are kept beside the site that `make docs` makes."""
+    """Images of all pages are kept beside the site of `make docs`."""
     # The pages of objects are made alike: one with many arguments stands for all.
     alike = site / 'api/generated'
     pages = [site / page.relative_to(DOCS).with_suffix('.html') for page in DOCS.rglob('*.md')]
@@ -108,7 +108,7 @@ def test_no_page_is_wider_than_the_window(site, browser):
     for width, scheme in product(WIDTHS, SCHEMES):
         window = {'width': width, 'height': 1000}
         shown = browser.new_context(viewport=window, color_scheme=scheme, offline=True).new_page()
-        # A page of equations takes its time on a machine that does much else.
+        # Equations take time to render on a busy machine.
         shown.set_default_timeout(300_000)
         for page in pages:
             name = page.relative_to(site).with_suffix('.png')

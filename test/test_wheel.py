@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The wheel is enough for logs and studies, and users see its types."""
+"""The wheel suffices for logs and studies, and carries its types."""
 
 import gzip
 from importlib import metadata
@@ -28,11 +28,11 @@ PYTHONS = [OWN] + [
 
 
 def interpreter(version):
-    """Return where a Python is; skip the test if there is none that runs."""
+    """Return the path of a Python; skip the test if none runs."""
     if version == OWN:
         return sys.executable
     found = shutil.which(f'python{version}')
-    # A shim may be there for a Python that is not.
+    # A shim may exist for a Python that does not.
     if not found or subprocess.run([found, '-c', ''], capture_output=True).returncode:
         pytest.skip(f'there is no Python {version}')
     return found
@@ -40,10 +40,10 @@ def interpreter(version):
 
 @pytest.fixture(scope='module', params=PYTHONS)
 def run(request, tmp_path_factory):
-    """Return what runs a command of a new environment that has the wheel and its extras."""
+    """Return a function that runs commands in a new environment with the wheel and its extras."""
     python = interpreter(request.param)
     folder = tmp_path_factory.mktemp('bare')
-    # What builds an sdist leaves files beside the sources.
+    # Building an sdist leaves files beside the sources.
     sources = folder / 'sources'
     shutil.copytree(ROOT, sources, ignore=shutil.ignore_patterns('.*', 'build', 'install', 'log*'))
     shutil.copytree(ROOT / 'kbnitp_ros', sources / 'kbnitp_ros', dirs_exist_ok=True)
@@ -82,7 +82,7 @@ def run(request, tmp_path_factory):
 
 
 def pins(version):
-    """Return the versions to install: those of this Python have no wheels for every other."""
+    """Return the versions to install: other Pythons lack wheels for some of these."""
     if version == OWN:
         return [f'{each.name}=={each.version}' for each in metadata.distributions() if fits(each)]
     lines = ROOT.joinpath('requirements.txt').read_text().splitlines()
@@ -149,7 +149,7 @@ def write_scenario(path):
     return path
 
 
-# Whoever uses the package has the types of what it returns.
+# Users of the package get the types of its results.
 
 
 SCRIPT = """
@@ -187,7 +187,7 @@ TYPES = [
 
 @pytest.mark.full
 @pytest.mark.processes
-def test_mypy_finds_the_types_in_a_script_of_a_user(tmp_path):
+def test_mypy_finds_the_types_in_a_users_script(tmp_path):
     pytest.importorskip('mypy')
     script = tmp_path / 'script.py'
     script.write_text(SCRIPT)

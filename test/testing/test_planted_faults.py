@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws find the faults that are planted in what kept them."""
+"""The laws find planted faults."""
 
 from contextlib import suppress
 from itertools import count
@@ -12,21 +12,21 @@ import pytest
 
 
 class Sound(KnownModel):
-    """A method that keeps the laws, to plant faults in."""
+    """A method that keeps the laws."""
 
     def assimilate(self, observation, robot_type):
         self.belief = update(self.belief, robot_type.model(self.model), observation)
 
 
 class OwnCopy(Sound):
-    """A copy is what it was copied from."""
+    """A copy is the object itself."""
 
     def copy(self):
         return self
 
 
 class Shared(Sound):
-    """Copies share the list that the belief is made of."""
+    """Copies share the list behind the belief."""
 
     def __init__(self, belief, model, *_):
         super().__init__(belief, model)
@@ -49,7 +49,7 @@ class Small(Sound):
 
 
 class Blurred(Sound):
-    """Cells off the path lose what was known of them."""
+    """Cells off the path lose their evidence."""
 
     def assimilate(self, observation, robot_type):
         super().assimilate(observation, robot_type)
@@ -57,7 +57,7 @@ class Blurred(Sound):
 
 
 class Chancy(Sound):
-    """Every second one that is made forgets losses."""
+    """Every second instance ignores losses."""
 
     made = count()
 
@@ -71,7 +71,7 @@ class Chancy(Sound):
 
 
 class Lenient(Sound):
-    """What is impossible passes without a word."""
+    """Impossible evidence passes silently."""
 
     def assimilate(self, observation, robot_type):
         with suppress(ValueError):
@@ -79,7 +79,7 @@ class Lenient(Sound):
 
 
 class Hasty(Sound):
-    """The state is changed before what is impossible is refused."""
+    """The state changes before impossible evidence is refused."""
 
     def __init__(self, belief, model, *_):
         super().__init__(belief, model)
@@ -93,7 +93,7 @@ class Hasty(Sound):
 
 
 class Inverted(Sound):
-    """Readings are taken for their opposites."""
+    """Readings are inverted."""
 
     def assimilate(self, observation, robot_type):
         model = robot_type.model(self.model)
@@ -108,7 +108,7 @@ class Inverted(Sound):
 
 
 class Alike(Sound):
-    """All robots are taken for ordinary ones."""
+    """All robots are treated as ordinary ones."""
 
     def assimilate(self, observation, robot_type):
         self.belief = update(self.belief, self.model, observation)
@@ -139,7 +139,7 @@ METHODS = {
 }
 
 
-def test_what_faults_are_planted_in_keeps_the_laws():
+def test_the_sound_method_keeps_the_laws():
     check_method(Sound)
     check_planner(PLANNERS['beam'], cases=5)
     check_allocation(independent, cases=5)
@@ -230,7 +230,7 @@ def test_a_fault_of_an_allocation_is_found(law, allocation):
 
 
 @for_each('check', [check_method, check_planner, check_allocation])
-def test_what_is_none_at_all_is_told(check):
+def test_an_object_of_another_type_is_reported(check):
     with pytest.raises(AssertionError, match='is none: it is 3: it must be callable with'):
         check(3)
     with pytest.raises(ValueError, match="is 'guess': known are"):
