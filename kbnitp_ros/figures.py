@@ -35,13 +35,13 @@ class Style:
     colour: str
     # Matplotlib's line style.
     dash: str | tuple[int, tuple[float, ...]]
-    # Plotly's.
+    # Plotly's line style.
     plotly_dash: str
     # Matplotlib's marker.
     marker: str
 
     def line(self, points: int) -> dict[str, Any]:
-        """Return Matplotlib's keywords for a line of so many points."""
+        """Return Matplotlib's keywords for a line with this number of points."""
         return {
             'color': self.colour,
             'linestyle': self.dash,
@@ -82,7 +82,7 @@ class Scale:
 # Minimum width of each half of a scale.
 NARROWEST = 0.1
 
-# Of the maps, on light paper and on a dark screen: the unknown has neither colour.
+# Colours of the maps, on light paper and on a dark screen: no news has neither colour.
 MAPS = {
     'hazard': Scale(('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d')),
     'target': Scale(('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b')),
@@ -94,7 +94,7 @@ DARK_MAPS = {
     'kappa': Scale(('#a8702a', '#6b5230', '#2e3238', '#77609b', '#e3c8ff')),
 }
 
-# Of the number of robots lost in a cell: from none to the most.
+# Colours of the number of robots lost in a cell, from none to the most.
 COUNTS = {'light': ('#f7f7f7', '#e69f00', '#7a2e00'), 'dark': ('#2e3238', '#b06f00', '#ffd27a')}
 
 # Hatching of unvisited cells: the ground, and the lines.

@@ -50,7 +50,7 @@ def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
         if not (field.steps_to_base == 1).any():
             why = 'no other cell can be entered from it (map, grid.blocked and grid.corners)'
         elif value_for(values, 'max_steps', agent) < 2:
-            why = 'max_steps is 1, and 2 lead to another cell and back'
+            why = 'max_steps is 1: the way to another cell and back has 2'
         if why:
             raise ValueError(
                 f'robots of {agent} cannot leave their base, cell {field.base}: {why}'

@@ -85,7 +85,7 @@ class PlannerState:
     missing_listeners: Callable[[], str]
     # The agents of the search that runs.
     searched: Sequence[str] = ()
-    # Why no path that was found is worth a robot.
+    # Reason why no path found is worth a robot; empty if one is.
     why_worthless: str = ''
     # The plans that wait for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
@@ -202,7 +202,7 @@ class FullNames(NamedTuple):
 
 
 def describe_obstacle(now: PlannerState, obstacle: Obstacle, names: FullNames) -> str:
-    """Return what the planner waits for, or how the mission ended."""
+    """Describe the planner's wait, or the end of the mission."""
     match obstacle:
         case Obstacle.ACTION_UNRECORDED:
             return now.unrecorded_action

@@ -83,9 +83,9 @@ class PlannedRound:
 
     # The plans of a round.
     plans: Plans
-    # Why their gain ends the mission; empty if it does not.
+    # Reason why the plans' gain ends the mission; empty if it does not.
     why_not_worth: str
-    # Why no plan is worth a robot; empty if one is.
+    # Reason why no plan is worth a robot; empty if one is.
     why_worthless: str
     # How long the search took.
     seconds: float

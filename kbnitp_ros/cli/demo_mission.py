@@ -85,7 +85,7 @@ AWAITED = {
     'planner': ['agent', 'estimator', 'recorder'],
 }
 
-# What a step takes, in seconds, where a silent robot is given up by it: no robot needs no time.
+# Seconds a step with `silent_loss`, which needs a step_period above 0.
 SILENT_STEP = 0.01
 
 # What the planner waits for if an operator must act; how long the demo then goes on, and how

@@ -126,8 +126,8 @@ def agent_names(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
         )
     if OPERATOR in agents:
         raise ValueError(
-            f'parameter agents is {list(agents)}: {OPERATOR} is no name for an agent, since a '
-            'topic of the planner is called so'
+            f'parameter agents is {list(agents)}: {OPERATOR} cannot name an agent, since a '
+            'topic of the planner has that name'
         )
     if len(agents) > MAX_AGENTS:
         raise ValueError(

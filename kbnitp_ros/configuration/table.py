@@ -385,9 +385,9 @@ TABLE = (
     Parameter(
         'objective',
         'information',
-        'Objective of paths: the expected information, with behavioral the fall of behavioral '
-        'entropies, or with information_per_loss the most information for each robot expected to '
-        'be lost; the last two for the planners beam and relaxed.',
+        'Objective of paths: expected information; behavioral: the fall of behavioral entropies; '
+        'information_per_loss: information for each robot expected to be lost. The last two need '
+        'the planner beam or relaxed.',
         ('planner',),
         choices=OBJECTIVES,
         read_only=False,
@@ -686,8 +686,8 @@ TABLE = (
     Parameter(
         'tf_timeout',
         2.0,
-        'Seconds after which a transform, a fix or the time of a detection is too old, and for '
-        'which a jump of more than a cell must last to count.',
+        'Maximum age of a transform, a fix or a detection, seconds. A jump of more than a cell '
+        'counts if it lasts as long.',
         ('robot',),
         limits=(1e-3, 1e6),
     ),
@@ -723,15 +723,15 @@ TABLE = (
     Parameter(
         'time_budget',
         0.0,
-        'Seconds from its departure in which the robot is to be home again: it goes home when no '
-        'more is left than the way back takes, by its steps so far; 0 for no limit.',
+        'Maximum seconds from departure to return: the robot turns back when the rest is the time '
+        'of the way back, by its steps so far; 0 for no limit.',
         ('robot',),
         limits=(0.0, 1e9),
     ),
     Parameter(
         'retry_delay',
         2.0,
-        'Seconds after a goal failed until the next.',
+        'Seconds from a failed goal to the next one.',
         ('robot',),
         limits=(0.0, 1e6),
     ),

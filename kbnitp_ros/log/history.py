@@ -44,9 +44,9 @@ class Moment:
     deployment: int | None = None
     # The report of that deployment; None for the prior.
     outcome: Observation | None = None
-    # Whether it replaced a report of the same deployment.
+    # Whether the report replaced one of the same deployment.
     is_late: bool = False
-    # Whether beliefs are missing before it.
+    # Whether beliefs are missing before this moment.
     is_after_gap: bool = False
     # Learnt numbers, kinds of hazard, and the check of the model.
     state: ModelState = NOTHING_LEARNT

@@ -41,7 +41,7 @@ from kbnitp_ros.messages.beliefs import (
 )
 from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
 
-# What is computed from the evidence, and what is read besides before the beliefs.
+# Roles computed from the evidence, and all roles read.
 COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
 READ = (*COMPUTED, 'path', 'report', 'status', 'operator', 'progress')
 
@@ -187,7 +187,7 @@ class Fold:
         states_mission = read_stamp('mission', belief.mission) != NO_MISSION
         mission = prior.mission if states_mission else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
-        # What it was computed from.
+        # These fields name the evidence, and are not compared.
         del computed.since, computed.taken_in
         self.report.compared[self._topic] += 1
         learnt = self._ledger.estimator.unknowns.priors
@@ -227,6 +227,6 @@ class Fold:
             else:
                 report.not_yet_held.append(key)
         if self._held != self._last:
-            # A belief that is missing, or was not compared, may hold them.
+            # A missing or uncompared belief may hold the deployments passed over.
             report.not_yet_held[:0] = report.passed_over
             report.passed_over = []

@@ -143,7 +143,7 @@ class BeliefFinding:
     deployment: DeploymentKey | None
     # Its differences from the computed belief.
     differences: tuple[Difference, ...] = ()
-    # Why it could not be compared; empty otherwise.
+    # Reason why the belief was not compared; empty if it was.
     reason: str = ''
 
     def __str__(self) -> str:
@@ -167,7 +167,7 @@ class ReplayReport:
     check: ModelCheck | None = None
     # Number of messages compared, by topic: beliefs and their views.
     compared: Counter[str] = field(default_factory=Counter)
-    # Those that differ, and those that equal to `TOLERANCE` but not to the bit.
+    # Messages that differ, and those equal to `TOLERANCE` but not to the bit.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
     # Beliefs that lack evidence in the log, and beliefs recorded twice.
@@ -224,7 +224,7 @@ class ReplayedViews:
     def __init__(self) -> None:
         # Index, stamp and content of each, by role and topic.
         self._recorded: dict[tuple[str, str], list[tuple[int, int, Any]]] = defaultdict(list)
-        # By role and stamp; beliefs may share one.
+        # Computed views by role and stamp; beliefs may share a stamp.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
         # Number of recorded beliefs of a stamp that were not computed.
         self._unknown: Counter[int] = Counter()

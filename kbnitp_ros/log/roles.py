@@ -219,7 +219,7 @@ def roles_of_old(
         raise AmbiguousMissionError(
             f'{log} has missions in the namespaces {found}: name one, --namespace'
         )
-    # A log that has only just begun has neither.
+    # A log without parameters and beliefs so far names no mission.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
     for name, own in nodes.items():
@@ -249,7 +249,7 @@ class InvalidMessage:
     why: str
 
     def __str__(self) -> str:
-        """Return its place and what is wrong with it."""
+        """Return the topic of the message and its defect."""
         return f'{self.topic}: {self.why}'
 
 
@@ -355,12 +355,12 @@ def check_version(log: str | Path, belief: Any) -> None:
     known, fields = belief_field_names(), set(belief.__slots__)
     if lacking := known - fields - ADDED:
         raise LogError(
-            f'{log} was recorded before version 0.3.0, its beliefs have no {min(lacking)}: '
+            f'{log} was recorded before version 0.3.0: its beliefs have no {min(lacking)}; '
             'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'
         )
     if unknown := fields - known:
         recorder = read_metadata(log, []).get(RUN, {}).get('kbnitp_ros', 'not on record')
         raise LogError(
-            f'{log} was recorded by a later version, its beliefs have {min(unknown)}: '
+            f'{log} was recorded by a later version: its beliefs have {min(unknown)}; '
             f'read it with that version of kbnitp_ros ({recorder})'
         )

@@ -145,14 +145,14 @@ class BagFile:
 
     name: str
     topics: list[BagTopic] = field(default_factory=list)
-    # Times of its first and last message, nanoseconds. Without messages the first is the largest
+    # Times of the first and last message, nanoseconds. Without messages the first is the largest
     # possible time and the last is 0.
     first: int = 2**63 - 1
     last: int = 0
 
     @property
     def messages(self) -> int:
-        """Return its number of messages."""
+        """Return the number of messages in the file."""
         return sum(topic.messages for topic in self.topics)
 
 

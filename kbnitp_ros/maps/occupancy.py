@@ -49,7 +49,7 @@ FARTHEST = 1e7
 class Datum:
     """The geographic origin and turn of the frame map, as in robot_localization's `datum`."""
 
-    # Of the frame's origin, WGS84, in degrees.
+    # Latitude and longitude of the frame's origin, WGS84, in degrees.
     latitude: float
     longitude: float
     # Angle from east to the frame's x axis, counterclockwise, in rad.

@@ -72,15 +72,15 @@ class Snapshot:
     max_steps: int
     # The current sensor model of robots of the common type, to plan with.
     model: SensorModel
-    # Of agents that differ from the common type.
+    # Robot types that differ from the common one, by agent.
     robot_types: Mapping[str, RobotType]
     # The learnt numbers of that model and of the prior.
     unknowns: Unknowns
     # The inference method.
     method: str
-    # Of the method's arithmetic.
+    # Version of the method's arithmetic.
     version: int
-    # Of the method's random draws.
+    # Seed of the method's random draws.
     seed: int
     dynamics: Dynamics
     # The clustering of hazards; None: they are independent.

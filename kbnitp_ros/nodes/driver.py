@@ -238,13 +238,13 @@ class Driver:
 
     @property
     def awaited(self) -> str:
-        """Return what it waits for before it can drive; empty if nothing."""
+        """Describe the wait before a drive; empty if there is none."""
         if self._client.server_is_ready():
             return ''
         return f'the action server {self.name} (parameters driver and nav_namespace)'
 
     def not_ready(self, place: tuple[float, float], stamp: int) -> str:
-        """Return what Nav2 lacks for the first goal of a robot; empty if nothing."""
+        """Describe the condition of Nav2 that blocks the first goal; empty if there is none."""
         # An action server of Nav2 exists before it is active, and rejects goals until then.
         if awaited := self.awaited or self._lifecycle.awaited:
             return awaited

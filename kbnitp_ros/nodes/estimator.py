@@ -187,7 +187,7 @@ class EstimatorNode(FieldNode):
             self._departures.end(key, report.stamp if report.survived else None)
             read = [step for step, (_, reading) in enumerate(report.readings, 1) if reading >= 0]
             last, steps = max(read, default=0), len(report.readings)
-            # A robot at home need not look there.
+            # The last step leads into the base, where a robot need not look.
             if changed and steps - last > 1:
                 self.get_logger().warning(
                     f'{key} has no readings after step {last} of {steps}: its detector failed, '

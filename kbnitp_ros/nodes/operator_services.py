@@ -106,7 +106,7 @@ class Operator:
 
     @property
     def awaited(self) -> str:
-        """Return what an action waits for; empty if none does."""
+        """Describe the wait of an operator action; empty if there is none."""
         if self._pending is None:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')

@@ -95,7 +95,7 @@ class Recorders:
         self._topic = node.resolve_topic_name(OPERATORS)
         self._namespace = full_name(node.get_namespace(), '')
         self._looks_until = 0.0
-        # Their diagnostics.
+        # Diagnostics of the recorders.
         self.instances = Instances(node, self._is_recording)
 
     def _is_recording(self, name: str, values: Mapping[str, str]) -> bool:

@@ -65,7 +65,7 @@ class RecordedPaths(Generic[P]):
 
     @property
     def awaited(self) -> str:
-        """Return what the first of these waits for; empty if there is none."""
+        """Describe the wait of the first of these paths; empty if there is none."""
         if not self._pending:
             return ''
         stamp, _ = next(iter(self._pending))
@@ -228,7 +228,7 @@ class PendingPaths:
 
     @property
     def awaited(self) -> str:
-        """Return what the robot must wait for before it leaves; empty if nothing."""
+        """Describe the wait before a departure; empty if there is none."""
         if not self._pending:
             return self._sent.awaited
         # Acknowledgements of later paths that came too early are requested again.

@@ -294,7 +294,7 @@ class RecorderNode(MissionNode):
         return topic
 
     def _state(self) -> NodeState:
-        """Return what is recorded, and what is awaited."""
+        """Describe the topics recorded and the nodes awaited."""
         recording = f'recording {len(self._topics)} topics'
         if self._differing:
             node, differs = next(iter(self._differing.items()))

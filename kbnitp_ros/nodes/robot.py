@@ -83,7 +83,7 @@ class RobotNode(FieldNode):
                 "parameter position is 'fix', and datum is empty: it must say where on the earth "
                 'the frame map lies'
             )
-        # None if it is unknown.
+        # Current place of the robot; None if it is unknown.
         self._place: Place | None = None
         # Current problems by subject, and those that were logged.
         self._troubles = {self._source: 'nothing was heard yet'}
@@ -360,7 +360,7 @@ class RobotNode(FieldNode):
         return f'{name}: {self._troubles[self._source]}'
 
     def _not_ready(self) -> str:
-        """Return what keeps the robot from leaving; empty if nothing does."""
+        """Describe the condition that blocks the departure; empty if there is none."""
         if self.now() <= 0:
             return 'the clock to start'
         if self._place is None:

@@ -266,7 +266,7 @@ class AgentPaths:
 
     @property
     def awaited(self) -> str:
-        """Return what its robots wait for; empty if nothing."""
+        """Describe the wait of the agent's robots; empty if there is none."""
         return self._sent.awaited
 
     def _read_path(self, message: Path) -> tuple[DeploymentKey, NDArray[np.intp], int] | None:
@@ -338,7 +338,7 @@ class SimulatedAgent(AgentPaths):
 
     @property
     def awaited(self) -> str:
-        """Return what its robots wait for; empty if nothing."""
+        """Describe the wait of the agent's robots; empty if there is none."""
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
     def _follow(self, key: DeploymentKey) -> None:

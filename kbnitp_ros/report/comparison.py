@@ -119,7 +119,7 @@ def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str
 
 
 def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str:
-    """Return what both missions found with at least a probability, and one alone."""
+    """Describe the cells found by both missions with at least a probability, and by one alone."""
     one, other = (
         {
             each.cell: each
@@ -282,7 +282,7 @@ def compared_maps(first: Mission, second: Mission) -> Iterator[tuple[str, str, s
 def comparison_data(
     first: Mission, second: Mission, maps: list[tuple[str, str, str, str]]
 ) -> dict[str, Any]:
-    """Return what the page is to know to draw the maps, as JSON can hold it."""
+    """Return the data of the maps for the page, as JSON values."""
     scales: dict[str, Any] = colour_scales(first)
     for name in MAPS:
         # No change has the colour of the paper, half way between -1 and 1.

@@ -24,7 +24,7 @@ class Panel:
 
     # Title, with the unit.
     label: str
-    # By name, one value for each moment.
+    # Curves by name, one value for each moment.
     lines: dict[str, NDArray[np.float64]]
 
 

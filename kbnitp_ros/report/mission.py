@@ -91,11 +91,11 @@ class Mission:
     world: World | None
     # Time and versions of the run.
     run: dict[str, str]
-    # Of each node, by its full name.
+    # Parameters of each node, by its full name.
     parameters: dict[str, dict[str, Any]]
     # Further remarks on the log.
     notes: list[str]
-    # Corrupt places, after which a file is not read.
+    # The first corrupt place of each file, which ends its reading.
     corrupt: list[LogError]
     # Number of robots that left without a report.
     in_flight: int
@@ -248,7 +248,7 @@ def recorded_moments(
 def reported_outcome(
     evidence: RecordedMission, key: DeploymentKey | None, stamp: int
 ) -> Observation | None:
-    """Return what the report of this stamp told; None if it is not on record."""
+    """Return the observation reported at this stamp; None if it is not on record."""
     if key not in evidence.reports or key not in evidence.paths:
         return None
     report = evidence.find_report(key, stamp)

@@ -75,7 +75,7 @@ class Column(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """Return its classes in the style sheet."""
+        """Return the classes of the column in the style sheet."""
         return ' '.join(['text'] * self.is_text + ['minor'] * self.is_minor)
 
     def shown(self, value: Any) -> str:
@@ -129,7 +129,7 @@ COLOURS = {name: f'probability of a {name}' for name in ('hazard', 'target')} | 
     'used-up': 'hazards used up, expected',
 }
 
-# Those of the last belief alone.
+# Layers of the last belief alone.
 ENDS = {'robots-lost': expected_losses, 'used-up': expected_used_up}
 
 # Maximum number of cells of a field whose last belief is in the page in full.
@@ -250,7 +250,7 @@ def in_json(plots: Mapping[str, str]) -> str:
 
 
 def mission_title(log: Path) -> str:
-    """Return what a mission is called: its log, or the folder if that has the usual name."""
+    """Return the name of a mission: its log, or the folder if that has the usual name."""
     path = log.resolve()
     return path.parent.name if path.name == NAME else path.name
 
@@ -287,7 +287,7 @@ def summary(mission: Mission, curves: Curves) -> str:
 
 
 def map_colours(mission: Mission) -> dict[str, str]:
-    """Return what the map can show in colour."""
+    """Return the colour layers of the map."""
     return {
         name: words
         for name, words in COLOURS.items()
@@ -322,7 +322,7 @@ def page_data(
     kept: NDArray[np.intp],
     shown: list[int],
 ) -> dict[str, Any]:
-    """Return what the page shows beside the beliefs, as JSON can hold it."""
+    """Return the data of the page besides the beliefs, as JSON values."""
     grid, world = mission.grid, mission.world
     colours = map_colours(mission)
     out = out_at(mission)
@@ -379,7 +379,7 @@ def exact(belief: Belief) -> dict[str, list[float]]:
 
 
 def field_data(grid: Grid) -> dict[str, Any]:
-    """Return what a page is to know of the field."""
+    """Return the data of the field for the page."""
     corner, along, across = grid.in_metres([(0, 0), (1, 0), (0, 1)])
     x, y = as_drawn(grid).origin
     return {
@@ -419,7 +419,7 @@ def moment_data(
     place: int,
     out: NDArray[np.intp],
 ) -> dict[str, Any]:
-    """Return what the page tells of a moment."""
+    """Return the data of a moment for the page."""
     moment = mission.moments[place]
     seen, deployment = moment.outcome, moment.deployment
     walk = readings = None

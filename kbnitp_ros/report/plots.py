@@ -157,7 +157,7 @@ def heatmap(grid: Grid, image: NDArray[np.float64]) -> graph_objects.Heatmap:
     left, _, bottom, _ = extent(grid)
     half = grid.resolution / 2
     return graph_objects.Heatmap(
-        # As rows, which readers of the page's data can use as well.
+        # Lists of rows, so that other programs can read the page's data.
         z=[
             [None if isnan(value) else value for value in row]
             for row in image.reshape(grid.height, grid.width).tolist()

@@ -48,7 +48,7 @@ def without_loops(cells: Iterable[int]) -> list[int]:
 
 
 def steps_within(cells: Sequence[int], most: int) -> list[int]:
-    """Return the reported steps of a walk, at most so many."""
+    """Return the reported steps of a walk, at most `most` of them."""
     # The walk itself as far as it fits; then the last way out of each cell leads home without
     # loops. A step that is left out is not reported.
     steps = len(cells) - 1

@@ -71,7 +71,7 @@ class Transforms:
             self._links[child] = Link(parent, translation, rotation / length, stamp)
 
     def place(self, now: int, oldest: float) -> Place:
-        """Return the place of the frame by transforms of at most so many seconds ago."""
+        """Return the place of the frame by transforms at most `oldest` seconds old."""
         place: NDArray[np.float64] = np.zeros(3)
         frame, stamp = self._missions, now
         odometry: int | None = None
@@ -105,7 +105,7 @@ def rotated(vector: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.
     return turned
 
 
-# Of a sensor_msgs/NavSatFix: the lowest status of a fix, and the type of no covariance.
+# Values of sensor_msgs/NavSatFix: the lowest status of a fix, and no known covariance.
 FIX, UNKNOWN = 0, 0
 
 
@@ -150,7 +150,7 @@ class Fixes:
         self._newest = Place(x, y, stamp, stamp)
 
     def place(self, now: int, oldest: float) -> Place:
-        """Return the place of the robot by a fix of at most so many seconds ago."""
+        """Return the place of the robot by a fix at most `oldest` seconds old."""
         if self._newest is None:
             raise ValueError('no fix was accepted yet')
         if now - self._newest.stamp > oldest * SECOND:

@@ -73,7 +73,7 @@ def run_own(
 
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
-    """Return what is to be compared, by the names in tables."""
+    """Return the entries to compare, by their names in tables."""
     if isinstance(given, Mapping):
         return dict(given)
     if isinstance(given, str) or not isinstance(given, Iterable):

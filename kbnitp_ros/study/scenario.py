@@ -158,7 +158,7 @@ class Strategy:
     objective: Annotated[str, OBJECTIVES] = 'information'
     # Of the objective 'behavioral', 0.2 to 5.
     alpha: Annotated[float, ALPHAS] = 1.0
-    # Believed kind of hazards, of `HAZARDS`; empty for that of the worlds.
+    # Kind of hazards believed, one of `HAZARDS`; empty: the kind in the worlds.
     dynamics: Annotated[str, HAZARDS, ''] = ''
     # 'learn' for hazards believed to cluster, with a learnt coupling; empty for independent ones.
     clustering: Annotated[str, ('learn',), ''] = ''
@@ -344,9 +344,7 @@ class Scenario:
             drawn.append('lethality')
         for name in drawn:
             if name not in priors:
-                raise ValueError(
-                    f'{name} has no prior here: without a value it is drawn from that'
-                )
+                raise ValueError(f'{name} has no prior here: a number without a value needs one')
 
     def check_belief(self) -> None:
         """Check that the prior is valid."""

@@ -24,10 +24,10 @@ from kbnitp_ros.study.scenario import ALONE, DecisionRequest, NUMBERS, Scenario,
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Key of the generators of layouts, which no world and no robot has.
+# Seed key of random layouts, distinct from the keys of worlds and robots.
 LAID_OUT = 0x4C41594F
 
-# Key of the generators of maps, which no world and no robot has.
+# Seed key of random maps, distinct from the keys of worlds and robots.
 MAPPED = 0x4D415053
 
 # Correlation length of blobs, in cells: the standard deviation of a Gaussian kernel.
@@ -56,7 +56,7 @@ def draw_world(
 
 
 def blobs(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return so many cells where a smooth Gaussian random field is highest."""
+    """Return the `count` cells where a smooth Gaussian random field is highest."""
     row, column = np.divmod(np.arange(grid.cells), grid.width)
     squares = (row[:, None] - row) ** 2 + (column[:, None] - column) ** 2
     height = np.exp(-squares / (2.0 * REACH**2)) @ rng.standard_normal(grid.cells)
@@ -66,7 +66,7 @@ def blobs(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]
 
 
 def rows(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return so many cells in straight rows along x, y or a diagonal."""
+    """Return `count` cells in straight rows along x, y or a diagonal."""
     hazard = np.zeros((grid.height, grid.width), np.bool_)
     while hazard.sum() < count:
         up, along = rng.choice([(0, 1), (1, 0), (1, 1), (1, -1)])

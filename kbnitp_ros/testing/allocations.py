@@ -102,6 +102,6 @@ def allocated_paths(allocation: Allocation, robots: Sequence[TeamMember]) -> lis
 
 LAWS: dict[str, Callable[[Allocation, RoundCase], None]] = {
     'each robot has one path, within its own limits': gives_each_robot_a_path,
-    'a robot alone is planned as ever': plans_one_as_alone,
+    'a team of one robot is planned like a single robot': plans_one_as_alone,
     'the same belief gives the same paths': is_reproducible,
 }

@@ -35,7 +35,7 @@ def hold(
         try:
             subject = registry.check(given)
         except (TypeError, ValueError) as error:
-            raise AssertionError(f'{name} is none: {error}') from error
+            raise AssertionError(f'{name} is invalid: {error}') from error
     for number in range(seed, seed + cases):
         case = draw(number)
         for law, check in laws.items():
@@ -90,11 +90,11 @@ MISSIONS, PLANS = 0x4C415753, 0x4C415754
 class Field:
     """A small field and the belief about it."""
 
-    # Of at most 4 x 4 cells, some of them blocked.
+    # At most 4 x 4 cells, some of them blocked.
     grid: Grid
     # Arbitrary in each cell; some are known to be free of hazard.
     prior: Belief
-    # Of robots that may each be lost to a malfunction.
+    # Sensor model with a malfunction rate above 0.
     model: SensorModel
 
 
@@ -102,7 +102,7 @@ class Field:
 class MissionCase(Field):
     """A field and the observations of a mission in it."""
 
-    # Of the method's random draws.
+    # Seed of the method's random draws.
     seed: int
     # Outcomes in one world that the prior allows for, with and without last contacts, and with
     # cells where robots did not look.
@@ -143,7 +143,7 @@ def draw_robot_type(rng: np.random.Generator) -> RobotType:
 
 
 def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.intp]:
-    """Draw a closed walk of so many steps, at least 1."""
+    """Draw a closed walk with this number of steps, at least 1."""
     path = [grid.base]
     for left in reversed(range(steps)):
         around = grid.neighbors(path[-1])

@@ -161,7 +161,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
         f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
     }
     longest = max(each.steps for each, _ in mission.deployments)
-    # A ledger calls all of an estimator that an inference supports.
+    # An inference has every method of an estimator that a ledger calls.
     ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), robot_types)
     rng = np.random.default_rng(mission.seed)
     said: list[tuple[DeploymentKey, object]] = []
@@ -175,7 +175,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
         )
         said += [(key, tuple(cells)), (key, report)]
         if observation.survived:
-            # It was given up, and returned.
+            # A late return: the planner had given the robot up.
             said.append((key, Report(False)))
     for place in [*rng.permutation(len(said)), *rng.permutation(len(said))]:
         key, each = said[place]

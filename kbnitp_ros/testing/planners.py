@@ -24,9 +24,9 @@ class SearchCase(Field):
 
     # With the limits of the path, and earlier visits.
     finder: PathFinder
-    # Of a robot that goes alone, with or without a loss cost.
+    # Objective of a robot alone, with or without a loss cost.
     objective: Objective
-    # Of a robot that leaves after another one.
+    # Objective of a robot that leaves after another one.
     after: Objective
 
 

@@ -834,10 +834,10 @@ class Later:
 @for_each('read', [replay, read_history, resumed])
 @for_each('edit, told', [
     (lambda definition: re.sub(r'\nuint32 method_version .*', '', definition),
-     'recorded before version 0.3.0, its beliefs have no method_version: kbnitp_ros 0.2.0 '
+     'recorded before version 0.3.0: its beliefs have no method_version; kbnitp_ros 0.2.0 '
      '(commit 2e485c7) reads it'),
     (lambda definition: definition.replace('\nfloat64[] pri', '\nuint8 relays\nfloat64[] pri', 1),
-     'was recorded by a later version, its beliefs have relays: read it with that version'),
+     'was recorded by a later version: its beliefs have relays; read it with that version'),
 ])  # fmt: skip
 def test_a_log_of_another_version_is_refused_with_the_version_that_reads_it(
     whole_mission, tmp_path, capsys, read, edit, told

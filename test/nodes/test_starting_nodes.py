@@ -63,7 +63,7 @@ CANNOT_START = [
         'grid.width:=100 grid.height:=100 max_steps:=200 beam_width:=10000',
         'a beam width of 10000 and max_visits = 3 takes about',
     ),
-    ('planner', 'agents:=[operator]', 'operator is no name for an agent'),
+    ('planner', 'agents:=[operator]', 'operator cannot name an agent'),
     ('planner', 'return_deadline:=0.0', 'return_deadline is 0.0'),
     ('planner', 'silent_loss:=true', 'silent_loss is true and step_period is 0 for scout_1'),
     ('planner', 'grid.origin:=[1e16,0.0]', 'origin is (1e+16, 0.0): so far out'),

@@ -271,8 +271,8 @@ print('strangers_of_theirs' in sys.modules)
     ),
     (
         "e = Estimator(belief, model); plan(grid, belief, model, 4, 'half_way')",
-        f"planner 'half_way' {OF} half_way = strangers_of_theirs:half_way) returns a path "
-        'that is none: path must end at the base 4',
+        f"planner 'half_way' {OF} half_way = strangers_of_theirs:half_way) returns an "
+        'invalid path: path must end at the base 4',
     ),
     (
         'e = Estimator(belief, model); '

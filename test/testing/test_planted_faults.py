@@ -219,7 +219,7 @@ def second_best(robots):
 ALLOCATIONS = {
     'each robot has one path, .* There are 1 for': one_for_all,
     'each robot has one path, .* at most max_steps': as_the_first,
-    'a robot alone is planned as ever': second_best,
+    'a team of one robot is planned like a single robot': second_best,
 }
 
 
@@ -231,7 +231,7 @@ def test_a_fault_of_an_allocation_is_found(law, allocation):
 
 @for_each('check', [check_method, check_planner, check_allocation])
 def test_an_object_of_another_type_is_reported(check):
-    with pytest.raises(AssertionError, match='is none: it is 3: it must be callable with'):
+    with pytest.raises(AssertionError, match='is invalid: it is 3: it must be callable with'):
         check(3)
     with pytest.raises(ValueError, match="is 'guess': known are"):
         check('guess')

@@ -147,7 +147,7 @@ def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
 class Target(NamedTuple):
     """A possible target in a cell."""
 
-    # Its cell.
+    # Cell of the target.
     cell: int
     # Probability of a target, in [0, 1].
     probability: float

@@ -98,7 +98,7 @@ class Bank:
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         self._joints = self._first_joints(self._numbers)
-        # Of all outcomes so far, and of those since the last resampling.
+        # Log likelihood of all outcomes so far, and of those since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 

@@ -54,7 +54,7 @@ class ChainState:
     place: Mapping[str, Places]
     # The cells whose hazards the chains draw, in ascending order, shape (held,).
     cells: Places
-    # Z of these, shape (chains, held).
+    # Hazards of these cells in each chain, shape (chains, held).
     hazardous: NDArray[np.int8]
 
     @classmethod
@@ -123,7 +123,7 @@ class Chains:
         # On a large field robots return from few cells; the others have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
         self._prior_odds = {name: each.odds(*LIMITS[name]) for name, each in maps.items()}
-        # By robot type, in the order of the tally.
+        # Rates of each robot type, in the order of the tally.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
         # Constant over sweeps if all that it depends on is known.
         self._of_readings = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()

@@ -97,7 +97,7 @@ class Estimator:
     ) -> None:
         start, name = METHODS.find(method), entry_name(method)
         if dynamics.effect != 'static':
-            what = 'of a kind to be learnt' if dynamics.kind == 'learn' else dynamics.effect
+            what = 'of an unknown kind' if dynamics.kind == 'learn' else dynamics.effect
             check_able(
                 method,
                 lambda each: dynamics.effect in supported_dynamics(each),

@@ -242,7 +242,7 @@ class Hypotheses:
         if bins.values.size > 1:
             self.unknown += ('coupling',)
         log_odds, prior = field.ravel(), self.maps['hazard_density']
-        # Each of these log odds in all undecided cells.
+        # The same log odds in all undecided cells, for each coupling and density.
         self.maps['hazard_density'] = replace(
             prior,
             log_odds=np.where(undecided, log_odds[0], prior.log_odds),

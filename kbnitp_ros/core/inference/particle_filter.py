@@ -36,7 +36,7 @@ class Evidence:
     elsewhere: Floats
     # Likelihood of a loss in each step, shape (steps,); None for a return.
     lost_in: Floats | None
-    # Of the robot.
+    # Type of the robot.
     robot_type: RobotType
 
     @classmethod

@@ -501,9 +501,9 @@ class LossTable(NamedTuple):
 class FieldOdds(NamedTuple):
     """The odds of hazards and targets, each of shape (1 or chains, cells)."""
 
-    # Of a hazard.
+    # Odds of a hazard.
     hazard: NDArray[np.float64]
-    # Of a target without and with one.
+    # Odds of a target without and with a hazard.
     target_if_safe: NDArray[np.float64]
     target_if_hazardous: NDArray[np.float64]
 

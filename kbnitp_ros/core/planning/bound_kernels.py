@@ -135,7 +135,7 @@ def minimise(
 class Region(NamedTuple):
     """Limits on the sums of paths of so many steps (:eq:`bound-cut`)."""
 
-    # The highest survival of any of them, q = s0^steps, and the lowest allowed.
+    # Highest survival of these paths, q = s0^steps, and the lowest allowed.
     safest: float
     least: float
     # Nats.

@@ -89,7 +89,7 @@ def exposed(
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
-    # Of the cells so far.
+    # Probability of each number of exposures in the cells so far.
     chance = np.zeros(steps.size + 1)
     chance[0] = 1.0
     most = 0

@@ -95,7 +95,7 @@ class Products(NamedTuple):
 class Labels(NamedTuple):
     """The labels of one step; those at a cell take the first `kept` of its `width` rows."""
 
-    # Of each row.
+    # Running products of each row.
     products: Products
     # Equal for equal visits, shape (rows,).
     mark: NDArray[np.int64]
@@ -121,7 +121,7 @@ class Ranking(NamedTuple):
 
 
 class Completions(NamedTuple):
-    """The best completion of at most so many steps from each cell."""
+    """The best completion of at most `step` steps from each cell."""
 
     # By step and cell: the moments times their weights, E[p], P0, the terms of both, and the
     # length; shape (sum of within, powers + 5).
@@ -428,7 +428,7 @@ def write_completions(
     best_value: Floats,
     completions: Completions,
 ) -> None:
-    """Write the best completion of at most so many steps from each cell."""
+    """Write the best completion of at most `step` steps from each cell."""
     reach, moments, value = problem.reach, completions.moments, completions.value
     start = reach.start[step]
     for rank in range(reach.within[step]):
@@ -441,7 +441,7 @@ def write_completions(
         if via >= 0:
             write_completion(labels, via, length, problem, moments[start + rank])
         else:
-            # One of fewer steps is as good.
+            # The best completion has fewer steps.
             moments[start + rank] = moments[reach.start[step - 1] + rank]
 
 

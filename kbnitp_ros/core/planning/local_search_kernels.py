@@ -53,7 +53,7 @@ class GapLabels(NamedTuple):
     # Metres of the step from each cell to the end of the gap, inf if there is none, shape
     # (cells,).
     closing: Floats
-    # Of labels; row 0 is the label of the rest.
+    # Running products of labels; row 0 is the label of the rest.
     products: Products
     # Metres of the rest and of each label, shape (rows,).
     length: Floats

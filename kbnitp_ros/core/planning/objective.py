@@ -326,7 +326,7 @@ class Objective:
     loss_cost: float
     # Weight of the information of readings in each cell, in [0, 1], shape (cells,).
     interest: NDArray[np.float64]
-    # Of the robots of the same round whose paths are known.
+    # Joint outcomes of the robots of the same round whose paths are known.
     outcomes: JointOutcomes
     # Prelec weight of probabilities: 1 for Shannon's entropy; otherwise `behavioral_information`
     # replaces the information.

@@ -247,7 +247,7 @@ class PathFinder(Value):
         try:
             return [Candidate(each.value, self.check_path(each.path)) for each in found]
         except ValueError as error:
-            raise PLANNERS.fault(planner, f'returns a path that is none: {error}') from error
+            raise PLANNERS.fault(planner, f'returns an invalid path: {error}') from error
 
     def check_memory(self, robots: int, cameras: int = 1) -> None:
         """Check that a search fits in the allowed memory."""

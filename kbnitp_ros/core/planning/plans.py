@@ -304,7 +304,7 @@ def allocated(
             try:
                 robot.finder.check_path(path)
             except ValueError as error:
-                words = f'returns a path for robot {number} that is none: {error}'
+                words = f'returns an invalid path for robot {number}: {error}'
                 raise ALLOCATIONS.fault(allocation, words) from error
     return paths
 
@@ -342,7 +342,7 @@ class Team:
         object.__setattr__(self, 'types', of_each(self.agents, self.types))
 
     def first(self, robots: int) -> Team:
-        """Return the first so many robots, at least 1; all if there are fewer."""
+        """Return the team of the first `robots` robots, at most all."""
         if robots >= self.agents:
             return self
         types = self.types[:robots]

@@ -73,7 +73,7 @@ class MissionNode(GraphNode):
         # Raised by a callback.
         self.broken: BaseException | None = None
         super().__init__(name)
-        # By name, kept up to date.
+        # Parameters by name, kept up to date.
         self.values = declare(self, name)
         # In the namespace of its own name, an agent's topics are not below that name again.
         own = self.values.get('agent', '')
@@ -352,11 +352,11 @@ class FieldNode(MissionNode):
 
 
 class PendingMessages:
-    """Messages ahead of others that they refer to; each is retried for a while."""
+    """Messages that refer to others not yet received; each is retried until its deadline."""
 
     def __init__(self, node: MissionNode, take: Callable[..., object]) -> None:
         self._take = take
-        # Each with its deadline.
+        # Arguments of the callback, with the deadline last.
         self._waiting: list[tuple[Any, ...]] = []
         node.create_poll(self.try_again)
 

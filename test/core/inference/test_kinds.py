@@ -210,11 +210,11 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
         (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing ones have it'),
         (
             lambda: Estimator(PRIOR, MODEL, 'relaxed_bnitp', dynamics=Dynamics('learn')),
-            'relaxed_bnitp does not take hazards that are of a kind to be learnt: use relaxed_itp',
+            'relaxed_bnitp does not take hazards that are of an unknown kind: use relaxed_itp',
         ),
         (
             lambda: Estimator(PRIOR, MODEL, 'kappa_bnitp_sampled', dynamics=Dynamics('learn')),
-            'kappa_bnitp_sampled does not take hazards that are of a kind',
+            'kappa_bnitp_sampled does not take hazards that are of an unknown kind',
         ),
         (
             lambda: run_mission(
