@@ -88,7 +88,7 @@ def numbers(seed: int) -> Iterator[dict]:
     """Bank and sampler on the same evidence."""
     for lethality in LETHALITIES:
         mission = fly(seed, lethality, 100)
-        observations = [each.observation for each in mission]
+        observations = [deployment.observation for deployment in mission]
         for name, unknowns in (('two', TWO), ('seven', SEVEN)):
             for method in ('kappa_bnitp', 'kappa_bnitp_sampled'):
                 estimator = fold(observations, method=method, unknowns=unknowns, seed=seed)
@@ -142,7 +142,7 @@ def missions(seed: int) -> Iterator[dict]:
                 'case': f'own paths {lethality}',
                 'estimator': method,
                 'loss': log_loss(mission[-1].belief.hazard, mission[-1].world.hazard),
-                'lost': sum(not each.observation.survived for each in mission),
+                'lost': sum(not deployment.observation.survived for deployment in mission),
             }
 
 
@@ -150,7 +150,7 @@ def rates(seed: int) -> Iterator[dict]:
     """Unknown lethality of used-up hazards, and unknown rates, against known ones."""
     for lethality in (0.3, 0.5, 0.9):
         mission = fly(seed, lethality, 60, Dynamics('used_up'))
-        observations = [each.observation for each in mission]
+        observations = [deployment.observation for deployment in mission]
         for name, kwargs in (
             ('told', {'model': SensorModel(lethality)}),
             ('learnt', {'unknowns': Unknowns(lethality=(0.0, 1.0)), 'seed': seed}),
@@ -182,7 +182,7 @@ def kinds(seed: int) -> Iterator[dict]:
     for kind, rate in fields:
         true = true_dynamics(kind, rate)
         mission = fly(seed, 0.5, 150, true)
-        observations = [each.observation for each in mission]
+        observations = [deployment.observation for deployment in mission]
         world = mission[-1].world
         case = f'{kind} {rate}' if rate else kind
         yield {'case': case, 'estimator': 'prior', 'loss': log_loss(PRIOR.hazard, world.hazard)}
@@ -228,7 +228,7 @@ def check(seed: int) -> Iterator[dict]:
     density, lethality = rng.beta(1.5, 5.0), rng.random()
     world = World.random(GRID, rng, density, KAPPA, BACKGROUND)
     mission = fly(seed, 0.5, 100, world=world, truth=Truth(model=SensorModel(lethality)))
-    observations = [each.observation for each in mission]
+    observations = [deployment.observation for deployment in mission]
     found = fold_checked(observations, SensorModel(0.5), TWO, seed)
     yield {'case': 'right, from the prior', 'estimator': 'learning', 'holds': float(found)}
 

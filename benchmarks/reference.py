@@ -82,7 +82,7 @@ def main() -> None:
         name = f'{lethality} {number}'
         kept[f'{name} joint'] = np.mean(halves, axis=0)
         kept[f'{name} apart'] = np.array(divergence(*halves))
-        kept[f'{name} survived'] = np.array([each.survived for each in observations])
+        kept[f'{name} survived'] = np.array([observation.survived for observation in observations])
         kept[f'{name} length'] = np.array([each.path.size for each in observations])
         kept[f'{name} path'] = np.concatenate([each.path for each in observations])
         readings = [each.readings for each in observations if each.readings is not None]

@@ -244,7 +244,7 @@ def load(monkeypatch):
 
 def test_all_benchmarks_are_listed_under_different_titles(load):
     command = load('run')
-    titles = [each.title for each in command.BENCHMARKS]
+    titles = [benchmark.title for benchmark in command.BENCHMARKS]
     assert len(set(titles)) == len(titles) >= 8
     assert all(len(each.cases) > 1 for each in command.BENCHMARKS)
 

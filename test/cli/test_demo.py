@@ -176,7 +176,7 @@ def test_a_log_that_ends_before_the_first_robot_left_is_not_resumed(tmp_path, ca
 @pytest.mark.processes
 @pytest.mark.full
 def test_a_mission_that_died_before_its_first_robot_left_is_resumed(whole, tmp_path):
-    begun = [each for each in read_recorded(whole[0]) if isinstance(each, RecordedMetadata)]
+    begun = [record for record in read_recorded(whole[0]) if isinstance(record, RecordedMetadata)]
     log = tmp_path / 'mission.mcap'
     copy(begun, log, log.name, 'none')
     resumed = run_demo('--resume', log)

@@ -188,7 +188,7 @@ def weighed(joint, seen):
 
 def posterior(joint, model, *deployments):
     """Return the posterior joints after deployments: path, readings, steps survived, `lost_at`."""
-    return weighed(joint, [(model, *each) for each in deployments])[1]
+    return weighed(joint, [(model, *deployment) for deployment in deployments])[1]
 
 
 def behavioral_entropy(chance, alpha):

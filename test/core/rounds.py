@@ -31,7 +31,7 @@ def plan_round(
 def regions_of_team(grid, belief, model, max_steps, agents, types=()):
     """Return the regions of a team under the allocation voronoi."""
     finder = PathFinder(grid, SearchOptions('relaxed', max_steps))
-    members = {each: TeamMember.of(each, finder, belief, model) for each in types or (ORDINARY,)}
+    members = {kind: TeamMember.of(kind, finder, belief, model) for kind in types or (ORDINARY,)}
     return divided([members[each] for each in types or (ORDINARY,) * agents])
 
 

@@ -80,7 +80,7 @@ def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
         of_first = len(visits[0])
         best = together[:of_first, of_first:].max()
         plans = plan_round(grid, belief, model, steps, 2, types=types, max_visits=steps)
-        assert [each.path[0] for each in plans] == [first, second]
+        assert [planned.path[0] for planned in plans] == [first, second]
         taken = np.array([np.bincount(each.path[1:], minlength=grid.cells) for each in plans])
         share = brute_force.information_of_pairs(belief.joint, model, taken)[0, 1] / best
         assert share <= 1.0 + 1e-9
@@ -231,7 +231,7 @@ def test_regions_hold_only_what_their_robots_reach(seed):
         for base in rng.choice([0, 59, 30], 4)
     )
     regions = regions_of_team(grid, belief, MODEL, 9, 4, types)
-    reach = [grid.at(each.base).in_reach(each.max_steps) for each in types]
+    reach = [grid.at(kind.base).in_reach(kind.max_steps) for kind in types]
     assert ((regions.owner >= 0) == np.any(reach, axis=0)).all()
     for robot, within in enumerate(reach):
         assert within[regions.owner == robot].all()
@@ -254,7 +254,7 @@ def test_cells_around_bases_are_never_refused():
         kept = keepout_cells(CORNERS, 12, bases, refused)
         assert not {0, 29} & set(kept.tolist())
         plans = plan_round(CORNERS, belief, MODEL, 12, 2, types=types, keepout=kept)
-        assert [each.path[0] for each in plans] == [0, 29]
+        assert [planned.path[0] for planned in plans] == [0, 29]
         assert all(len(set(each.path.tolist())) > 1 for each in plans)
         refused.append([each.path for each in plans])
     assert len(kept)
@@ -293,7 +293,7 @@ def test_robots_of_another_base_fly_for_the_goal(goal):
         team=Team(2, types=(HERE, THERE)),
         goal=goal,
     )
-    assert [each.plan.path[0] for each in mission] == [0, 29] * 3
+    assert [deployment.plan.path[0] for deployment in mission] == [0, 29] * 3
     if goal.name == 'lane':
         assert all(each.decision.path[0] == 0 for each in mission)
     # The goal's cells are explored: both robots enter some.

@@ -59,7 +59,7 @@ def test_a_resumed_mission_is_the_unbroken_one(method):
         4,
         rng,
         OPTIONS,
-        before=[each.observation for each in begun],
+        before=[deployment.observation for deployment in begun],
         goal=goal,
     )
     assert estimator.belief == before
@@ -105,7 +105,7 @@ def test_learnt_numbers_are_drawn_together_with_the_hazards():
 @for_each('goal', [None, Lane(to=15, confidence=0.8), Area([1, 2], confidence=0.8)])
 def test_the_order_in_which_missions_are_run_changes_nothing(goal):
     def backwards(fly, worlds):
-        return [fly(each) for each in reversed(worlds)][::-1]
+        return [fly(world) for world in reversed(worlds)][::-1]
 
     estimator = Estimator(PRIOR, MODEL)
     one, other = (

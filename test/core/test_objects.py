@@ -109,7 +109,7 @@ def test_the_same_seed_is_the_same_world_as_its_generator():
 def test_functions_and_classes_stand_for_names():
     by_name = mission(options=SearchOptions('shortest_unvisited', 8))
     assert mission(options=SearchOptions(shortest_unvisited, 8)) == by_name
-    returned = [each.belief for each in mission(Ignorant)]
+    returned = [deployment.belief for deployment in mission(Ignorant)]
     assert returned[0] == Estimator(PRIOR, MODEL, Ignorant).belief or by_name[0] != returned[0]
     assert 'Ignorant' in repr(Estimator(PRIOR, MODEL, Ignorant))
 
@@ -208,7 +208,7 @@ def test_a_mission_is_a_table(learnt):
 
 def test_a_belief_is_drawn_with_the_truth_and_paths(learnt):
     axes = plot(GRID, PRIOR, WORLD, [[0, 1, 0], learnt[0].observation])
-    assert [each.get_title() for each in axes] == ['hazard', 'target', 'kappa']
+    assert [axis.get_title() for axis in axes] == ['hazard', 'target', 'kappa']
     # The base, two paths and the true hazards.
     assert len(axes[0].lines) == 4
     with pytest.raises(ValueError, match='belief has 16 cells: the grid has 4'):

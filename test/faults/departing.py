@@ -101,7 +101,7 @@ class DepartingMission(Mission):
             key
             for key, told in self.journals().items()
             if 'departed' in told and 'lost' not in told
-            if not any(each.survived for each in reports.get(key, ()))
+            if not any(report.survived for report in reports.get(key, ()))
         ]
 
     def journals(self):
@@ -129,7 +129,7 @@ class DepartingMission(Mission):
         for key, reports in logged.reports.items():
             if key not in departed:
                 found.append(('false', f'{key} did not depart: {reports}'))
-            elif 'home' in told[key] and not any(each.survived for each in reports):
+            elif 'home' in told[key] and not any(report.survived for report in reports):
                 found.append(('false', f'{key} came home: {reports}'))
         found += [('lost', f'{key} departed') for key in departed - logged.reports.keys()]
         if len(logged.reports) != self._own['robots']:

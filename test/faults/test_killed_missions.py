@@ -104,7 +104,7 @@ def avoids_occupied_cells(deployments, parameters):
 
 def shows_will(deployments):
     """Yield whether there were last contacts, detours, early returns, and steps without a look."""
-    yield any(each.observation.lost_at is not None for each in deployments)
+    yield any(deployment.observation.lost_at is not None for deployment in deployments)
     back = [
         (each.observation, each.plan.path) for each in deployments if each.observation.survived
     ]

@@ -162,4 +162,4 @@ def draw_faults(rng: np.random.Generator, kind: str, robots: int) -> list[Fault]
         longest = 2.0 if not reports or rng.random() < 0.15 else 0.06
         pauses = {str(node): rng.uniform(0.0, 0.5) for node in struck}
         faults.append(Fault(str(drawn), reports, rng.uniform(0.0, longest), pauses))
-    return [replace(each, is_held=bool(rng.random() < 0.3)) for each in faults]
+    return [replace(fault, is_held=bool(rng.random() < 0.3)) for fault in faults]

@@ -221,7 +221,7 @@ class Apart:
             self._start_robot(*robot)
 
     def _robots_computers(self):
-        return [*(each[0] for each in self._simulators), *(each[0] for each in self._robots)]
+        return [*(each[0] for each in self._simulators), *(robot[0] for robot in self._robots)]
 
     def _simulation(self, number, targets):
         """Write the configuration of a simulator, and return its file."""

@@ -214,7 +214,7 @@ class Fleet:
         """Wait for the report of a deployment and return it; repetitions must agree."""
 
         def found():
-            return [each for each in reports if from_stamp(each.deployment) == key.stamp]
+            return [report for report in reports if from_stamp(report.deployment) == key.stamp]
 
         self.field.until(found, f'report of {key}', patience)
         said = {read_report(each, key.agent) for each in found()}

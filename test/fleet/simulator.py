@@ -118,7 +118,7 @@ class Goal:
         request = handle.request
         poses = request.path.poses if kind is FollowPath else request.poses
         self.points = [
-            in_world(placed, each.pose.position.x, each.pose.position.y) for each in poses
+            in_world(placed, pose.pose.position.x, pose.pose.position.y) for pose in poses
         ]
 
 

@@ -219,12 +219,12 @@ def record_to(log, sent, qos=QOS, synced=False):
 
 def on(sent, *topics):
     """Return the messages of these topics."""
-    return [each for each in sent if each.topic in topics]
+    return [message for message in sent if message.topic in topics]
 
 
 def without(sent, *unwanted):
     """Return all messages but those."""
-    return [each for each in sent if not any(each is one for one in unwanted)]
+    return [message for message in sent if not any(message is one for one in unwanted)]
 
 
 def instead(sent, old, message):

@@ -33,7 +33,7 @@ def check(path, sent):
     """Check that all messages are read and that the log replays."""
     read = list(read_log(path))
     assert [(each.topic, each.type_name, each.log_time, each.data) for each in read] == [
-        (each.topic, each.type_name, each.time + 500, each.data) for each in sent
+        (message.topic, message.type_name, message.time + 500, message.data) for message in sent
     ]
     assert is_finished(path)
     report = replay(path)
@@ -110,7 +110,7 @@ def test_a_split_bag_is_read_by_its_folder_and_by_its_first_file(sent, tmp_path,
     if change is not renamed:
         check(split / 'bag_0.mcap', sent)
         later = list(read_log(split / 'bag_1.mcap'))
-        assert [each.data for each in later] == [each.data for each in sent[20:]]
+        assert [each.data for each in later] == [message.data for message in sent[20:]]
 
 
 def repeat_a_key(folder):
@@ -140,7 +140,7 @@ def add_a_log_without_a_list(folder):
     (hide_a_file, 'bag_1.mcap of the log .*bag_0.* missing'),
     (add_a_log, 'holds bag_0.* and other.mcap.* name the first file of'),
     (add_a_log_without_a_list, 'different logs'),
-    (lambda folder: [each.unlink() for each in folder.iterdir()], 'holds no log'),
+    (lambda folder: [file.unlink() for file in folder.iterdir()], 'holds no log'),
     (partial(described, compression_mode='FILE'), 'compressed, mode FILE: decompress it with'),
 ])  # fmt: skip
 def test_a_bag_that_cannot_be_read_whole_is_refused(sent, tmp_path, change, told):
@@ -211,7 +211,7 @@ def test_commands_show_messages_before_an_error_and_fail(sent, tmp_path, damaged
     content = bytearray(path.read_bytes())
     content[content.index(sent[damaged].data) + 20] ^= 1
     path.write_bytes(content)
-    beliefs = sum(each.topic == '/belief' for each in read_log(path, None, []))
+    beliefs = sum(message.topic == '/belief' for message in read_log(path, None, []))
     assert 1 < beliefs < 9
     assert replay_command([str(path)]) == 2
     said = capsys.readouterr()

@@ -44,11 +44,11 @@ def told(path):
     """Return path, outcome and readings of every deployment in a log."""
     return [
         (
-            each.path.tolist(),
-            each.survived,
-            None if each.readings is None else each.readings.tolist(),
+            observation.path.tolist(),
+            observation.survived,
+            None if observation.readings is None else observation.readings.tolist(),
         )
-        for each in read_history(path).observations
+        for observation in read_history(path).observations
     ]
 
 
@@ -230,7 +230,7 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
             writer.write(topic, serialize_message(message), time, time)
     assert read_mission(MissionLog(log)) == mission
     assert read_resumed(MissionLog(log), NARROW, 4).orders == [
-        DeploymentKey('scout', each) for each in paths
+        DeploymentKey('scout', path) for path in paths
     ]
 
 
@@ -277,7 +277,7 @@ def test_a_status_comes_back_and_bad_ones_are_refused_by_name():
 def test_departures_and_reports_mean_the_same_in_any_order(seed):
     """As a node that starts late receives them: in order by topic only."""
     rng = np.random.default_rng(seed)
-    statuses = [each for each in (ACCEPTED, DEPARTED) if rng.random() < 0.7]
+    statuses = [status for status in (ACCEPTED, DEPARTED) if rng.random() < 0.7]
     has_report = DEPARTED in statuses and rng.random() < 0.7
     heard = [*statuses, *(['report'] * has_report)]
     ends = []

@@ -47,7 +47,7 @@ def sent():
 
 def check(log, sent):
     """Check that all libraries read all messages."""
-    assert [each.data for each in read_log(log)] == [each.data for each in sent]
+    assert [message.data for message in read_log(log)] == [each.data for each in sent]
     check_all_read(log)
 
 
@@ -182,9 +182,9 @@ def test_messages_are_numbered_by_topic_through_all_files(sent, tmp_path):
     with LogWriter(path, max_file_duration=7e-6) as log:
         record_to(log, sent)
     numbers = [
-        each.sequence
+        message.sequence
         for part in log_parts(path)
-        for each in with_mcap(part)
-        if each.topic == '/belief'
+        for message in with_mcap(part)
+        if message.topic == '/belief'
     ]
     assert numbers == list(range(1, sum(each.topic == '/belief' for each in sent) + 1))

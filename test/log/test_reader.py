@@ -74,7 +74,7 @@ def test_types_can_be_chosen(files, whole_mission):
 
 def test_positions_grow_to_the_size_of_the_file(files):
     path = files / 'finished.mcap'
-    positions = [each.position for each in read_log(path)]
+    positions = [message.position for message in read_log(path)]
     assert positions == sorted(positions)
     assert 0 < positions[0] < positions[-1] <= path.stat().st_size
 
@@ -141,7 +141,7 @@ def test_corrupt_logs_are_read_correctly_or_raise_an_error(
         assert is_prefix(read, whole_mission.sent)
         with LogWriter(path, resume=True) as log:
             record_to(log, whole_mission.sent[:2])
-        after = [each.data for each in read_log(path)]
+        after = [message.data for message in read_log(path)]
         assert after == [each.data for each in [*read, *whole_mission.sent[:2]]]
         return
     if error is None:
@@ -165,7 +165,7 @@ def test_replay_states_the_gaps_of_a_truncated_log(files, whole_mission, tmp_pat
     ends = [end for _, end in chunks(content)]
     for kept in (0, 3, 8, 20, len(ends) - 1):
         path.write_bytes(content[: ends[kept] - 1])
-        had = Counter(each.topic for each in whole_mission.sent[:kept])
+        had = Counter(message.topic for message in whole_mission.sent[:kept])
         if not had['/belief']:
             with pytest.raises(LogError, match='no beliefs on record'):
                 replay(path)

@@ -105,7 +105,7 @@ def test_its_deployments_can_be_resumed(name, tmp_path):
     history = read_history(path)
     resumed = read_resumed(MissionLog(path), history.evidence.grid, 8)
     assert len(history.observations) == len(resumed.orders) >= 5
-    assert {each.survived for each in history.observations} == {True, False}
+    assert {observation.survived for observation in history.observations} == {True, False}
     for each, key in zip(history.observations, resumed.orders):
         assert each.path.tolist() == resumed.paths[key].tolist()
 

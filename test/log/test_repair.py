@@ -202,7 +202,7 @@ def test_a_log_that_is_being_written_is_not_resumed(
         with pytest.raises(LogError, match=HELD):
             LogWriter(name, resume=True)
     assert file_contents(tmp_path) == before
-    messages = [each.data for each in read_log(path)]
+    messages = [message.data for message in read_log(path)]
     writer.kill()
     writer.wait()
     # The lock ends with its process, and with a closed writer.

@@ -78,7 +78,7 @@ def learnt_mission():
 
 def keys(sent):
     """Return the deployments of the paths, in order."""
-    stamps = [each.message.header.stamp for each in on(sent, '/scout_1/path')]
+    stamps = [entry.message.header.stamp for entry in on(sent, '/scout_1/path')]
     return [DeploymentKey('scout_1', s.sec * 10**9 + s.nanosec) for s in stamps]
 
 
@@ -89,7 +89,7 @@ def beliefs(sent):
 
 def indices(findings):
     """Return the indices of the beliefs that some findings concern."""
-    return [each.index for each in findings if each.topic == '/belief']
+    return [finding.index for finding in findings if finding.topic == '/belief']
 
 
 def flipped(message, field, index, bit):
@@ -119,7 +119,7 @@ def test_a_mission_is_reproduced(replayed, options):
     topics = [*REPRODUCED, *['/model'] * ('unknowns' in options)]
     assert report.compared == {whole.namespace + topic: robots + 1 for topic in topics}
     assert report.method == whole.method
-    told = [each.message for each in whole.sent if each.topic.endswith('/report')]
+    told = [entry.message for entry in whole.sent if entry.topic.endswith('/report')]
     assert len(report.evidence.reports) == robots
     assert report.evidence.survived == sum(each.survived for each in told) < robots
     assert report.passed_over == report.not_yet_held == report.evidence.without_report == []
@@ -143,7 +143,7 @@ def test_late_reports_are_reproduced(replayed, kind, gone):
     whole.assimilate(tour, *whole.come_back(key, then))
     whole.come_back(key, Observation(tour, False))
     whole.deploy(other, 'scout_2')
-    assert [each.message.deployments for each in beliefs(whole.sent)] == [0, 1, 2, 2, 3]
+    assert [belief.message.deployments for belief in beliefs(whole.sent)] == [0, 1, 2, 2, 3]
     report = replayed(without(whole.sent, *(beliefs(whole.sent)[index] for index in gone)))
     assert report.mismatches == report.not_yet_held == report.evidence.refused == []
     assert report.reproduced
@@ -258,17 +258,17 @@ def test_counts_of_a_restarted_estimator_are_its_own(replayed, gone, is_sent_ane
     for late in told[1::2]:
         whole.assimilate(*late)
     again = beliefs(without(whole.sent, *before))
-    assert [each.message.since for each in again] == [0, 0, 1, 2, *[3] * is_sent_anew, 0]
+    assert [belief.message.since for belief in again] == [0, 0, 1, 2, *[3] * is_sent_anew, 0]
     sent = without(whole.sent, *(again[index] for index in gone))
     # Sometimes the bytes are equal: only padding differs.
     same = beliefs(before)[1]
-    sent = [same if each is again[1] else each for each in sent]
+    sent = [same if message is again[1] else message for message in sent]
     report = replayed(sent)
     assert report.mismatches == report.passed_over == []
     assert report.compared['/belief'] == len(beliefs(before)) + 1
     assert len(report.repeated) == (1 not in gone)
     # A belief that is not compared may have the only views of its time.
-    stamps = [beliefs(sent)[each.index].message.header.stamp for each in report.not_compared]
+    stamps = [beliefs(sent)[finding.index].message.header.stamp for finding in report.not_compared]
     shown = [each for each in on(before, *VIEWS) if each.message.header.stamp in stamps]
     assert is_sent_anew or shown
     assert replayed(without(sent, *shown)).mismatches == []
@@ -306,7 +306,7 @@ def test_the_catch_up_of_a_restarted_estimator_is_reproduced(tmp_path_factory, s
         whole.hear_report(key, report)
     if data.draw(st.booleans()):
         whole.deploy(Observation([2, 7, 2], False))
-    again = [each for each in whole.sent[first_run:] if each.topic == '/belief']
+    again = [message for message in whole.sent[first_run:] if message.topic == '/belief']
     # The last belief is latched, so a recorder receives it.
     gone = [again[index] for index in data.draw(st.sets(st.integers(0, len(again) - 2)))]
     evidence = [each for each in whole.sent if re.search('path|report', each.topic)]
@@ -622,7 +622,7 @@ def test_every_few_dozen_beliefs_one_has_all_names():
     whole = Mission()
     for _number in range(2 * COMPLETE_EVERY + 2):
         whole.deploy(Observation([2, 7, 2], False))
-    since = [each.message.since for each in beliefs(whole.sent)]
+    since = [belief.message.since for belief in beliefs(whole.sent)]
     assert [held for held, each in enumerate(since) if each == 0] == [
         0, 1, COMPLETE_EVERY + 1, 2 * COMPLETE_EVERY + 1
     ]  # fmt: skip
@@ -665,7 +665,7 @@ def test_beliefs_of_a_repeated_report_are_not_compared(
     assert indices(report.not_compared) == [1, 2]
     missing = f'report of deployment {key} is not on record, but a later one'
     builds_on = f'the belief of 1 {ADDS}'
-    reasons = [each.reason for each in report.not_compared]
+    reasons = [finding.reason for finding in report.not_compared]
     assert reasons == [missing, missing if is_complete else builds_on]
     assert main([str(path)]) == 0
     told = capsys.readouterr().out
@@ -717,7 +717,7 @@ def test_any_number_of_reports_of_one_deployment_is_read_once_each(
     report = replay(log)
     assert report.reproduced
     assert report.not_yet_held == [key]
-    returned = sum(each.message.survived for each in on(whole.sent, '/scout_1/report'))
+    returned = sum(entry.message.survived for entry in on(whole.sent, '/scout_1/report'))
     assert report.evidence.survived == 1 + returned
     assert compared < 2 * len(junk)
     assert main([str(log)]) == 0
@@ -843,8 +843,8 @@ def test_a_log_of_another_version_is_refused_with_the_version_that_reads_it(
     whole_mission, tmp_path, capsys, read, edit, told
 ):
     sent = [
-        replace(each, message=Later(each.message)) if each.topic == '/belief' else each
-        for each in whole_mission.sent
+        replace(entry, message=Later(entry.message)) if entry.topic == '/belief' else entry
+        for entry in whole_mission.sent
     ]
     path = rewritten(tmp_path / 'mission.mcap', sent, edit)
     with pytest.raises(LogError, match=re.escape(told)):

@@ -83,7 +83,7 @@ def test_changed_decisions_are_reported(tmp_path_factory, sent, field, value, gr
 def test_decisions_on_missing_beliefs_are_not_compared(tmp_path, sent):
     report = replayed(tmp_path, without(sent, on(sent, '/belief')[2]))
     assert report.compared['/decision'] < ROBOTS
-    left = [each for each in report.not_compared if each.topic == '/decision']
+    left = [finding for finding in report.not_compared if finding.topic == '/decision']
     assert left
     assert 'not reproduced or not on record' in str(left[0])
 
@@ -92,6 +92,6 @@ def test_without_a_goal_on_record_no_decision_is_compared(tmp_path, sent):
     report = replay(record(tmp_path / 'mission.mcap', sent))
     assert report.reproduced
     assert '/decision' not in report.compared
-    left = [each for each in report.not_compared if each.topic == '/decision']
+    left = [finding for finding in report.not_compared if finding.topic == '/decision']
     assert len(left) == ROBOTS + 1
     assert 'the goal is not on record' in str(left[0])

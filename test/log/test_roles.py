@@ -85,7 +85,7 @@ def read(path):
         'resumed': [record.paths, record.outcomes, record.departures, record.operator,
                     record.mission],
         'ledger': read_ledger(log).belief.joint,
-        'page': [[each.held for each in page.moments], page.deployments, page.world],
+        'page': [[moment.held for moment in page.moments], page.deployments, page.world],
     }  # fmt: skip
     # When something was read is not what was read.
     refused = report.evidence.refused + history.evidence.refused
@@ -107,7 +107,7 @@ def of_all(whole):
     end = Decided(whole.now, Action.END, 6, {}, 0)
     give_up = Decided(whole.now, Action.GIVE_UP, 6, {out: np.array(NEAR)}, 0)
     other = Mission(namespace='/m/evil', grid=Grid(3, 3))
-    first = min(each.message.header.stamp.sec for each in whole.sent)
+    first = min(entry.message.header.stamp.sec for entry in whole.sent)
     back = report_message(out, Observation(NEAR, True, [True, True]), whole.now)
     return {
         'operator': operator_action_message(GRID, end),
@@ -193,13 +193,13 @@ def test_bad_messages_in_a_role_are_refused_by_all_readers(whole, tmp_path, topi
         assert told in str(replay(log).mismatches)
         found['replay'] = expected['replay']
     else:
-        assert any(each.startswith(f'/m/{topic}: ') and told in each for each in refused)
+        assert any(refusal.startswith(f'/m/{topic}: ') and told in refusal for refusal in refused)
     assert found == expected
 
 
 def test_a_log_of_several_missions_is_read_by_the_namespace_that_is_named(tmp_path, capsys):
     missions = {name: mission(3, seed, namespace=name) for seed, name in enumerate(('/m', '/m/n'))}
-    sent = [each for whole in missions.values() for each in whole.sent]
+    sent = [message for whole in missions.values() for message in whole.sent]
     log = write(tmp_path / 'mission.mcap', sent, None)
     with pytest.raises(LogError, match='has missions in the namespaces /m, /m/n: name one'):
         MissionLog(log)

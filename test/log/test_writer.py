@@ -73,7 +73,7 @@ def test_a_topic_of_unknown_type_leaves_the_log_as_it_was(tmp_path):
             log.add_topic('/other', 'no_such_msgs/msg/Path', '[]')
         log.add_topic(TOPIC, TYPE, '[]')
         log.write(TOPIC, EMPTY_MAP, 2, 1)
-    assert [each.topic for each in read_log(log.path)] == [TOPIC]
+    assert [message.topic for message in read_log(log.path)] == [TOPIC]
 
 
 def test_synced_messages_can_be_read_by_others(tmp_path, whole_mission):
@@ -139,7 +139,7 @@ def test_a_time_that_a_file_cannot_hold_loses_no_message(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         log.add_topic(TOPIC, TYPE, '[]')
         log.write(TOPIC, EMPTY_MAP, 5, -1)
-    assert [(each.log_time, each.publish_time) for each in read_log(log.path)] == [(5, 0)]
+    assert [(message.log_time, message.publish_time) for message in read_log(log.path)] == [(5, 0)]
 
 
 def test_the_header_says_what_wrote_it(tmp_path, whole_mission):
@@ -166,7 +166,7 @@ def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compres
     assert parts[-1] == last
     assert log_parts(tmp_path) == parts
     read = list(read_log(log.path))
-    assert [each.data for each in read] == [each.data for each in sent]
+    assert [each.data for each in read] == [message.data for message in sent]
     assert is_finished(log.path)
     for part in parts:
         alone = [each for each in read_part(part) if isinstance(each, RecordedMessage)]
@@ -198,7 +198,7 @@ def test_a_message_too_large_to_be_read_again_is_refused(tmp_path):
         with pytest.raises(ValueError, match=f'at most {MAX_MESSAGE} are written'):
             log.write(TOPIC, bytes(MAX_MESSAGE + 1), 1, 1)
         log.write(TOPIC, EMPTY_MAP, 2, 2)
-    assert [each.log_time for each in read_log(log.path)] == [2]
+    assert [message.log_time for message in read_log(log.path)] == [2]
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_a_log_is_resumed(tmp_path, whole_mission, share):
         assert log.current_path == tmp_path / 'mission_1.mcap'
         record_to(log, whole_mission.sent[half:])
     assert is_finished(path)
-    assert sorted(each.name for each in tmp_path.iterdir()) == [
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
         'metadata.yaml',
         'mission.mcap',
         'mission_1.mcap',
@@ -242,7 +242,7 @@ def test_a_log_is_resumed(tmp_path, whole_mission, share):
     ]
     gone_on_with = [each.data for each in after]
     del gone_on_with[: len(before)]
-    assert gone_on_with == [each.data for each in whole_mission.sent[half:]]
+    assert gone_on_with == [message.data for message in whole_mission.sent[half:]]
     if share == 1.0:
         assert read_metadata(path)['run'] == {'seed': '7'}
 
@@ -291,7 +291,7 @@ def test_a_full_disk_keeps_synced_messages(tmp_path, whole_mission, batch, compr
     assert path.read_bytes() == left
     with pytest.raises(ValueError, match=r'mission.mcap is closed'):
         log.sync()
-    read = [each.data for each in read_log(path)]
+    read = [message.data for message in read_log(path)]
     assert read == [each.data for each in whole_mission.sent[:synced]]
     assert synced
     assert not is_finished(path)
@@ -327,7 +327,7 @@ def test_a_moved_folder_stops_the_log_at_the_next_file(tmp_path, whole_mission):
     with pytest.raises(FileNotFoundError):
         record_to(log, whole_mission.sent[5:], synced=True)
     log.close()
-    read = [each.data for each in read_log(tmp_path / 'moved' / 'mission.mcap')]
+    read = [message.data for message in read_log(tmp_path / 'moved' / 'mission.mcap')]
     assert read == [each.data for each in whole_mission.sent[: len(read)]]
     assert len(read) > 5
 

@@ -42,7 +42,7 @@ class Base:
         # In a folder that the recorder makes.
         self.log = field.folder / 'log' / 'mission.mcap'
         self.parameters = {**PARAMETERS, 'agents': list(agents), **parameters}
-        self.paths = {each: field.listen(Path, f'/{each}/path') for each in agents}
+        self.paths = {agent: field.listen(Path, f'/{agent}/path') for agent in agents}
         self.proposals = {each: field.listen(Path, f'/{each}/proposal') for each in agents}
         self.heard = {each: field.listen(DeploymentReport, f'/{each}/report') for each in agents}
         self.acknowledged = {each: field.listen(Recorded, f'/{each}/recorded') for each in agents}
@@ -96,7 +96,7 @@ class Base:
 
     def decided(self):
         """Return the times of all received actions."""
-        return {(each.header.stamp.sec, each.header.stamp.nanosec) for each in self.actions}
+        return {(action.header.stamp.sec, action.header.stamp.nanosec) for action in self.actions}
 
     def do(self, service, **request):
         """Call a service that must succeed; return its message."""

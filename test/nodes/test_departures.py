@@ -32,8 +32,8 @@ class StatedBase(Base):
 
     def __init__(self, field, agents=('scout_1',), **parameters):
         self.statuses = {
-            each: field.node.create_publisher(AgentStatus, f'/{each}/status', qos.EVIDENCE)
-            for each in agents
+            agent: field.node.create_publisher(AgentStatus, f'/{agent}/status', qos.EVIDENCE)
+            for agent in agents
         }
         self.holds = field.listen(Bool, '/hold')
         self.progress = field.listen(Progress, '/progress')
@@ -164,7 +164,7 @@ def test_bad_statuses_are_refused_by_name_and_counted(field):
         assert 'and was DEPARTED before' in field.until_refused('/planner', number)
     # Only the first departure is confirmed to be on disk.
     departures = [each for each in base.acknowledged['scout_1'] if from_stamp(each.stamp)]
-    assert len({each.content for each in departures}) == 2
+    assert len({departure.content for departure in departures}) == 2
     base.come_back()
     base.until_state('done: 1 of 1')
     base.say(OrderState.REFUSED, 'too late', stamp=key.stamp + 2)
@@ -230,7 +230,7 @@ def test_simulated_robots_stay_while_held_and_move_once_recorded(field):
         ('one node alone to publish /hold: /stranger, /test/test do', None),
     ):
         field.until(lambda state=state: state in field.state('/agent'), state)
-        assert [each.state for each in statuses] == [OrderState.ACCEPTED]
+        assert [status.state for status in statuses] == [OrderState.ACCEPTED]
         if is_held is True:
             stranger.create_publisher(Bool, '/hold', qos.LATCHED)
         if is_held is not None:
@@ -268,7 +268,7 @@ def test_a_pause_does_not_hold_a_simulated_robot_in_flight_at_a_restart(field, k
         paths.publish(path(number))
     field.until(lambda: reports, 'report')
     field.until(lambda: field.count('/agent', 'waiting') == 1, 'the other robot to be held')
-    assert [each.deployment for each in reports] == [path(1).header.stamp]
-    told = {(from_stamp(each.deployment), each.state) for each in statuses}
+    assert [report.deployment for report in reports] == [path(1).header.stamp]
+    told = {(from_stamp(status.deployment), status.state) for status in statuses}
     assert (key(1).stamp, OrderState.DEPARTED) in told
     assert (key(2).stamp, OrderState.DEPARTED) not in told

@@ -333,7 +333,7 @@ def test_of_simultaneous_beliefs_the_first_and_the_last_are_shown(field, estimat
     field.until(are_last_shown, 'views of the last belief')
     executor.shutdown()
     for name, messages in shown.items():
-        assert [from_stamp(each.header.stamp) for each in messages] == [1, 6], name
+        assert [from_stamp(message.header.stamp) for message in messages] == [1, 6], name
     last = shown['progress'][-1]
     assert (last.deployments, last.lost) == (5, 5)
     # The view of the last report only, although the belief before it was not shown.
@@ -404,7 +404,7 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     field.until(lambda: len(paths) > sent + 1, 'robots that leave again')
     assert set(field.processes.stop().values()) == {0}
     recorded = [logged for logged in read_log(log) if logged.topic == '/m/decision']
-    assert {each.message.deployments for each in recorded} >= {len(expected)}
+    assert {record.message.deployments for record in recorded} >= {len(expected)}
     told = replay(log, asked=asked_on_record(MissionLog(log)))
     assert told.reproduced, told.mismatches
     assert told.compared['/m/decision'] > len(expected)

@@ -329,11 +329,11 @@ def test_types_of_hostile_names_are_refused_and_the_rest_goes_on(field, planted)
             assert told in field.until_refused('/m/recorder', 1)
     field.until(lambda: field.count('/m/recorder', 'refused') >= len(HOSTILE), 'refusals')
     field.node.create_publisher(String, '/m/latched', qos.LATCHED).publish(String(data='x'))
-    field.until(lambda: '/m/latched' in {each.topic for each in read_log(log)}, 'message')
+    field.until(lambda: '/m/latched' in {message.topic for message in read_log(log)}, 'message')
     assert field.count('/m/recorder', 'refused') == len(HOSTILE)
     assert field.processes.stop() == {'/m/recorder': 0}
     assert is_finished(log)
-    assert not any('hostile' in each.topic for each in read_log(log))
+    assert not any('hostile' in message.topic for message in read_log(log))
     assert not planted.exists()
 
 

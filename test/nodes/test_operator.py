@@ -53,7 +53,7 @@ def test_a_paused_mission_sends_no_robot(field):
     assert base.do('pause', data=False) == 'the mission is not paused already'
     base.until_sent(2)
     report = base.replayed()
-    assert [each.action for each in report.evidence.actions] == [Action.PAUSE, Action.RESUME]
+    assert [action.action for action in report.evidence.actions] == [Action.PAUSE, Action.RESUME]
     assert [each.robots_left for each in report.evidence.actions] == [1, 1]
     told = [line for line in lines(report) if line.startswith('the operator')]
     assert told == [
@@ -118,7 +118,7 @@ def test_a_robot_declared_lost_is_given_up(field):
     (loss,) = base.heard['scout_1']
     assert (loss.survived, loss.steps_survived) == (False, 1)
     report = base.replayed()
-    assert [each.action for each in report.evidence.actions] == [Action.GIVE_UP]
+    assert [action.action for action in report.evidence.actions] == [Action.GIVE_UP]
     assert report.evidence.survived == 0
 
 
@@ -136,7 +136,7 @@ def test_an_ended_mission_is_over_when_its_robots_have_returned(field):
     base.until_state(reason)
     until_progress(Progress.ENDED, reason)
     assert len(base.sent()) == 1
-    assert [each.action for each in base.replayed().evidence.actions] == [Action.END]
+    assert [action.action for action in base.replayed().evidence.actions] == [Action.END]
 
 
 def test_a_mission_ended_before_its_start_is_over_at_once(field):
@@ -224,7 +224,7 @@ def test_nothing_is_decided_before_it_is_on_disk(field):
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     assert answer.result().success
-    assert [each.action for each in base.replayed().evidence.actions] == [Action.PAUSE]
+    assert [action.action for action in base.replayed().evidence.actions] == [Action.PAUSE]
 
 
 def typed(page):
@@ -330,7 +330,7 @@ def test_operator_actions_survive_any_crash(field, crashes, at_once):
             base.crash()
             holds(base)
     report = base.replayed()
-    assert [each.action.name for each in report.evidence.actions] == [*STEPS]
+    assert [action.action.name for action in report.evidence.actions] == [*STEPS]
     assert len(report.evidence.reports) == 1
     assert [report.evidence.paths[key].tolist() for key in report.evidence.paths] == [base.second]
     assert not any(call.done() for call in base.lost_calls)

@@ -303,7 +303,7 @@ def test_a_mission_ends_and_its_log_agrees_with_the_simulator(
     start_base(file=str(log))
     where = Counter()
     for number, (after, gone) in enumerate(crashes, 1):
-        field.until(lambda n=number: len({str(each.header) for each in paths}) == n, 'path')
+        field.until(lambda n=number: len({str(path.header) for path in paths}) == n, 'path')
         if len(crashes) == 1:
             field.until(lambda: 'driving' in fleet.state(), 'robot under way')
         fleet.wait(after)

@@ -251,7 +251,7 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     field.kill('/scout_1/robot')
     fleet.start()
     field.until(lambda: len(refusals()) == 2, 'the refusal again')
-    assert {from_stamp(each.deployment) for each in refusals()} == {key.stamp}
+    assert {from_stamp(refusal.deployment) for refusal in refusals()} == {key.stamp}
     assert all(why in each.reason for each in refusals())
     fleet.wait_for_report(reports, fleet.send(3, [0, 1, 0]))
 

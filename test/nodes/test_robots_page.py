@@ -50,7 +50,7 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     field.until(lambda: field.state('/recorder').startswith(waiting), 'belief to record')
     field.start('planner', parameters)
     field.until(lambda: field.state('/planner').startswith('done: 3 of 3'), 'end')
-    assert [each.survived for each in reports] == [True] * 3
+    assert [report.survived for report in reports] == [True] * 3
     field.processes.stop()
     replayed = replay(log)
     assert replayed.reproduced

@@ -58,7 +58,7 @@ def test_every_cell_is_counted_by_its_definition(told):
 def test_findings_are_sorted_by_probability(told):
     mission, _ = told
     belief = mission.moments[-1].belief
-    found = {(each.kind, each.cell): each for each in list_findings(mission)}
+    found = {(finding.kind, finding.cell): finding for finding in list_findings(mission)}
     free = mission.grid.free
     assert {cell for kind, cell in found if kind == 'target'} == {
         *np.flatnonzero(free & (belief.target >= 0.5)).tolist()
@@ -241,7 +241,7 @@ def test_different_truths_are_stated(tmp_path, pairs):
 def test_the_command_writes_one_page(logs, tmp_path, capsys):
     folder = tmp_path / 'compared'
     assert main([*map(str, logs), '--out', str(folder)]) == 0
-    assert [each.name for each in folder.iterdir()] == ['comparison.html']
+    assert [file.name for file in folder.iterdir()] == ['comparison.html']
     assert 'comparison.html' in capsys.readouterr().out
     page = (folder / 'comparison.html').read_text()
     for log in logs:

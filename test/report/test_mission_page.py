@@ -171,7 +171,7 @@ def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
         )
     move(page, len(mission.moments) - 1)
     assert marked(page, 'free', GRID) == np.flatnonzero(classify_cells(mission).free).tolist()
-    found = [each for each in list_findings(mission) if each.kind == 'target']
+    found = [finding for finding in list_findings(mission) if finding.kind == 'target']
     for name, is_found in (('found', True), ('target', False)):
         cells = [each.cell for each in found if (each.probability >= 0.95) == is_found]
         assert marked(page, name, GRID) == sorted(cells)
@@ -330,7 +330,7 @@ def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     hazard = mission.moments[-1].belief.hazard[cell]
     assert f'hazard {hazard:.3f}' in page.locator('#cell').inner_text()
     history = page.evaluate('document.getElementById("cell-plot").data[0].y')
-    expected = [each.belief.hazard[cell] for each in mission.moments]
+    expected = [moment.belief.hazard[cell] for moment in mission.moments]
     assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
     assert page.locator('#map .hoverlayer').text_content().startswith(f'({x:g}, {y:g}): hazard')
     # A frame surrounds it.
@@ -721,7 +721,7 @@ def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
     Image.new('RGB', (3150, 1620)).save(report / 'maps.png')
     tool = Path(__file__).parents[2] / 'tools/page_pictures.py'
     subprocess.run([sys.executable, tool, report, images], check=True)
-    taken = {each.stem: Image.open(each) for each in images.iterdir()}
+    taken = {file.stem: Image.open(file) for file in images.iterdir()}
     assert taken.keys() == {
         'page',
         'page_early',
@@ -764,7 +764,7 @@ def test_two_missions_are_drawn_as_on_record(opened, two):
     missions, file = two
     page = opened(file=file)
     for name in NAMES:
-        values = [getattr(each.moments[-1].belief, name) for each in missions]
+        values = [getattr(mission.moments[-1].belief, name) for mission in missions]
         free = missions[0].grid.free
         for drawn_as, wanted in zip(('A', 'B', 'change'), (*values, values[1] - values[0])):
             assert drawn(page, f'{drawn_as}-{name}')[free] == pytest.approx(wanted[free])

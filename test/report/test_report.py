@@ -40,7 +40,7 @@ FILES = {
 def report(log, out):
     """Run the command; return the names of the files that it made."""
     assert main([str(log), '--out', str(out)]) == 0
-    return {each.name for each in out.iterdir()}
+    return {file.name for file in out.iterdir()}
 
 
 def told(log):
@@ -64,12 +64,12 @@ def shown(tmp_path_factory):
 @pytest.mark.slow
 def test_a_single_robot(shown):
     log, out = shown
-    assert {each.name for each in out.iterdir()} == FILES
+    assert {file.name for file in out.iterdir()} == FILES
     mission = read_mission(log)
-    assert [each.held for each in mission.moments] == list(range(7))
+    assert [moment.held for moment in mission.moments] == list(range(7))
     assert all(one.time < other.time for one, other in pairwise(mission.moments))
     assert [each.deployment for each in mission.moments] == [None, *range(6)]
-    assert [each.moment for each in mission.deployments] == list(range(1, 7))
+    assert [deployment.moment for deployment in mission.deployments] == list(range(1, 7))
     assert mission.notes == []
     assert mission.world is not None
 
@@ -124,7 +124,7 @@ def test_gaps_are_shown_of_plans_with_a_bound(tmp_path):
         Plan.along(mission.deployments[each - 1].path, mission.moments[each - 1].belief, MODEL)
         for each in (2, 4)
     ]
-    more = [2.0 * (1.0 - each.survival) for each in plans]
+    more = [2.0 * (1.0 - planned.survival) for planned in plans]
     assert costly.gap[[2, 4]] - curves.gap[[2, 4]] == pytest.approx(more)
     gaps = [row['gap'] is not None for row in rows(mission, curves)]
     assert gaps == [False, True, False, True]
@@ -163,7 +163,7 @@ def test_every_belief_has_maps_that_are_a_belief(seed, tmp_path):
 def test_a_team_of_eight_with_silent_losses_and_late_returns(tmp_path):
     log, whole = team(tmp_path / 'mission.mcap')
     mission, curves, _, _ = told(log)
-    late = [each for each in mission.moments if each.is_late]
+    late = [moment for moment in mission.moments if moment.is_late]
     assert late
     assert all(each.outcome.survived for each in late)
     assert len(mission.moments) == len(mission.deployments) + len(late) + 1 == 25 + len(late)
@@ -260,7 +260,7 @@ def test_beliefs_that_a_restarted_recorder_missed_are_stated(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap', resume=True) as log:
         record_to(log, sent[before:])
     mission, curves, _, _ = told(tmp_path / 'mission.mcap')
-    assert [each.held for each in mission.moments] == [0, 1, 2, 4, 5, 6]
+    assert [moment.held for moment in mission.moments] == [0, 1, 2, 4, 5, 6]
     assert [each.is_after_gap for each in mission.moments] == [False] * 3 + [True] + [False] * 2
     assert 'after deployment 3' in mission.notes[0]
     assert mission.deployments[2].moment == 3
@@ -305,7 +305,7 @@ def test_an_existing_folder_is_left_alone(shown, tmp_path, capsys):
     (mine / 'thesis.txt').write_text('all of it')
     assert main([str(log), '--out', str(mine)]) == 2
     assert 'is there already and not empty: name another' in capsys.readouterr().err
-    assert [each.name for each in mine.iterdir()] == ['thesis.txt']
+    assert [file.name for file in mine.iterdir()] == ['thesis.txt']
     assert main([str(log), '--out', str(mine / 'thesis.txt')]) == 2
     assert (mine / 'thesis.txt').read_text() == 'all of it'
 

@@ -92,7 +92,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         with LogWriter(path, resume=True) as resumed:
             record_to(resumed, SENT[-1:], synced=True)
             says(page, 'Following the log')
-    assert sorted(each.name for each in tmp_path.iterdir()) == [
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
         'metadata.yaml',
         'mission.mcap',
         'mission_1.mcap',

@@ -277,7 +277,7 @@ def test_beliefs_are_scored_by_the_field_of_their_time(scenario, kind, monkeypat
     monkeypatch.setattr(running, 'continue_mission', keeping)
     outcome = run_trial(scenario, Trial(0.9, 'kappa_bnitp', 1, RIGHT))
     (mission,) = missions
-    fields = [each.world.hazard.tolist() for each in mission]
+    fields = [deployment.world.hazard.tolist() for deployment in mission]
     assert len(set(map(tuple, fields))) > 1
     losses = outcome.measures[1:, running.MEASURES.index('hazard_log_loss')]
     assert losses == pytest.approx([log_loss(e.belief.hazard, e.world.hazard) for e in mission])

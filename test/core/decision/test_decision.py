@@ -133,7 +133,7 @@ def test_probabilities_are_those_of_all_states(seed):
         gained = fallen = heard = sure = 0.0
         for other in (weight * survived, weight * (1.0 - survived)):
             outcomes = (other * fate, other * (1.0 - fate))
-            gained += sum((free @ each).max() for each in outcomes) - (free @ other).max()
+            gained += sum((free @ outcome).max() for outcome in outcomes) - (free @ other).max()
             for each, sign in ((other, 1.0), *((each, -1.0) for each in outcomes)):
                 if (total := each.sum()) > 1e-12:
                     fallen += (

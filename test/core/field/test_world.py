@@ -296,7 +296,7 @@ def test_every_walk_is_a_path(execution):
         else:
             assert run.observation.path.tolist() == PATH
             assert run.steps_made < len(walk) - 1
-    assert {each.observation.survived for each in made} == {True, False}
+    assert {deployment.observation.survived for deployment in made} == {True, False}
     assert len({tuple(each.walk) for each in made}) > 5
 
 

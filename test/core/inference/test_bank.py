@@ -78,7 +78,7 @@ def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
     prior = belief if method == 'kappa_bnitp' else belief.independent()
     bank = Bank(prior, model, TWO, 0, new_dynamics(kind), method == 'kappa_bnitp')
     numbers = bank._numbers[:3]
-    evidence = [Evidence.of(*each) for each in outcomes]
+    evidence = [Evidence.of(*outcome) for outcome in outcomes]
     joints, _ = bank._fold(bank._first_joints(numbers), numbers, evidence)
     for place, own in enumerate(numbers):
         estimator = Estimator(belief, particle_sensors(own), method, dynamics=new_dynamics(kind))
@@ -160,7 +160,7 @@ def fly_mission(lethality, seed, robots=40, kind='static'):
         options=SearchOptions('relaxed', 12),
         dynamics=Dynamics(kind),
     )
-    return prior, [each.observation for each in mission], mission[-1].world
+    return prior, [deployment.observation for deployment in mission], mission[-1].world
 
 
 def learnt(prior, observations, unknowns, method='kappa_bnitp', kind='static', seed=0):
@@ -202,7 +202,7 @@ def test_an_unknown_lethality_costs_little_where_hazards_are_used_up():
             told.assimilate(observation)
         lethality = Unknowns(lethality=(0.0, 1.0))
         estimators = told, learnt(prior, observations, lethality, kind='used_up')
-        losses = [log_loss(each.belief.hazard, world.hazard) for each in estimators]
+        losses = [log_loss(estimator.belief.hazard, world.hazard) for estimator in estimators]
         lost.append(losses[1] - losses[0])
     assert np.mean(lost) < 1.5
 

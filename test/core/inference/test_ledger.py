@@ -259,7 +259,7 @@ def test_pending_reports_are_bounded_by_bytes_and_bad_stamps_dropped_first(ledge
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert refusals
-    assert all('at most 50 MB of them are kept' in each for each in refusals)
+    assert all('at most 50 MB of them are kept' in refusal for refusal in refusals)
     assert peak < 60e6
     # The report of a robot in flight is never dropped for them.
     assert ledger.record_path(real, PATH)

@@ -144,7 +144,7 @@ def test_the_median_gap_on_beliefs_of_missions_is_3_percent_at_most(record_prope
         prior = Belief.prior(grid, 0.15, 0.2, 0.8)
         mission = run_mission(grid, prior, model, world, 60, rng, options=options)
         last = EVERY - 1
-        for belief in [prior, *(each.belief for each in mission[last::EVERY])]:
+        for belief in [prior, *(deployment.belief for deployment in mission[last::EVERY])]:
             found = plan(grid, belief, model, 18, bound=True)
             gaps.append(found.gap / found.information)
     record_property('gaps', np.percentile(gaps, [0, 25, 50, 75, 100]).tolist())

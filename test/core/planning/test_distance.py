@@ -158,7 +158,7 @@ def test_robots_of_a_team_keep_their_own_lengths(seed):
     options = SearchOptions(max_steps=12, width=4, max_distance=5.0)
     for allocation in ('greedy', 'voronoi', 'independent'):
         team = plan_team(grid, belief, SensorModel(0.3), Team(3, allocation, types), options)
-        short, free, common = (path_length(grid, each.path) for each in team)
+        short, free, common = (path_length(grid, planned.path) for planned in team)
         assert 0.0 < short <= 2.5 + 1e-8
         assert 0.0 < common <= 5.0 + 1e-8
         if allocation == 'independent':

@@ -225,7 +225,7 @@ def random_problem(seed):
 def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
     problem = *random_problem(seed), 10, agents, 'greedy', planner
     usual, behavioral_one = (
-        [(each.path.tolist(), each.information, each.survival) for each in team]
+        [(planned.path.tolist(), planned.information, planned.survival) for planned in team]
         for team in (plan_round(*problem), plan_round(*problem, objective='behavioral', alpha=1.0))
     )
     assert usual == behavioral_one

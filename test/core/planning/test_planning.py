@@ -218,7 +218,7 @@ def restated(source):
         if isinstance(node, ast.FunctionDef):
             named = {each.arg for each in (*node.args.args, *node.args.kwonlyargs)}
         elif isinstance(node, ast.Call) and getattr(node.func, 'id', '') != 'SearchOptions':
-            named = {each.arg for each in node.keywords}
+            named = {keyword.arg for keyword in node.keywords}
         else:
             continue
         if len(named & OPTIONS.keys()) > 2:

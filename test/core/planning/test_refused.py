@@ -221,7 +221,7 @@ def test_robots_of_a_round_continue_the_same_tour(planner):
     grid = Grid(7, 7)
     team = plan_round(grid, prior(grid), MODEL, 14, 3, 'greedy', planner)
     alone = sent(grid, planner, 3, 14)
-    assert [each.path.tolist() for each in team] == [path.tolist() for path in alone]
+    assert [planned.path.tolist() for planned in team] == [path.tolist() for path in alone]
 
 
 @for_each('visited', [[1, 2], [-1] * 9, [0.5] * 9, np.zeros((3, 3), dtype=int)])

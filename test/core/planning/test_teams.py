@@ -358,7 +358,7 @@ def test_nearly_equal_cameras_are_one_camera(seed):
 
 def test_readings_of_different_cameras_count_up_to_a_limit(monkeypatch):
     belief, kinds = random_belief(1), [RobotType(), KEEN] * 4
-    paths = [each.path for each in plan_round(GRID, belief, MODEL, 6, 8)]
+    paths = [planned.path for planned in plan_round(GRID, belief, MODEL, 6, 8)]
     all_counted = team_information(belief, MODEL, paths, robot_types=kinds)
     monkeypatch.setattr(readings, 'MAX_WAYS', 5**2)
     after = nobody_deployed(belief)

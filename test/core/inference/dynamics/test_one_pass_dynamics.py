@@ -165,7 +165,7 @@ def test_worlds_change_by_the_stated_dynamics():
         made = run_mission(grid, prior, model, world, 60, rng, dynamics=dynamics)
         fields = np.array([world.hazard, *(each.world.hazard for each in made)])
         assert not fields[:, [0, 5]].any()
-        assert all(np.array_equal(each.world.target, world.target) for each in made)
+        assert all(np.array_equal(deployment.world.target, world.target) for deployment in made)
         came, went = ~fields[:-1] & fields[1:], fields[:-1] & ~fields[1:]
         if dynamics is used_up:
             assert went.any()
