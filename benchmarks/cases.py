@@ -20,7 +20,7 @@ SECONDS = 2.0
 @dataclass(frozen=True)
 class Benchmark:
     """
-    Some cases of which the first is what the others are compared with.
+    Cases that are compared with the first.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure the four nodes in a long mission: what memory they take, and how fast they are.
+Measure the memory and the speed of the four nodes in a long mission.
 
     python3 benchmarks/nodes.py --deployments 5000
 

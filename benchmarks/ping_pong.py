@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The messages of a mission passed round by bare rclpy: what its nodes can at best come near to.
+The messages of a mission passed round by bare rclpy: the upper limit of the nodes' speed.
 
     python3 benchmarks/ping_pong.py ROLE ROUNDS
 

@@ -19,7 +19,7 @@ from kbnitp_ros.core import (
 )
 import numpy as np
 
-# Malfunction of robots for so many steps.
+# Malfunction per step, so that robots survive many steps.
 MALFUNCTION = 0.001
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make what sampling is measured against: the posterior of missions by long chains.
+Make the reference of sampling: the posterior of missions by long chains.
 
 ``python3 benchmarks/reference.py`` writes test/core/inference/reference.npz. Each posterior is
 the mean of two halves of half a million sweeps, by chains that have nothing in common; how far the

@@ -157,7 +157,7 @@ def test_files_are_read_as_the_page_shows_them(tmp_path):
 
 
 def keys_in(kind):
-    """Yield the keys of a section and of those in it."""
+    """Yield the keys of a section and of its subsections."""
     for name, hint in get_type_hints(kind).items():
         yield name
         for inner in (hint, *get_args(hint)):
@@ -262,7 +262,7 @@ PAGES = [
 
 
 def page_text(path):
-    """Return what a page says, without its code."""
+    """Return the text of a page without its code."""
     said = path.read_text()
     if path.suffix == '.ipynb':
         cells = json.loads(said)['cells']
@@ -271,7 +271,7 @@ def page_text(path):
 
 
 def anchors(said):
-    """Yield what the headings of a page are called in links, as GitHub and MyST have it."""
+    """Yield the anchors of a page's headings, as in GitHub and MyST."""
     count = Counter()
     for heading in re.findall(r'^#+ (.+?)\s*$', said, re.MULTILINE):
         title = re.sub(r'\[(.*?)\]\(.*?\)', r'\1', heading).lower()

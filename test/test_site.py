@@ -84,7 +84,7 @@ SOUGHT = {
 }
 
 
-def test_the_search_finds_what_users_call_it_among_the_first_three(site, browser):
+def test_terms_of_users_are_found_among_the_first_three(site, browser):
     page = browser.new_page()
     found = {}
     for word in SOUGHT:

@@ -284,7 +284,7 @@ def test_lethality_and_hazard_density_are_learnt_by_default(options, method, lea
 
 
 @pytest.mark.processes
-def test_a_demo_says_how_far_its_paths_reach_learns_two_numbers_and_shows_them(whole):
+def test_a_demo_states_its_reach_and_shows_two_learnt_numbers(whole):
     out, printed = whole
     assert printed.splitlines()[0] == (
         '6 steps reach 4x4 of 6x4 cells, 16 of 24: max_steps 10 reaches them all.'

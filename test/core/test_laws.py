@@ -131,7 +131,7 @@ def test_information_is_bounded(belief, model, path):
     steps = len(path) - 1
     assert information >= -1e-12
     assert information <= log(2) * (1 + steps) + 1e-12  # bits of the fate and the readings
-    assert information <= belief.joint_entropy() + 1e-9  # what there is to know
+    assert information <= belief.joint_entropy() + 1e-9  # total entropy
 
 
 @thorough

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Run missions under random faults and count what was done to them and what they lost.
+Run missions under random faults; count the faults and the findings.
 
     python3 test/faults/campaign.py --missions 200 --seed 1
     python3 test/faults/campaign.py --robots --missions 200 --seed 1

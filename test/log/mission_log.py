@@ -223,7 +223,7 @@ def on(sent, *topics):
 
 
 def without(sent, *unwanted):
-    """Return all messages but those."""
+    """Return all messages except `unwanted`."""
     return [message for message in sent if not any(message is one for one in unwanted)]
 
 

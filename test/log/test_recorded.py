@@ -86,7 +86,7 @@ def logs(tmp_path):
 
 
 @for_each('name', NAMES)
-def test_it_is_reproduced(name, tmp_path):
+def test_every_recorded_log_is_reproduced(name, tmp_path):
     report = replay(log(name, tmp_path))
     assert report.grade != Grade.DIFFERENT, report.mismatches
     assert report.not_compared == report.repeated == report.evidence.refused == []
@@ -100,7 +100,7 @@ def test_it_is_reproduced(name, tmp_path):
 
 
 @for_each('name', NAMES)
-def test_its_deployments_can_be_resumed(name, tmp_path):
+def test_recorded_deployments_can_be_resumed(name, tmp_path):
     path = log(name, tmp_path)
     history = read_history(path)
     resumed = read_resumed(MissionLog(path), history.evidence.grid, 8)
@@ -124,7 +124,7 @@ def answers(script, paths, **environment):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_it_is_read_without_ros(tmp_path):
+def test_recorded_logs_are_read_without_ros(tmp_path):
     paths = logs(tmp_path)
     lines = answers(WITHOUT_ROS, paths).splitlines()
     assert len(lines) == len(NAMES)

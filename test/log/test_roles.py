@@ -87,7 +87,7 @@ def read(path):
         'ledger': read_ledger(log).belief.joint,
         'page': [[moment.held for moment in page.moments], page.deployments, page.world],
     }  # fmt: skip
-    # When something was read is not what was read.
+    # Times of reading differ.
     refused = report.evidence.refused + history.evidence.refused
     return {name: shown(each) for name, each in taken.items()}, refused
 

@@ -142,7 +142,7 @@ def test_a_time_that_a_file_cannot_hold_loses_no_message(tmp_path):
     assert [(message.log_time, message.publish_time) for message in read_log(log.path)] == [(5, 0)]
 
 
-def test_the_header_says_what_wrote_it(tmp_path, whole_mission):
+def test_the_header_names_the_writer(tmp_path, whole_mission):
     path = record(tmp_path / 'mission.mcap', whole_mission.sent, QOS)
     with path.open('rb') as file:
         header = make_reader(file).get_header()

@@ -88,7 +88,7 @@ def published(pixel, mode, negate, occupied, free):
         ],
     ),
 )
-def test_every_grey_value_is_what_map_server_publishes(tmp_path, mode, negate, name, thresholds):
+def test_grey_values_equal_those_of_map_server(tmp_path, mode, negate, name, thresholds):
     pixels = np.arange(256).reshape(8, 32)
     occupied, free = thresholds
     path = write(
@@ -195,7 +195,7 @@ def test_a_coloured_image_counts_by_its_brightness(tmp_path):
     assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[0, 0, 100]]
 
 
-def test_a_turned_map_lies_as_it_says(tmp_path):
+def test_a_turned_map_has_its_stated_pose(tmp_path):
     write(tmp_path, np.full((2, 3), 254))
     found = read_map(write_yaml(tmp_path, resolution=0.5, origin=[4, -1, 0.3]))
     assert (found.origin, found.yaw) == ((4.0, -1.0), 0.3)

@@ -233,7 +233,7 @@ def typed(page):
     return [shlex.split(line) for line in re.findall(r'(?m)^ros2 service call (.*)$', text)]
 
 
-def test_the_services_are_called_as_the_page_says(field):
+def test_services_are_called_as_on_the_page(field):
     base = Base(field, approval=True)
     commands = typed('docs/operator.md')
     assert len(commands) == 6

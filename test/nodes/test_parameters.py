@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One table of parameters: what is declared, refused, documented and configured."""
+"""One table of parameters is declared, checked, documented and configured."""
 
 from dataclasses import fields, replace
 from pathlib import Path

@@ -163,7 +163,7 @@ def watch(field, watched):
 
 
 @pytest.mark.full
-def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(field):
+def test_the_policies_allow_exactly_the_endpoints_of_a_mission(field):
     publish_map(field)
     # The recorder asks for a node's parameters until it answers.
     silent = rclpy.create_node(
@@ -201,7 +201,7 @@ def test_the_policies_allow_what_the_nodes_of_a_mission_do_and_nothing_else(fiel
     silent.destroy_node()
 
 
-def test_the_policies_allow_what_a_team_and_the_demo_do_and_nothing_else(field):
+def test_the_policies_allow_exactly_the_endpoints_of_a_team_and_the_demo(field):
     publish_map(field)
     team = PARAMETERS | {'recorded': True, 'agents': ['scout_1', 'scout_2']}
     watched = Watched(field.node, ['all_agents', 'observer', 'planner'])
@@ -322,7 +322,7 @@ def test_a_layout_is_made_of_the_topics(agents, name):
 
 @pytest.mark.processes
 @pytest.mark.parametrize('agents, name', LAYOUTS.items())
-def test_a_layout_names_only_what_a_running_mission_has(field, agents, name):
+def test_a_layout_names_only_topics_of_a_running_mission(field, agents, name):
     topics, fields = named(json.loads((ROOT / 'foxglove' / name).read_text()))
     team = [f'scout_{number}' for number in range(1, agents + 1)]
     assert set(topics) == {

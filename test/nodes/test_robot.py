@@ -398,7 +398,7 @@ def test_a_robot_without_power_anywhere_reports_its_walk_once(request):
         where['at home' if is_home else 'in the field'] += 1
         field.until(lambda: fleet.state().startswith('taking paths'), 'robot at home')
     print(where)
-    # Each start says again what all before it said, in the same words: see `wait_for_report`.
+    # Each start repeats all earlier reports: see `wait_for_report`.
     for number in range(1, len(CUTS) + 1):
         told = {str(each.readings) for each in reports if each.deployment.sec == number}
         assert len(told) == 1

@@ -133,7 +133,7 @@ def test_rclpy_is_of_jazzy():
     assert '<version>7.1.' in text, 'rclpy.experimental may be another'
 
 
-def test_nodes_hold_what_they_held():
+def test_nodes_have_the_expected_private_attributes():
     rclpy.init(args=[])
     node = rclpy.create_node('here')
     assert node._parameter_overrides == {}, 'see nodes/runtime/declared.py'

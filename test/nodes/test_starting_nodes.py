@@ -95,7 +95,7 @@ CANNOT_START = [
 @pytest.mark.parametrize('refused', [
     CANNOT_START[::4], pytest.param(CANNOT_START, marks=pytest.mark.full)
 ], ids=['some', 'all'])  # fmt: skip
-def test_a_node_that_cannot_start_says_why_in_one_line(run, tmp_path, refused):
+def test_a_failing_start_is_explained_in_one_line(run, tmp_path, refused):
     files = [(name, 'no.yaml', 'parameter file no.yaml: No such file or') for name in NODES]
     cannot = [given.replace('FOLDER', str(tmp_path)) for _, given, _ in refused]
     commands = [
@@ -111,7 +111,7 @@ def test_a_node_that_cannot_start_says_why_in_one_line(run, tmp_path, refused):
 
 
 @for_each('name', NODES)
-def test_a_node_that_cannot_start_says_why_on_diagnostics(field, name):
+def test_a_failing_start_is_explained_on_diagnostics(field, name):
     field.start(name, {'max_steps': 0, 'compression': 'lzma', 'file': '/'}, '/m')
     code, told = field.until_failed(f'/m/{name}')
     assert code == 2

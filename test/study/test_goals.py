@@ -136,7 +136,7 @@ def test_stopped_missions_have_the_stated_numbers(certificates):
 
 
 @pytest.mark.slow
-def test_a_mission_that_stops_is_the_beginning_of_one_that_goes_on(asked, lanes, certificates):
+def test_a_stopped_mission_is_the_start_of_a_longer_one(asked, lanes, certificates):
     [team] = certificates.scenario.teams
     for number in range(asked.trials):
         stopped, whole = (

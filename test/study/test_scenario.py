@@ -13,7 +13,7 @@ import yaml
 SHIPPED = Path(__file__).parents[2] / 'scenarios'
 
 
-def test_a_scenario_is_what_its_file_says(tmp_path):
+def test_a_scenario_equals_its_file(tmp_path):
     content = {**small_study.CONTENT, 'believed_lethality': 1}
     scenario = read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
     assert scenario.trials == 3

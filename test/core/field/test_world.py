@@ -327,7 +327,7 @@ def test_a_last_contact_is_never_wrong():
     assert len({made.observation.steps_survived for made in heard}) > 3
 
 
-def test_certain_contact_tells_each_step():
+def test_certain_contact_states_each_step():
     for made in runs(Execution(contact=1.0)):
         if not made.observation.survived:
             assert made.observation.steps_survived == made.steps_made

@@ -292,7 +292,7 @@ def test_certain_cells_are_sampled(malfunction, lethality, seed):
     np.testing.assert_allclose(found.belief.joint, exact, rtol=0, atol=0.02)
 
 
-# What holds exactly
+# Exact properties
 
 
 def test_without_losses_the_posterior_is_exact():
