@@ -82,21 +82,21 @@ MAX_UNHEARD = 1000
 class DeploymentInFlight:
     """A deployment in flight: sent, and neither reported nor refused."""
 
-    # Its cells, shape (steps + 1,).
+    # Cells of the path, shape (steps + 1,).
     path: NDArray[np.intp]
     # Hash of the message that sent it.
     content: int
-    # Whether that message is on disk, so that the agent may accept it.
+    # Whether the path is on disk, so that the agent may accept it.
     is_recorded: bool = False
     # Hash of the status that reports the departure; None before.
     departure: int | None = None
-    # Whether it is known to have departed.
+    # Whether the robot is known to have departed.
     has_departed: bool = False
     # Hash of the path recorded in its place, until that path arrives.
     recorded_content: int | None = None
     # When it times out, nanoseconds; None until it has departed and the clock runs.
     due: int | None = None
-    # Whether it had timed out at the last check.
+    # Whether the deployment had timed out at the last check.
     is_overdue: bool = False
 
 

@@ -44,11 +44,11 @@ class Obstacle(Enum):
 class AgentPresence(NamedTuple):
     """The state of an agent, as the planner sees it."""
 
-    # Whether a node answers for it.
+    # Whether a node answers for the agent.
     is_present: bool
-    # Whether it reports when its robots depart.
+    # Whether the agent reports departures.
     says_status: bool
-    # Whether it refused its last order, and must not be sent another one yet.
+    # Whether the agent refused its last order, and must not be sent another one yet.
     is_left_alone: bool
 
 
@@ -77,7 +77,7 @@ class PlannerState:
     estimators: int
     # Whether the decision on the newest belief is ready, so that robots can be planned.
     is_decided: bool
-    # Whether that decision is being computed.
+    # Whether the decision is being computed.
     is_deciding: bool
     # Returns why the goal or the stops end the mission; empty if they do not.
     why_over: Callable[[], str]

@@ -56,7 +56,7 @@ class Parameter:
     word: str = ''
     # A regular expression that a text must match; empty for any text.
     pattern: str = ''
-    # Whether it is fixed once the node runs.
+    # Whether the value is fixed once the node runs.
     read_only: bool = True
     # Whether an agent may have its own value, as ``team.AGENT.NAME``; NAME is `of_agent`.
     per_agent: bool = False

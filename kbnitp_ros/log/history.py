@@ -38,7 +38,7 @@ class Moment:
     snapshot: Snapshot
     # When it was received, nanoseconds.
     time: int
-    # Its position in the log, bytes.
+    # Position of the belief in the log, bytes.
     position: int
     # Index of the deployment assimilated last; None for the prior.
     deployment: int | None = None

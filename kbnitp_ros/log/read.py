@@ -99,7 +99,7 @@ class LoggedMessage:
     data: bytes
     # An object with the fields of its type, as the file defines it.
     message: Any
-    # Its content, converted by the role of its topic.
+    # Content of the message, converted by the role of the topic.
     said: Any = None
 
 

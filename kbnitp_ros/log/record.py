@@ -208,7 +208,7 @@ class RecordedMission(MissionRecord):
         super().__init__(grid, max_steps, robot_types)
         # Start of the mission whose paths are taken, nanoseconds; None for all missions.
         self.mission = mission
-        # Its first belief, if it was read.
+        # First belief of the mission, if it was read.
         self.prior: Snapshot | None = None
         # Maximum number of steps of all robots, and of agents with their own limit.
         self._rules = [(max_steps, own_steps(robot_types))]

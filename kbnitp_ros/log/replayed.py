@@ -34,11 +34,11 @@ class Difference:
     field: str
     # The difference in words.
     text: str
-    # Largest absolute difference of its numbers; NaN without numbers.
+    # Largest absolute difference of the field's numbers; NaN without numbers.
     largest: float = nan
-    # Whether it is within the rounding of other processors.
+    # Whether the difference is within the rounding of other processors.
     is_rounding: bool = False
-    # Its place in a map.
+    # Cell of the map with the difference.
     cell: int | None = None
 
     def __str__(self) -> str:
@@ -135,13 +135,13 @@ class Grade(IntEnum):
 class BeliefFinding:
     """A finding on a recorded belief, or on a view of one."""
 
-    # Its topic.
+    # Topic of the message.
     topic: str
     # Index of the message in its topic.
     index: int
-    # The deployment that it assimilated last; None for a prior.
+    # The deployment that the belief assimilated last; None for a prior.
     deployment: DeploymentKey | None
-    # Its differences from the computed belief.
+    # Differences from the computed message.
     differences: tuple[Difference, ...] = ()
     # Reason why the belief was not compared; empty if it was.
     reason: str = ''

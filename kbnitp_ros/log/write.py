@@ -35,11 +35,11 @@ class Topic:
     """A topic of the log."""
 
     definition: Definition
-    # The metadata of its channel.
+    # Metadata of the channel.
     metadata: dict[str, str]
     # Number of messages written, to all parts.
     messages: int = 0
-    # Its number in the current part.
+    # Number of the channel in the current part.
     channel: int = 0
 
 

@@ -217,7 +217,7 @@ class Site:
 
     # A data URI with a PNG file of at most `MAX_PIXELS` pixels a side, the top row first.
     source: str
-    # Its extent along and across the map's rows.
+    # Extent of the image along and across the map's rows.
     width: float
     height: float
     # The lower-left corner.

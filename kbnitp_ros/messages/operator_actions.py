@@ -45,14 +45,14 @@ OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
 class OperatorAction:
     """An action of the operator."""
 
-    # Its time, nanoseconds of ROS time, different for each action.
+    # Time of the action, nanoseconds of ROS time, different for each action.
     stamp: int
     action: Action
     # Number of robots sent by then.
     robots_left: int
     # Paths of the robots concerned.
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
-    # Of a robot that is given up: number of steps that it is known to have survived.
+    # Number of steps that a robot given up is known to have survived.
     steps_survived: int = 0
 
     def __str__(self) -> str:

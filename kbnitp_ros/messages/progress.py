@@ -94,7 +94,7 @@ QUANTILES = (5, 25, 50, 75, 95)
 class Known:
     """The belief about a learnt number after some deployments."""
 
-    # Its mean and standard deviation.
+    # Mean and standard deviation of the number.
     mean: float
     sd: float
     # One for each of `QUANTILES`.

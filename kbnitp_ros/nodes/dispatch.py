@@ -219,7 +219,7 @@ class Dispatch:
             self._node.diagnostics.refuse(f'{agent}/recorded', error)
             return
         if self.in_flight.record(key, message.content):
-            # Its publisher keeps it for nodes that join later.
+            # The publisher keeps the path for nodes that join later.
             self._node.destroy_subscription(self._sent_paths[agent])
             self._sent_paths[agent] = self._hear_paths(agent)
         self.tell_departures()

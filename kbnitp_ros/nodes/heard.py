@@ -42,7 +42,7 @@ class HeardTopic:
     # Full names; a topic has one type.
     name: str
     type_name: str
-    # Its role in the mission; None if it has none.
+    # Role of the topic in the mission; None if it has none.
     role: Role | None = None
     # One subscription for each reliability and durability offered. A publisher that returns with
     # another profile gets a further subscription, so that no message is lost during a change and
@@ -184,7 +184,7 @@ class Inquiry:
     """A request for all parameters of one node."""
 
     def __init__(self, node: Node, name: str, tell: Tell, refuse: Refuse) -> None:
-        # Whether it has an answer, or has been given up.
+        # Whether the request has an answer, or has been given up.
         self.over = False
         self._node = node
         self._name = name

@@ -88,7 +88,7 @@ class RobotNode(FieldNode):
         # Current problems by subject, and those that were logged.
         self._troubles = {self._source: 'nothing was heard yet'}
         self._is_driving = False
-        # Whether it has reported a departure that is not on record yet.
+        # Whether a departure was reported that is not on record yet.
         self._is_at_gate = False
         # End of the last goal as seen here, in nanoseconds; 0 before.
         self._ended_at = 0

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-# One in so many beliefs names all its evidence, so that a reader who lost one can catch up.
+# Beliefs per belief that names all its evidence, so that a reader who lost one can catch up.
 COMPLETE_EVERY = 64
 
 

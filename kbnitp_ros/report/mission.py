@@ -65,9 +65,9 @@ class DeploymentSummary:
     """A deployment whose path is on record."""
 
     key: DeploymentKey
-    # Its orders, shape (steps + 1,).
+    # Cells of the orders, shape (steps + 1,).
     path: NDArray[np.intp]
-    # Its final outcome; None if the robot was still in flight.
+    # Final outcome; None if the robot was still in flight.
     outcome: Observation | None
     # When its path and its first report were received, in nanoseconds; None if unknown.
     sent: int | None

@@ -67,10 +67,10 @@ class Column(NamedTuple):
     heading: str
     # In a row.
     name: str
-    # None for metres.
+    # Decimals; None for metres.
     decimals: int | None = 0
     is_text: bool = False
-    # Whether it is hidden on a phone.
+    # Whether the column is hidden on a phone.
     is_minor: bool = False
 
     @property
@@ -470,7 +470,7 @@ def moment_facts(
     place: int,
     out: NDArray[np.intp],
 ) -> Iterator[tuple[str, str]]:
-    """Yield what there is to say of a moment, each with what it is."""
+    """Yield the facts of a moment, as pairs of a name and a text."""
     moment = mission.moments[place]
     yield 'time', datetime.fromtimestamp(moment.time / SECOND, timezone.utc).strftime('%F %T UTC')
     if moment.deployment is not None and moment.outcome is not None:

@@ -22,9 +22,9 @@ class Link(NamedTuple):
 
     # The parent frame.
     parent: str
-    # Its origin there, in metres, shape (3,).
+    # Origin of the frame in its parent, in metres, shape (3,).
     translation: NDArray[np.float64]
-    # Its rotation there, a unit quaternion x, y, z, w, shape (4,).
+    # Rotation of the frame in its parent, a unit quaternion x, y, z, w, shape (4,).
     rotation: NDArray[np.float64]
     # Since when, nanoseconds; None if it is static.
     stamp: int | None

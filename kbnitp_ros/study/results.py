@@ -222,7 +222,7 @@ def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
 def means_after(
     series: NDArray[np.float64], robots: Sequence[int]
 ) -> list[dict[str, float | None]]:
-    """Return the means of a series after so many robots, ready for JSON."""
+    """Return the means of a series after each number of robots, as JSON values."""
     return [as_json(bootstrap_mean(series[:, after])) for after in robots]
 
 

@@ -24,7 +24,7 @@ import numpy as np
 class RoundCase(Field):
     """A field that robots share."""
 
-    # Two to four, some with limits and numbers of their own; those of one type are one.
+    # Two to four robots, some with limits and numbers of their own.
     robots: tuple[TeamMember, ...]
     # The same when another one has left before.
     after: tuple[TeamMember, ...]

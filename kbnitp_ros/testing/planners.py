@@ -14,7 +14,7 @@ import numpy as np
 
 Planner = Callable[[PathFinder, Objective], list[Candidate]]
 
-# Values closer than so many nats are ties: planners round.
+# Maximum difference of tied values, nats: planners round.
 VALUE = 1e-6
 
 

@@ -292,7 +292,7 @@ class Lane:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """Check that a lane of so many steps can reach the cell."""
+        """Check that a lane of at most `max_steps` steps can reach the cell."""
         if self.to == grid.base:
             raise ValueError(f'goal is cell {self.to}, the base: choose another cell')
         check_way(grid, grid.base, self.to, max_steps)
@@ -427,7 +427,7 @@ def readings_on(
 
 
 def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Path]:
-    """Return the lanes with the highest probability to be free, at most so many."""
+    """Return the `count` lanes with the highest probability to be free."""
     p_free = draws.are_free(lanes) @ draws.weight
     best = np.argsort(-np.round(p_free, DECIMALS), kind='stable')[:count]
     return [lanes[lane] for lane in best.tolist()]

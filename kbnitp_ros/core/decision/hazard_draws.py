@@ -155,7 +155,7 @@ class Target(NamedTuple):
     looks: int
     # Number of positive readings.
     found: int
-    # Probability that so many looks all miss a target, in [0, 1]; 1 without any.
+    # Probability that all these readings miss a target, in [0, 1]; 1 without readings.
     missed: float
 
 

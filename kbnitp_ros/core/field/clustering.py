@@ -12,9 +12,9 @@ from kbnitp_ros.core.field.unknowns import Bins
 import numpy as np
 from numpy.typing import NDArray
 
-# Fields up to so many cells across are summed exactly.
+# Maximum width of a field that is summed exactly, in cells.
 MAX_ACROSS = 16
-# Wider ones are combined from strips of so many columns.
+# Width of the strips that wider fields are combined from, in cells.
 STRIP = 12
 
 

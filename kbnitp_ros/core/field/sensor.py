@@ -197,7 +197,7 @@ ORDINARY = RobotType()
 
 
 def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, ...]:
-    """Return the type of each of so many robots."""
+    """Return the type of each robot."""
     if robot_types and len(robot_types) != robots:
         raise ValueError(
             f'robot_types has {len(robot_types)} values: it must have one for each of {robots}'

@@ -398,7 +398,7 @@ class OnePass:
     lost: Callable[
         [NDArray[np.float64], SensorModel, Visits, NDArray[np.float64] | None], NDArray[np.float64]
     ]
-    # Whether it updates kappa; without that a mission starts from kappa := target.
+    # Whether the method updates kappa; otherwise a mission starts from kappa := target.
     correlated: bool
     # Kinds of `Dynamics` besides static hazards. For hazards that are used up the exact likelihood
     # replaces `lost`.

@@ -114,7 +114,7 @@ def assimilated(
         ]
         chances = np.stack([moved.sum(axis=(1, 2)), target.sum(axis=1), *shifted])
         return normalised(moved, joint), safe_log(chances).sum(axis=1)
-    # Of cells with so many visits before, (n, visits, particles): these survived, and then lost.
+    # Chance to survive each number of visits, and then to be lost, (n, visits, particles).
     spared = np.stack(
         [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
     )

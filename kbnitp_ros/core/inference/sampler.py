@@ -160,7 +160,7 @@ class Sampler:
         return hazardous, [model for _, models in drawn for model in models][:count]
 
     def _after_sweeps(self, count: int, rng: np.random.Generator) -> Iterator[Chains]:
-        """Yield the chains after each of the sweeps needed for so many draws."""
+        """Yield the chains after each of the sweeps needed for `count` draws."""
         chains = Chains(self._hypotheses, self._tally, self._state, rng)
         for _ in range(-(-count // CHAINS)):
             chains.sweep()

@@ -50,7 +50,7 @@ MIN_SURVIVAL = 1e-100
 
 @dataclass(eq=False)
 class Cuts:
-    """The cuts of paths of so many steps."""
+    """The cuts of paths with one number of steps."""
 
     # Number of steps of each path.
     steps: int

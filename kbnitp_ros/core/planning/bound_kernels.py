@@ -26,9 +26,9 @@ class Walks(NamedTuple):
 
     # Ranks of the cells one step away, -1 for none, shape (cells, 9).
     neighbors: Any
-    # Number of cells within so many steps of the base, up to half of them, shape (max_steps + 1,).
+    # Number of cells within t steps of the base, t up to half of all, shape (max_steps + 1,).
     within: Any
-    # W, r and r2 of so many visits, shape (cells, visits + 1, 3).
+    # W, r and r2 by number of visits, shape (cells, visits + 1, 3).
     added: Any
     # Maximum visits of each cell, shape (cells,).
     most: Any
@@ -133,7 +133,7 @@ def minimise(
 
 
 class Region(NamedTuple):
-    """Limits on the sums of paths of so many steps (:eq:`bound-cut`)."""
+    """Limits on the sums of paths with one number of steps (:eq:`bound-cut`)."""
 
     # Highest survival of these paths, q = s0^steps, and the lowest allowed.
     safest: float

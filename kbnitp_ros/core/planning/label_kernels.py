@@ -38,7 +38,7 @@ class Reach(NamedTuple):
     # Ranks of the cells one step away, -1 for none; columns j and 8 - j lead into opposite
     # directions; shape (n, 9).
     neighbors: Places
-    # After so many steps the robot is in one of the first so many cells, shape (max_steps + 1,).
+    # Number of cells that a robot can be in after each number of steps, shape (max_steps + 1,).
     within: Places
     # Start of each step's cells in arrays by step and cell, and their length, shape (max_steps +
     # 2,).
@@ -199,7 +199,7 @@ def visit(
 
 @compiled
 def new_products(rows: int, gains: Gains) -> Products:
-    """Return empty arrays for the factors and terms of so many labels."""
+    """Return empty arrays for the factors and terms of `rows` labels."""
     return Products(np.empty((rows, gains.factor.shape[2])), np.empty((rows, gains.term.shape[2])))
 
 
@@ -218,7 +218,7 @@ def new_labels(cells: int, width: int, gains: Gains) -> Labels:
 
 @compiled
 def new_ranking(places: int, is_limited: bool) -> Ranking:
-    """Return an empty ranking of so many extensions."""
+    """Return an empty ranking of `places` extensions."""
     lengths = np.empty(places if is_limited else 0)
     return Ranking(
         np.empty(places), np.empty(places, np.int64), lengths, np.empty(places, np.int64)

@@ -192,7 +192,7 @@ class LabelSearch:
     def _traced(
         self, origins: NDArray[np.int32], values: Floats, count: int
     ) -> tuple[Places, Places]:
-        """Return the paths of so many of the best labels at the base."""
+        """Return the paths of the best `count` labels at the base."""
         best = np.argsort(-values, axis=None, kind='stable')[:count]
         steps, slots = np.divmod(best[values.flat[best] > -inf], values.shape[1])
         paths = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)

@@ -66,7 +66,7 @@ def most_counted(cameras: int) -> int | None:
 
 
 def check_cameras(cameras: int) -> None:
-    """Check that so many different cameras can be planned for."""
+    """Check that there are at most `MAX_CAMERAS` different cameras."""
     if cameras > MAX_CAMERAS:
         raise ValueError(
             f'the robots have {cameras} different cameras: paths can be planned for at most '
@@ -288,7 +288,7 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
 
 
 def count_powers(alpha: float, outcomes: int) -> int:
-    """Return the number of powers in the labels of a search with so many outcomes."""
+    """Return the number of powers in the labels of a search, by its joint outcomes."""
     return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
 
 

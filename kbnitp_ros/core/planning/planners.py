@@ -82,7 +82,7 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
     return cells[::-1]
 
 
-# Number of restarts of a walk of so many steps that gets stuck.
+# Maximum number of restarts of a random walk that gets stuck.
 ATTEMPTS = 100
 
 # Maximum bytes for counting the ways home.

@@ -46,7 +46,7 @@ class Activity(Enum):
 class NodeState(NamedTuple):
     """The activity of a node, with a description."""
 
-    # Its activity.
+    # Activity of the node.
     activity: Activity
     # The description for diagnostics and the console.
     sentence: str

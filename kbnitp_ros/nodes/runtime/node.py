@@ -45,7 +45,7 @@ POLL = 0.05
 PATIENCE = 2.0
 MAX_EARLY = 20
 
-# After a look at the graph, the node pauses looking for so many times as long as it took.
+# Pause after a look at the graph, in multiples of the time that the look took.
 REST = 4.0
 
 # Seconds that a node waits for the readers of its last messages, which may have died.
@@ -78,7 +78,7 @@ class MissionNode(GraphNode):
         # In the namespace of its own name, an agent's topics are not below that name again.
         own = self.values.get('agent', '')
         self.above = self.get_namespace().rstrip('/').removesuffix(f'/{own}')
-        # Its topics by role, stated in its parameters.
+        # Topics of the node by role, stated in its parameters.
         self.roles = Roles.of(
             self.above,
             [own] if own else self.values['agents'],
@@ -87,7 +87,7 @@ class MissionNode(GraphNode):
         )
         state(self, self.roles.names)
         self.diagnostics = Diagnostics(self)
-        # Whether its work is done, so that the process ends, and the exit code.
+        # Whether the node's work is done, so that the process ends, and the exit code.
         self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
