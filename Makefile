@@ -74,6 +74,7 @@ check: .venv/.dev
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
+	.venv/bin/python3 tools/prose.py
 	.venv/bin/ament_flake8 kbnitp_ros launch test setup.py
 	.venv/bin/ament_pep257 kbnitp_ros launch test setup.py
 	.venv/bin/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
