@@ -103,7 +103,7 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
 
 def launch_argument(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
     """Return the launch argument of a parameter's name."""
-    description = f'{parameter.description} Empty for what params_file says.'
+    description = f'{parameter.description} Empty: the value in params_file.'
     return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
 
 
@@ -238,7 +238,7 @@ class MissionArguments:
                 # The only way to an exit code of launch other than 0.
                 failures = ', '.join(self._failures)
                 self._failures.clear()
-                raise RuntimeError(f'the mission failed: {failures}; see above what was said')
+                raise RuntimeError(f'the mission failed: {failures}; see the output above')
             return Shutdown() if ends_mission else None
 
         def make(resume: str) -> Node:

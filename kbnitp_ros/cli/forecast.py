@@ -130,8 +130,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--out',
         metavar='DIR',
         type=Path,
-        help='folder to make for the figure and a table with a row for each number of robots; it '
-        'may be there if it is empty',
+        help='new or empty folder for the figure and a table with a row for each number of robots',
     )
     return parser.parse_args(argv)
 

@@ -106,7 +106,7 @@ def make_execution(values: Mapping[str, Any]) -> Execution:
     if values['silent_loss'] and values['contact_probability'] > 0.0:
         raise ValueError(
             f'contact_probability is {values["contact_probability"]}, and silent_loss is true: '
-            'simulated robots that are lost in silence were not heard before either; set one of '
+            'simulated robots either report their steps or are silent; set one of '
             'them'
         )
     return Execution(

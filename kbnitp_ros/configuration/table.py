@@ -57,7 +57,7 @@ TABLE = (
     Parameter(
         'unknown_blocks',
         True,
-        'Whether robots keep off cells of which the map does not know a part.',
+        'Whether robots avoid cells that are partly unknown in the map.',
         GRID,
     ),
     Parameter('grid.width', 9, 'Cells along x.', GRID, limits=(1, MAX_SIDE)),
@@ -369,7 +369,7 @@ TABLE = (
     Parameter(
         'max_visits',
         3,
-        'Most visits of a path to one cell.',
+        'Maximum visits of a path to one cell.',
         ('planner',),
         limits=(1, 10_000),
         read_only=False,
@@ -562,7 +562,7 @@ TABLE = (
     Parameter(
         'await_nodes',
         ('agent', 'estimator'),
-        'Who must listen to the paths before the first is sent: '
+        'Subscribers of the paths to await before the first is sent: '
         'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
         ('planner',),
         element=str,
@@ -571,7 +571,7 @@ TABLE = (
     Parameter(
         'await_nodes',
         ('planner',),
-        'Who must listen to the belief before the first is published: '
+        'Subscribers of the belief to await before the first is published: '
         'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
         ('estimator',),
         element=str,
@@ -580,7 +580,7 @@ TABLE = (
     Parameter(
         'await_nodes',
         ('planner', 'estimator'),
-        'Who must listen to the reports before the first robot leaves: '
+        'Subscribers of the reports to await before the first robot leaves: '
         'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
         ('agent', 'robot'),
         element=str,

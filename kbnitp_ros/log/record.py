@@ -120,8 +120,7 @@ class Departures:
             )
         if self.is_at_base(key) and key not in self._reported:
             raise AtBaseError(
-                f'deployment {key} is reported lost, and its agent has not said that its robot '
-                'departs'
+                f'deployment {key} is reported lost, and its agent has not reported its departure'
             )
 
 

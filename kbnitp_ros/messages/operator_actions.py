@@ -153,7 +153,7 @@ class OperatorState:
         times = sum(each.action == what for each in self.actions.values())
         if what in REPEATED and times >= MAX_TIMES:
             raise ValueError(
-                f'{what.name} was taken {times} times, and is not again: the service end_mission '
+                f'{what.name} was taken {times} times, the maximum: the service end_mission '
                 'ends this mission; begin another one'
             )
 

@@ -385,8 +385,8 @@ class RobotNode(FieldNode):
         way_back = steps_back * spent / max(len(deployment.steps), 1)
         if not itinerary.heads_home and 0 < budget <= spent + way_back:
             self.get_logger().warning(
-                f'{self._key(deployment)}: of {budget} s (parameter time_budget) what the way '
-                'back takes is left; going home'
+                f'{self._key(deployment)}: {budget} s (parameter time_budget) leave no more '
+                'than the time of the way back; going home'
             )
             self._driver.cancel()
             self._is_driving = False

@@ -317,7 +317,7 @@ class Scenario:
     def goal(self, strategy: Strategy) -> Goal | None:
         """Return the goal of a strategy's flights; None for a map."""
         if self.asked is None and strategy.goal != 'map':
-            raise ValueError(f'robots are sent for {strategy.goal}, and nothing is asked for')
+            raise ValueError(f'robots are sent for the goal {strategy.goal}: give its cells')
         return self.asked.goal_for(strategy.goal) if self.asked is not None else None
 
     def options(self, strategy: Strategy) -> SearchOptions:
@@ -359,7 +359,9 @@ class Scenario:
             rates = {name: getattr(hazards, name) for name in names}
             for name, rate in rates.items():
                 if rate and kind not in kinds:
-                    raise ValueError(f'{name} is {rate}: no hazards are {kind} or believed to be')
+                    raise ValueError(
+                        f'{name} is {rate}: neither worlds nor teams have {kind} hazards'
+                    )
             if kind in kinds and not any(rates.values()):
                 raise ValueError(f'{kind} ones need a rate: {" or ".join(names)}')
         for method, team in self.contenders:

@@ -289,7 +289,7 @@ def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
 
 LAWS: dict[str, Callable[[Method, MissionCase], None]] = {
     'each belief is a distribution in every cell, and is not changed later': is_a_distribution,
-    'it can do and knows what an estimator asks of it': can_be_used,
+    'it has the methods and attributes that an estimator uses': can_be_used,
     'before the first deployment it believes the hazards and targets of the prior': (
         begins_with_the_prior
     ),

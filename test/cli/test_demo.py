@@ -422,7 +422,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
     (['--set', 'grid.blocked=[1, 9, 10]'], 'scout_1 cannot leave .*cell 0: no other cell can be'),
     (['--size', '1'], 'scout_1 cannot leave their base, cell 0: no other cell can be entered'),
-    (['--max-steps', '1'], 'scout_1 cannot leave their base, cell 0: max_steps is 1, and 2 lead'),
+    (['--max-steps', '1'], 'scout_1 cannot leave their base, cell 0: max_steps is 1: the way'),
     (['--set', 'keep_running=false'], 'the demo decides keep_running by itself'),
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
     (['--set', 'learn.numbers=[lethalty]'], "learn.numbers is 'lethalty': did you mean lethality"),

@@ -103,4 +103,4 @@ def test_a_log_in_which_all_robots_were_sent_is_refused(tmp_path, capsys):
 def test_numbers_are_whole_and_from_1(option, capsys):
     with pytest.raises(SystemExit):
         main([option, '0'])
-    assert 'no whole number of at least 1' in capsys.readouterr().err
+    assert 'must be a whole number of at least 1' in capsys.readouterr().err

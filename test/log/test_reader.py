@@ -151,7 +151,9 @@ def test_corrupt_logs_are_read_correctly_or_raise_an_error(
     if what == 'flip' and (in_chunk or (name != 'unfinished.mcap' and place < whole[-1][1])):
         assert f'{path} is corrupt after byte ' in str(error)
         if in_chunk:
-            assert len(read) == before
+            # Some bits of a zstd frame carry nothing: then all is read, up to the file's checksum.
+            unchanged = name == 'compressed.mcap' and len(read) == len(whole_mission.sent)
+            assert len(read) == before or unchanged
             assert is_prefix(read, whole_mission.sent)
         with pytest.raises(LogError, match='is corrupt after byte'):
             LogWriter(path, resume=True)

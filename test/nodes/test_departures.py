@@ -62,7 +62,7 @@ def test_a_robot_at_its_base_is_never_lost(field):
     key, cells = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
     base.reports['scout_1'].publish(report_message(key, Observation(cells, False), key.stamp + 1))
     for node in ('/planner', '/estimator', '/recorder'):
-        refusal = 'is reported lost, and its agent has not said that its robot departs'
+        refusal = 'is reported lost, and its agent has not reported its departure'
         field.until(lambda name=node, said=refusal: said in field.said(name), f'refusal by {node}')
     base.crash()
     base.until_state('to depart: its agent reports that on /scout_1/status')

@@ -205,7 +205,7 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     report = fleet.wait_for_report(reports, fleet.send(1, WAY_ROUND))
     fleet.see_that_it_is_true(report)
     assert is_out_and_back(report)
-    assert '(parameter time_budget) what the way back takes is left' in field.said(
+    assert '(parameter time_budget) leave no more than the time of the way back' in field.said(
         '/scout_1/robot'
     )
 

@@ -215,7 +215,7 @@ def test_without_a_decision_there_are_no_measures_of_it(scenario, results):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('changes, named', [
-    ({'teams': [{'goal': 'lane'}]}, 'asked: robots are sent for lane, and nothing is asked'),
+    ({'teams': [{'goal': 'lane'}]}, 'asked: robots are sent for the goal lane: give its cells'),
     (
         {'asked': {'goal': 'area', 'cells': [3]}, 'teams': [{'goal': 'lane'}]},
         'sent for lane, and area is asked',
@@ -331,7 +331,7 @@ def test_rows_are_named_by_the_belief(scenario):
 
 @for_each('key, value, told', [
     ('hazards', {'dynamics': 'odd'}, "'odd': it must be one of static, changing, used_up"),
-    ('hazards', {'appear': 0.1}, 'hazards: appear is 0.1: no hazards are changing'),
+    ('hazards', {'appear': 0.1}, 'hazards: appear is 0.1: neither worlds nor teams have changing'),
     ('hazards', {'dynamics': 'changing'}, 'hazards: changing ones need a rate'),
     ('hazards', {'layout': 'odd'}, "'odd': it must be one of independent, blobs, rows"),
     ('hazards', {'dynamics': 'used_up'}, 'hazards: .* does not take hazards that are used_up'),
