@@ -144,6 +144,9 @@ def test_corrupt_logs_are_read_correctly_or_raise_an_error(
         after = [message.data for message in read_log(path)]
         assert after == [each.data for each in [*read, *whole_mission.sent[:2]]]
         return
+    if what == 'repeat':
+        # A chunk that stands twice as a whole is valid; nodes take its messages for duplicates.
+        read = list({(one.topic, one.publish_time, one.data): one for one in read}.values())
     if error is None:
         assert is_prefix(read, whole_mission.sent)
         assert len(read) == len(whole_mission.sent) or name == 'unfinished.mcap'
