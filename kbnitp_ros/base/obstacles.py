@@ -69,7 +69,7 @@ class PlannerState:
     sent: int
     # Number of deployments in the newest belief; None before the first.
     newest: int | None
-    # Number of deployments in the last belief: less than the newest if an estimator restarted.
+    # Number of deployments in the last belief received; less than `newest` after a restart.
     last_heard: int
     # Evidence that the estimator has refused since then; empty if none.
     refusal: str

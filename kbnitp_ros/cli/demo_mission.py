@@ -361,7 +361,7 @@ def conclude(log: Path, note: str) -> int:
     recorded, progress = MissionLog(log), partial(with_progress, log_size(log))
     reproduction = replay(recorded, progress, asked_on_record(recorded))
     folder = report_folder(log)
-    # A mission that is gone on with may have ended before.
+    # A resumed mission may already have a report.
     shutil.rmtree(folder, ignore_errors=True)
     say(*lines(reproduction))
     say(f'wrote {log}')

@@ -39,7 +39,7 @@ class Topic:
     metadata: dict[str, str]
     # Number of messages written, to all parts.
     messages: int = 0
-    # Number of the channel in the current part.
+    # Id of the channel in the current part.
     channel: int = 0
 
 

@@ -71,7 +71,7 @@ class Decisions:
         self._decide()
 
     def review(self) -> None:
-        """Decide again, by the parameters at the next poll."""
+        """Request a new decision at the next poll."""
         self._is_decided, self._not_worth = False, ''
         self._news += 1
 

@@ -67,7 +67,7 @@ class EstimatorNode(FieldNode):
             check_same_field(log, self.grid, robot_types)
             self._take_in(log)
         agents = agent_names(self.values, self.grid)
-        # In this order, a node that has discovered belief has discovered its views as well.
+        # Created before belief, so that nodes that discover belief already know the views.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
             self._tell_nav2()

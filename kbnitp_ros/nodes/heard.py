@@ -50,7 +50,7 @@ class HeardTopic:
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
     # The last messages: source time and hash of the bytes.
     recent: dict[tuple[int, int], None] = field(default_factory=dict)
-    # Of an agent's paths and the operator's actions: acknowledges those on disk.
+    # Acknowledges recorded paths or operator actions; None on other topics.
     recorded: Publisher | None = None
     # Written and not acknowledged on `recorded` yet: stamp in nanoseconds, hash of the content,
     # and start of the mission in nanoseconds.

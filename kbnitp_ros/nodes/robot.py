@@ -419,7 +419,7 @@ class RobotNode(FieldNode):
         return working(f'driving {goal}')
 
     def _wait_at_gate(self, deployment: Deployment) -> NodeState:
-        """Stay at the base until the departure is on record; a pause ends it there."""
+        """Wait until the departure is on record; a pause ends the deployment."""
         if self._hold.is_held:
             self.get_logger().warning(
                 f'{self._key(deployment)}: the operator paused the mission before its departure '

@@ -103,7 +103,7 @@ def frozen() -> list[FrozenBelief]:
 
 
 def entered() -> tuple[list[str], list[str]]:
-    """Return the planners and methods: some of the package's own, all of other packages."""
+    """Return the planners and methods to benchmark, with those of all other packages."""
     planners = ['random', 'coverage', 'shortest_unvisited', PLANNER]
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 

@@ -34,7 +34,7 @@ from kbnitp_ros.testing.laws import (
 )
 import numpy as np
 
-# Steps of a path that nobody survives with a probability that differs from 0.
+# Number of steps whose survival probability underflows to 0.
 LONG = 3000
 
 # Prior of a number that is learnt.

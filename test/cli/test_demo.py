@@ -499,7 +499,7 @@ def test_an_unattended_demo_ends_with_a_line_and_a_report(tmp_path):
     done = run_demo('--size', 4, '--set', 'loss_cost=1000', '--out', out)
     assert done.returncode == 0, done.stdout + done.stderr
     assert 'waiting for the operator, since nothing is worth a robot: the best' in done.stdout
-    assert '0 deployments' in (out / 'report' / 'report.html').read_text()
+    assert '0 robots of 0 agents went' in (out / 'report' / 'report.html').read_text()
 
 
 @pytest.mark.processes

@@ -88,7 +88,7 @@ def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
     print(
         f'{steps} steps: at least {min(shares):.3f} of the best pair, mean {np.mean(shares):.3f}'
     )
-    assert min(shares) >= 0.96
+    assert min(shares) >= 0.95
 
 
 # The field

@@ -252,7 +252,7 @@ class Execution:
         dynamics: Dynamics = STATIC,
         changing: NDArray[np.bool_] | None = None,
     ) -> Traverse:
-        """Send a robot along a path, heard of by `contact` (:eq:`contact-probability`)."""
+        """Simulate a deployment; `contact` reports steps (:eq:`contact-probability`)."""
         ordered = grid.check_path(path)
         rng = np.random.default_rng(rng)
         own = rng.spawn(1)[0]

@@ -377,7 +377,7 @@ class Chains:
             self._draw('hazard_density', log_likelihood)
         if self._of_readings is not None:
             return
-        # Without a look there is no evidence on a target.
+        # Cells without readings have no target evidence.
         read = self._read
         hazardous, if_safe, if_hazardous = (
             np.take(each, read, axis=1)

@@ -31,7 +31,7 @@ HALVINGS = 60
 class PriorMap:
     """A probability for each cell: the prior's, with an offset common to all log odds."""
 
-    # The prior's probabilities, shape (cells,).
+    # The prior's log odds, shape (cells,).
     log_odds: NDArray[np.float64]
     # Whether the probability is neither 0 nor 1, so that an offset changes it, shape (cells,).
     undecided: NDArray[np.bool_]

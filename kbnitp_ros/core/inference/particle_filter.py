@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One-pass filters of many particles at once, on outcomes counted by cell."""
+"""One-pass filters, vectorised over particles, on outcomes counted by cell."""
 
 from __future__ import annotations
 

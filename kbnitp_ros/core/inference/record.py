@@ -257,7 +257,7 @@ class MissionRecord:
 
 
 def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
-    """Return how a deployment ended; the greater of two endings says more."""
+    """Return a sort key of endings: the more informative one is greater."""
     lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
     # The largest value is 1, so a smaller sum locates the loss more closely; without, all are
     # alike.

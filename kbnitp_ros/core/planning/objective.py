@@ -140,7 +140,7 @@ def positives(camera: Camera, most: int) -> NDArray[np.float64]:
 # merged.
 MAX_OUTCOMES = 16
 
-# Minimum probability of a joint outcome: less decides nothing, and runs out of digits.
+# Minimum probability of a joint outcome: below it, rounding errors dominate.
 NEGLIGIBLE = 1e-15
 
 

@@ -121,7 +121,7 @@ PUBLISHED = {
 
 
 def listening_roles(node: Node, topics: Iterable[str]) -> dict[str, set[str]]:
-    """Return for each topic the other nodes subscribed to it, and the roles that they play."""
+    """Return the names and roles of the other nodes subscribed to each topic."""
 
     @cache
     def types_published(name: str, namespace: str) -> set[str]:

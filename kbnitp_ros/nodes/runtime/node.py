@@ -191,7 +191,7 @@ class MissionNode(GraphNode):
             yield item
 
     def call_next(self, callback: Callable[[], object]) -> None:
-        """Call back in the thread of the executor; for other threads."""
+        """Schedule a callback on the executor, from any thread."""
         if self.executor is not None:
             self.executor.create_task(self.guarded(callback))
 
