@@ -257,6 +257,9 @@ MIN_PAUSE = 0.1
 # Seconds that the graph may take to name the author of a message.
 MAX_UNNAMED = 30.0
 
+# Seconds that an author may be in the graph without a name before it is reported without.
+MAX_NAMELESS = 1.0
+
 
 class HoldListener:
     """The planner's hold on departures: also while it is unknown, or others publish it."""
@@ -325,7 +328,9 @@ class HoldPublisher:
             return
         others = self._node.authors(self._publisher.topic_name, BOOL)
         # An own value from before the last change arrives as well.
-        if len(others) > 1:
+        # DDS knows the publishers of a node a moment before its name, if it has one.
+        is_named = NAMELESS not in others or now > self._heard_at + MAX_NAMELESS
+        if len(others) > 1 and is_named:
             self._heard_at = -inf
             self._node.diagnostics.refuse(
                 HOLD,
