@@ -327,9 +327,9 @@ class HoldPublisher:
         if now > self._heard_at + MAX_UNNAMED:
             return
         others = self._node.authors(self._publisher.topic_name, BOOL)
-        # An own value from before the last change arrives as well.
         # DDS knows the publishers of a node a moment before its name, if it has one.
         is_named = NAMELESS not in others or now > self._heard_at + MAX_NAMELESS
+        # An own value from before the last change arrives as well: then there are no others.
         if len(others) > 1 and is_named:
             self._heard_at = -inf
             self._node.diagnostics.refuse(
