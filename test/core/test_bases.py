@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots of several bases, against all closed paths from each."""
 
-from functools import cache
-
 import brute_force
 from kbnitp_ros.core import (
     ALLOCATIONS,
@@ -13,7 +11,6 @@ from kbnitp_ros.core import (
     Grid,
     Lane,
     MissionRecord,
-    Observation,
     plan,
     plan_team,
     Report,
@@ -23,7 +20,6 @@ from kbnitp_ros.core import (
     SensorModel,
     Team,
     Truth,
-    update,
     World,
 )
 from kbnitp_ros.core.planning.regions import keepout_cells
@@ -35,11 +31,6 @@ from rounds import plan_round, regions_of_team
 MODEL = SensorModel(0.5)
 CORNERS = Grid(6, 5, base=0, blocked=(9, 27), other_bases=(29,))
 HERE, THERE = RobotType(), RobotType(base=29)
-
-
-@cache
-def every_path(width, height, base, most_steps, blocked=()):
-    return brute_force.all_visit_counts(width, height, base, most_steps, blocked)
 
 
 def random_problem(seed):
@@ -63,32 +54,6 @@ def test_a_plan_from_any_base_is_that_of_the_grid_at_this_base(seed):
     alone = plan(grid.at(robot_type.base), belief, model, 6)
     assert found.path.tolist() == alone.path.tolist()
     assert (found.information, found.survival) == (alone.information, alone.survival)
-
-
-@pytest.mark.slow
-@for_each('steps', [4, 5], every=2)
-def test_greedy_pairs_of_two_bases_come_close_to_the_best_of_all_pairs(steps):
-    shares = []
-    for seed in range(30):
-        grid, belief, model, _ = random_problem(seed)
-        first, second = sorted(grid.bases)[:2]
-        blocked = tuple(sorted(grid.blocked))
-        types = RobotType(base=first), RobotType(base=second)
-        visits = [every_path(grid.width, 3, base, steps, blocked) for base in (first, second)]
-        # Pairs with one path from each base, over all paths.
-        together = brute_force.information_of_pairs(belief.joint, model, np.vstack(visits))
-        of_first = len(visits[0])
-        best = together[:of_first, of_first:].max()
-        plans = plan_round(grid, belief, model, steps, 2, types=types, max_visits=steps)
-        assert [planned.path[0] for planned in plans] == [first, second]
-        taken = np.array([np.bincount(each.path[1:], minlength=grid.cells) for each in plans])
-        share = brute_force.information_of_pairs(belief.joint, model, taken)[0, 1] / best
-        assert share <= 1.0 + 1e-9
-        shares.append(share)
-    print(
-        f'{steps} steps: at least {min(shares):.3f} of the best pair, mean {np.mean(shares):.3f}'
-    )
-    assert min(shares) >= 0.95
 
 
 # The field
@@ -189,21 +154,6 @@ def test_each_robot_of_a_mission_leaves_from_and_returns_to_its_own_base(allocat
                 assert path[0] == path[-1] == base
                 CORNERS.at(base).check_path(path)
         assert {0.0} == {*mission[-1].belief.hazard[[0, 29]].tolist()}
-
-
-@for_each('seed', range(20))
-def test_a_deployment_from_another_base_is_evidence_as_any_other(seed):
-    """Exactly, against the sum over all states, for a return and for a loss."""
-    rng = np.random.default_rng(seed)
-    grid = Grid(2, 3, base=0, other_bases=(5,))
-    belief = Belief(brute_force.random_joint(rng, 6, 0)).on(grid)
-    model = SensorModel(**brute_force.random_sensors(rng))
-    path = brute_force.random_path(rng, 2, 3, 5, 4)
-    survived = bool(seed % 2)
-    readings = rng.random(4) < 0.5 if survived else None
-    expected = brute_force.posterior(belief.joint, model, (path, readings))
-    seen = update(belief, model, Observation(path, survived, readings))
-    np.testing.assert_allclose(seen.joint, expected, rtol=0, atol=1e-9)
 
 
 def test_the_field_is_divided_by_distance_from_the_bases():

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every method, planner and allocation keeps its laws on any belief."""
 
-from math import log
-
 import brute_force
 from extent import FULL
 from hypothesis import assume, given, settings
@@ -10,10 +8,8 @@ from hypothesis import strategies as st
 from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
-    Estimator,
     METHODS,
     Observation,
-    path_information,
     PLANNERS,
     SensorModel,
     update,
@@ -90,25 +86,6 @@ def observations(draw):
     return Observation(path, True, draw(st.lists(st.booleans(), min_size=steps, max_size=steps)))
 
 
-@pytest.mark.parametrize('method', METHODS)
-@thorough
-@given(belief=beliefs(), model=models, observation=observations())
-def test_every_update_leaves_a_distribution_per_cell(method, belief, model, observation):
-    estimator = Estimator(belief, model, method)
-    try:
-        estimator.assimilate(observation)
-    except ValueError as refusal:
-        if 'impossible' not in str(refusal):
-            raise
-        assume(False)
-    after = estimator.belief
-    for probabilities in (after.joint, after.hazard, after.target, after.kappa):
-        assert ((probabilities >= 0) & (probabilities <= 1)).all()
-    np.testing.assert_allclose(after.joint.sum(axis=(1, 2)), 1, rtol=0, atol=1e-12)
-    assert after.entropy() >= 0
-    assert after.joint_entropy() >= 0
-
-
 @thorough
 @given(beliefs(), models, observations())
 def test_only_impossible_evidence_is_refused(belief, model, observation):
@@ -122,33 +99,3 @@ def test_only_impossible_evidence_is_refused(belief, model, observation):
         assert probability == 0
     else:
         assert probability > 0
-
-
-@thorough
-@given(beliefs(), models, paths)
-def test_information_is_bounded(belief, model, path):
-    information = path_information(belief, model, path)
-    steps = len(path) - 1
-    assert information >= -1e-12
-    assert information <= log(2) * (1 + steps) + 1e-12  # bits of the fate and the readings
-    assert information <= belief.joint_entropy() + 1e-9  # total entropy
-
-
-@thorough
-@given(beliefs(), models, paths)
-def test_information_is_the_expected_fall_of_uncertainty_at_one_cell(belief, model, path):
-    """With one uncertain cell nothing is correlated: entropies add up exactly."""
-    joint = belief.joint.copy()
-    joint[2:] = [[1, 0], [0, 0]]
-    joint[0] = [[1, 0], [0, 0]]
-    path = [min(cell, 1) for cell in path[:6]] + [0]
-    before, after = Belief(joint), 0.0
-    steps = len(path) - 1
-    outcomes = [None] + [[bool(bits >> k & 1) for k in range(steps)] for bits in range(2**steps)]
-    for readings in outcomes:
-        weight = brute_force.evidence_probability(joint, model, path, readings)
-        if weight > 1e-12:
-            outcome = Observation(path, readings is not None, readings)
-            after += weight * update(before, model, outcome).joint_entropy()
-    fall = before.joint_entropy() - after
-    assert path_information(before, model, path) == pytest.approx(fall, abs=1e-7)

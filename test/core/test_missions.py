@@ -85,19 +85,6 @@ def test_beliefs_are_the_fold_of_the_observations(method):
         assert deployment.belief.joint.tobytes() == estimator.belief.joint.tobytes()
 
 
-def test_each_deployment_draws_from_its_own_child_of_the_seed():
-    """So a mission on ROS has the same fates, robot by robot."""
-    world, deployments = fly(4, robots=8)
-    rng = np.random.default_rng(4)
-    drawn = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)
-    assert drawn.hazard.tobytes() == world.hazard.tobytes()
-    for deployment in deployments:
-        fate = drawn.traverse(deployment.plan.path, MODEL, rng.spawn(1)[0])
-        assert fate.survived == deployment.observation.survived
-        if fate.survived:
-            assert fate.readings.tolist() == deployment.observation.readings.tolist()
-
-
 def test_a_longer_mission_begins_as_the_shorter():
     assert trace(fly(5, robots=10)[1])[:4] == trace(fly(5, robots=4)[1])
 
@@ -121,27 +108,6 @@ def test_a_mission_learns():
     assert after.entropy() < 0.5 * PRIOR.entropy()
     reachable = np.delete(np.arange(25), 3)
     assert ((after.target > 0.5) == world.target)[reachable].mean() > 0.9
-
-
-def test_the_rng_may_be_a_seed():
-    world = fly(4, robots=0)[0]
-    one, other = (
-        run_mission(GRID, PRIOR, MODEL, world, 2, rng, options=OPTIONS)
-        for rng in (4, np.random.default_rng(4))
-    )
-    assert trace(one) == trace(other)
-
-
-def test_no_robots_no_deployments():
-    assert fly(8, robots=0)[1] == []
-
-
-@pytest.mark.slow
-@for_each('allocation', ALLOCATIONS)
-def test_teams_of_one_are_robots_one_by_one(allocation):
-    alone = fly(9)[1]
-    teams = fly(9, agents=1, allocation=allocation, loss_cost=0.0)[1]
-    assert trace(teams) == trace(alone)
 
 
 @pytest.mark.slow

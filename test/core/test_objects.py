@@ -75,6 +75,28 @@ def test_a_copy_is_equal_and_another_value_is_not(learnt):
         assert len(repr(value)) < 700
 
 
+def test_values_and_their_arrays_cannot_be_changed(learnt):
+    path, joint = np.array([0, 1, 0]), PRIOR.joint.copy()
+    observation, belief = Observation(path, True, [1, 0]), Belief(joint)
+    for value, fields, arrays in (
+        (GRID, ['base'], []),
+        (MODEL, ['lethality'], []),
+        (belief, ['joint'], ['joint']),
+        (WORLD, ['hazard'], ['hazard', 'target']),
+        (observation, ['survived'], ['path', 'readings']),
+        (learnt[0].plan, ['information'], ['path']),
+    ):
+        for field in fields:
+            with pytest.raises(AttributeError):
+                setattr(value, field, getattr(value, field))
+        for array in arrays:
+            with pytest.raises(ValueError, match='read-only'):
+                getattr(value, array)[0] = 0
+    path[1], joint[3] = 2, 0.25
+    assert observation.path.tolist() == [0, 1, 0]
+    assert belief == PRIOR
+
+
 def test_beliefs_that_differ_in_the_last_bit_are_different(learnt):
     joint = PRIOR.joint.copy()
     joint[3] = np.nextafter(joint[3], 1.0)

@@ -51,10 +51,6 @@ def run(source, file='kernel.py', folder=None, before='', **environment):
     return done.stdout.split(), warnings
 
 
-def test_kernels_are_compiled(tmp_path):
-    assert run(KERNEL, folder=tmp_path) == (['0.5', '1.0', 'CPUDispatcher'], [])
-
-
 def test_the_first_compilation_is_announced_once(tmp_path):
     path = tmp_path / 'kernel.py'
     path.write_text(KERNEL)
@@ -167,29 +163,3 @@ def test_inlined_kernels_return_no_arrays():
         and 'inlined' in map(ast.unparse, kernel.decorator_list)
     }
     assert set(returned.values()) == {'float', 'int', 'tuple[float, int]', 'None'}
-
-
-TOOL = Path(__file__).parents[3] / 'tools' / 'compile_kernels.py'
-
-EVERYTHING = f"""{TOOL.read_text()}
-for call in CALLS:
-    call()
-print(plan(GRID, PRIOR, MODEL, 6, bound=True).upper_bound.hex())
-"""
-
-
-@pytest.mark.full
-def test_torn_files_of_every_module_with_kernels_are_compiled_anew(tmp_path):
-    kept = tmp_path / 'kept'
-    environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}
-    results, warnings = run(EVERYTHING, **environment)
-    assert not warnings
-    modules = {path.stem for path in CORE.rglob('*.py') if '\n@compiled\n' in path.read_text()}
-    files = sorted(kept.glob('*/*.nb[ic]'))
-    assert {file.name.split('.')[0] for file in files} == modules
-    for number, file in enumerate(files):
-        (cut, emptied, overwritten)[number % 3](file)
-    again, warnings = run(EVERYTHING, **environment)
-    assert again == results
-    assert len(warnings) == len(list(kept.iterdir()))
-    assert run(EVERYTHING, **environment) == (results, [])

@@ -46,19 +46,6 @@ def test_only_cells_of_the_grid_have_neighbors(cell):
         Grid(4, 3).neighbors(cell)
 
 
-def test_cells_are_counted_row_by_row_from_the_bottom():
-    grid = Grid(4, 3)
-    assert grid.cells == 12
-    assert grid.centers([0, 3, 4, 11]).tolist() == [[0.5, 0.5], [3.5, 0.5], [0.5, 1.5], [3.5, 2.5]]
-
-
-def test_points_find_the_cell_they_lie_in():
-    grid = Grid(4, 3, resolution=0.5, origin=(-2.0, 10.0))
-    everywhere = np.arange(grid.cells)
-    assert grid.cells_at(grid.centers(everywhere)).tolist() == everywhere.tolist()
-    assert grid.cells_at([[-1.99, 10.01], [-0.01, 11.49], [-1.49, 10.49]]).tolist() == [0, 11, 1]
-
-
 @for_each('point', [
     (-0.01, 0.5),
     (0.5, -0.01),
@@ -79,16 +66,6 @@ def test_points_are_pairs(shape):
         Grid(4, 3).cells_at(np.full(shape, 0.5))
 
 
-def test_steps_to_base():
-    assert Grid(3, 2, base=4).steps_to_base.tolist() == [1, 1, 1, 1, 0, 1]
-    assert Grid(4, 4).steps_to_base[[0, 5, 15, 12]].tolist() == [0, 1, 3, 3]
-
-
-def test_steps_to_base_go_around_blocked_cells():
-    wall = Grid(5, 3, base=0, blocked=(2, 7))
-    assert wall.steps_to_base[[1, 6, 11, 12, 13, 3, 4]].tolist() == [1, 1, 2, 2, 3, 4, 4]
-
-
 @for_each('blocked', [(), (1, 6, 11, 16)])
 @for_each('max_steps', [0, 1, 2, 3, 5, 1000])
 def test_cells_in_reach_are_those_of_all_paths(max_steps, blocked):
@@ -98,12 +75,6 @@ def test_cells_in_reach_are_those_of_all_paths(max_steps, blocked):
         ways_out[steps] = {int(c) for cell in ways_out[steps - 1] for c in grid.neighbors(cell)}
     reached = set().union(*ways_out.values())
     assert set(np.flatnonzero(grid.in_reach(max_steps)).tolist()) == reached
-
-
-def test_a_cell_walled_off_is_farther_than_any_other():
-    walled = Grid(4, 1, blocked=(1,)).steps_to_base
-    assert walled[0] == 0
-    assert (walled[[1, 2, 3]] >= 4).all()
 
 
 @for_each('arguments, message', [
@@ -187,14 +158,6 @@ def test_a_point_outside_a_turned_grid_is_refused_with_the_turn():
         grid.cells_at([(0.5, 0.5)])
 
 
-def test_grids_compare_and_cannot_be_changed():
-    grid = Grid(4, 3, base=2, blocked=[7, 5])
-    assert grid == Grid(4, 3, base=2, blocked=(5, 7))
-    assert grid != Grid(4, 3, base=2)
-    with pytest.raises(AttributeError):
-        grid.base = 3
-
-
 @for_each('path', [[5, 5], [5, 6, 5], [5, 5, 5, 5], [5, 0, 4, 8, 5], [5, 10, 11, 11, 10, 5]])
 def test_legal_paths_pass(path):
     checked = Grid(4, 3, base=5).check_path(path, max_steps=5)
@@ -225,10 +188,6 @@ def test_legal_paths_pass(path):
 def test_bad_paths_are_refused(path, message):
     with pytest.raises(ValueError, match=message):
         Grid(4, 3, base=5, blocked=(9,)).check_path(path, max_steps=5)
-
-
-def test_paths_are_of_any_length_unless_limited():
-    assert len(Grid(2, 2).check_path([0] * 1000)) == 1000
 
 
 def test_the_repr_of_a_grid_is_one_line_however_much_is_blocked():
@@ -288,16 +247,6 @@ def test_strips_add_up_to_wide_fields(row, column, monkeypatch):
         expected = log_partition(free, field, coupling)[0]
         monkeypatch.setattr(partition, 'STRIP', 12)
         assert log_partition(free, field, coupling)[0] == pytest.approx(expected, abs=2 * error)
-
-
-def test_no_coupling_is_independence():
-    field, log_z = Clustering(Grid(3, 3), 0.0).fields(np.ones(9, bool), np.array([0.2]))
-    assert field[0, 0] == pytest.approx(np.log(0.2 / 0.8))
-    assert log_z[0, 0] == pytest.approx(-9 * np.log(0.8))
-
-
-def test_neighbors_share_a_side():
-    assert Clustering(Grid(3, 2), 1.0).neighbors[1].tolist() == [0, 2, -1, 4]
 
 
 @for_each('coupling', [-0.1, 1.8, float('nan'), 'strong', None])

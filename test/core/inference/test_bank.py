@@ -9,7 +9,6 @@ from kbnitp_ros.core import (
     Dynamics,
     Estimator,
     Grid,
-    log_loss,
     Observation,
     ORDINARY,
     RobotType,
@@ -190,21 +189,6 @@ def test_intervals_cover_numbers_drawn_from_the_prior():
         known = learnt(prior, observations, TWO, seed=seed).parameters['lethality']
         inside += known.quantile(0.05) <= lethality <= known.quantile(0.95)
     assert inside >= 22
-
-
-@pytest.mark.slow
-def test_an_unknown_lethality_costs_little_where_hazards_are_used_up():
-    lost = []
-    for seed in range(6):
-        prior, observations, world = fly_mission(0.5, seed, kind='used_up')
-        told = Estimator(prior, SensorModel(0.5), dynamics=Dynamics('used_up'))
-        for observation in observations:
-            told.assimilate(observation)
-        lethality = Unknowns(lethality=(0.0, 1.0))
-        estimators = told, learnt(prior, observations, lethality, kind='used_up')
-        losses = [log_loss(estimator.belief.hazard, world.hazard) for estimator in estimators]
-        lost.append(losses[1] - losses[0])
-    assert np.mean(lost) < 1.5
 
 
 def test_the_seed_and_the_evidence_make_the_belief():

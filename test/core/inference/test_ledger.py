@@ -73,15 +73,6 @@ def test_a_late_return_replaces_the_loss(ledger):
     assert state(ledger) == (folded(RETURNED_SEEN, LOST_SEEN), [A, B], (A, 7), 2, 0, 0)
 
 
-def test_duplicates_change_nothing_but_their_count(ledger):
-    ledger.record_path(A, PATH)
-    assert ledger.record_path(A, np.array(PATH)) is False
-    ledger.record_report(A, RETURNED)
-    assert ledger.record_report(A, Report(True, tuple(RETURNED.readings))) is False
-    assert ledger.record_path(A, PATH) is False
-    assert state(ledger) == (folded(RETURNED_SEEN), [A], (A, 0), 3, 0, 0)
-
-
 @for_each('path, message', [
     ([4, 9, 4], 'path.*9'),
     ([4, 5, 0, 4], 'path jumps'),

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Knowledge of where a robot was lost is assimilated exactly, by every method."""
 
-from dataclasses import replace
 from itertools import permutations
 
 import brute_force
-import hazards_in_time
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
-    Dynamics,
     Estimator,
     Grid,
     Ledger,
@@ -266,30 +263,3 @@ def test_the_most_informative_report_counts():
 
 
 # Hazards that change or are used up
-
-
-@pytest.mark.slow
-@for_each('kind, seed', [(kind, n) for n in range(300) for kind in ('changing', 'used_up')], 5)
-def test_where_robots_were_lost_is_taken_in_exactly_in_time(kind, seed):
-    """Each deployment, some of them losses, from the belief of each cell before it."""
-    joint, model, path, _, lost_at = located(4 * seed)
-    rng = np.random.default_rng([seed, 25])
-    rates = rng.choice([0.01, 0.2, 1.0], 2) if kind == 'changing' else (0.0, 0.0)
-    dynamics = Dynamics(kind, *rates)
-    model = replace(model, malfunction=max(model.malfunction, 0.01))
-    prior = Belief(joint)
-    estimator = Estimator(prior, model, 'kappa_bnitp', dynamics=dynamics)
-    weights = [lost_at, draw_lost_at(rng, lost_at.size)]
-    for number, fit in enumerate(weights):
-        believed = estimator.belief.joint
-        # A robot that learns nothing on its only step lets the hazards change before the next.
-        uneventful = (SensorModel(0.0, malfunction=0.0), [path[0]] * 2, [-1], None)
-        expected = hazards_in_time.posterior(
-            believed,
-            dynamics,
-            *([uneventful] if number else []),
-            (model, path, None, fit / fit.max()),
-            possible=prior.hazard > 0,
-        )
-        estimator.assimilate(Observation(path, False, lost_at=fit))
-        assert estimator.belief.joint == pytest.approx(expected, rel=0, abs=1e-12)

@@ -5,7 +5,6 @@ import brute_force
 from kbnitp_ros.core import (
     Belief,
     Estimator,
-    METHODS,
     Observation,
     RobotType,
     SensorModel,
@@ -129,19 +128,6 @@ def test_nothing_is_learnt_from_robots_with_their_own_number(name):
     unknowns = Unknowns(**{name: (0.0, 1.0)})
     after = assimilated(joint, model, seen, 'kappa_bnitp_sampled', unknowns=unknowns)
     assert after.parameters[name].mean == pytest.approx(0.5, abs=0.03)
-
-
-def test_outcomes_impossible_for_a_robot_type_are_refused():
-    """A robot without malfunctions is lost only to hazards; others anywhere."""
-    safe = Belief.from_maps([0.0, 0.0], [0.5, 0.5], [0.5, 0.5])
-    lost = Observation([0, 1, 0], False)
-    for method in METHODS:
-        estimator = Estimator(safe, SensorModel(0.5), method)
-        estimator.assimilate(lost)
-        before = estimator.belief.joint.tobytes()
-        with pytest.raises(ValueError, match='impossible'):
-            estimator.assimilate(lost, RobotType(malfunction=0.0))
-        assert estimator.belief.joint.tobytes() == before
 
 
 @for_each('own, message', [

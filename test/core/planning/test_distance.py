@@ -132,22 +132,6 @@ def test_paths_and_bounds_keep_to_the_length(seed):
     assert found.upper_bound >= best - 1e-9
 
 
-def test_the_limits_of_these_problems_matter():
-    bound_by = 0
-    for seed in range(0, 300, 6):
-        grid, belief, model, options, _ = problem(seed)
-        found = plan(
-            grid,
-            belief,
-            model,
-            options.max_steps,
-            max_visits=options.max_visits,
-            loss_cost=options.loss_cost,
-        )
-        bound_by += path_length(grid, found.path) > options.max_distance * (1.0 + 1e-8)
-    assert bound_by > 15
-
-
 @pytest.mark.slow
 @for_each('seed', range(20), every=7)
 def test_robots_of_a_team_keep_their_own_lengths(seed):

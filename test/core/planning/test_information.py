@@ -3,7 +3,6 @@
 
 from functools import cache
 from itertools import product
-from math import log
 
 import brute_force
 from extent import FULL
@@ -50,34 +49,6 @@ def test_visit_counts_determine_the_information(seed):
     visits = np.bincount(path[1:], minlength=len(joint))[None]
     fast = brute_force.information_of_visits(joint, model, visits)[0]
     assert fast == pytest.approx(brute_force.joint_information(joint, [model], [path]), abs=1e-12)
-
-
-def test_even_odds_and_a_perfect_robot_by_hand():
-    """A certain return with a perfect sensor shows the target; a deadly hazard shows itself."""
-    belief = Belief.from_maps([0.0, 0.0, 0.5], [0.0, 0.5, 0.5], [0.0, 0.5, 0.5])
-    model = SensorModel(1.0, malfunction=0, false_negative=0, true_positive=1, false_positive=0)
-    assert path_information(belief, model, [0, 1, 0]) == pytest.approx(log(2))
-    assert path_information(belief, model, [0, 2, 0]) == pytest.approx(log(2) + 0.5 * log(2))
-
-
-def test_nothing_to_learn():
-    certain = Belief.from_maps([0.0, 1.0], [1.0, 0.0], [1.0, 0.0])
-    assert path_information(certain, SensorModel(0.5), [0, 1, 1, 0]) == pytest.approx(0, abs=1e-12)
-    useless = SensorModel(0.0, true_positive=0.3, false_positive=0.3)
-    unsure = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
-    assert path_information(unsure, useless, [0, 1, 1, 0]) == pytest.approx(0, abs=1e-12)
-
-
-@for_each('seed', range(20))
-def test_order_of_the_cells_does_not_matter(seed):
-    rng = np.random.default_rng(seed)
-    belief = Belief(brute_force.random_joint(rng, 5, 0))
-    model = SensorModel(**brute_force.random_sensors(rng))
-    inner = rng.integers(1, 5, 6)
-    one, other = ([0, *rng.permutation(inner), 0] for _ in range(2))
-    assert path_information(belief, model, one) == pytest.approx(
-        path_information(belief, model, other), abs=1e-12
-    )
 
 
 @for_each('path, message', [
@@ -138,18 +109,6 @@ def test_at_alpha_1_robots_in_flight_count_as_for_the_information(seed):
     assert found == pytest.approx(expected, rel=0, abs=1e-9)
 
 
-def test_entropies_by_hand():
-    """Even odds have maximum entropy for every alpha, certainty has none."""
-    for alpha in ALPHAS:
-        certain, even = behavioral_entropy([0.0, 1.0], alpha), behavioral_entropy(0.5, alpha)
-        assert certain.tolist() == [0.0, 0.0]
-        assert even == pytest.approx(np.log(2), abs=1e-12)
-    # beta = (ln 2)^-1: w(1/4) = exp(-4 ln 2) = 1/16, and w(3/4) = exp(-(ln 4/3)^2 / ln 2).
-    likely = np.log(4 / 3) ** 2 / np.log(2)
-    by_hand = 4 * np.log(2) / 16 + likely * np.exp(-likely)
-    assert behavioral_entropy(0.25, 2.0) == pytest.approx(by_hand, abs=1e-12)
-
-
 @for_each('alpha', ALPHAS)
 def test_the_entropy_is_concave_up_to_alpha_1_only(alpha):
     curvature = np.diff(behavioral_entropy(np.linspace(0.0, 1.0, 2001), alpha), 2)
@@ -161,17 +120,6 @@ def test_the_entropy_is_concave_up_to_alpha_1_only(alpha):
 def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
     joint, model, path = case_of_alpha(seed)
     assert behavioral_information(Belief(joint), model, path, alpha) > -1e-9
-
-
-def test_beyond_alpha_1_it_may_be_negative():
-    """A very improbable target seems absent until a reading suggests it."""
-    belief = Belief.from_maps([0.0, 0.0], [0.0, 0.01], [0.0, 0.01])
-    model = SensorModel(0.0, malfunction=0.0, true_positive=0.6, false_positive=0.4)
-    path = [0, 1, 0]
-    expected = brute_force.behavioral_information(belief.joint, model, path, 3.0)
-    assert behavioral_information(belief, model, path, 3.0) == pytest.approx(expected, abs=1e-12)
-    assert expected == pytest.approx(-1.1e-6, abs=0.05e-6)
-    assert path_information(belief, model, path) > 0.0
 
 
 @cache
@@ -229,42 +177,6 @@ def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
         for team in (plan_round(*problem), plan_round(*problem, objective='behavioral', alpha=1.0))
     )
     assert usual == behavioral_one
-
-
-@pytest.mark.slow
-@for_each('alpha', [0.5, 2.0])
-def test_each_objective_is_best_at_its_own_value(alpha):
-    """A plan for its own alpha has a higher value than one for information, on average."""
-    more = []
-    for seed in range(20):
-        grid, belief, model = random_problem(seed)
-        own, usual = (
-            plan(grid, belief, model, 10, objective='behavioral', alpha=each)
-            for each in (alpha, 1)
-        )
-        worth = [behavioral_information(belief, model, each.path, alpha) for each in (own, usual)]
-        more.append(worth[0] - worth[1])
-    assert min(more) > -0.02
-    assert np.mean(more) > 0.01
-
-
-@for_each('planner', SEEKING)
-def test_a_loss_cost_is_subtracted(planner):
-    grid, belief, model = random_problem(4)
-    careful, bold = (
-        plan(
-            grid,
-            belief,
-            model,
-            10,
-            planner,
-            objective='behavioral',
-            alpha=0.5,
-            loss_cost=loss_cost,
-        )
-        for loss_cost in (5.0, 0.0)
-    )
-    assert careful.survival > bold.survival
 
 
 @for_each('planner', [each for each in PLANNERS.own if each not in SEEKING])

@@ -210,13 +210,6 @@ def test_independent_robots_take_the_same_path():
     assert [planned.path.tolist() for planned in team] == [alone] * 3
 
 
-@for_each('allocation', ALLOCATIONS)
-def test_there_may_be_as_many_robots_as_free_cells(allocation):
-    grid = Grid(3, 2, base=1, blocked=(5,))
-    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    assert len(plan_round(grid, belief, MODEL, 4, 5, allocation)) == 5
-
-
 # Regions
 
 
@@ -333,18 +326,6 @@ def test_team_information_is_exact_where_hazards_are_known(seed):
     assert found == pytest.approx(exact, abs=1e-9)
 
 
-@pytest.mark.slow
-def test_information_of_teams_of_types_is_nearly_the_joint_information():
-    above = np.zeros(300)
-    for seed in range(above.size):
-        joint, model, kinds, paths = few_robots(seed)
-        exact = brute_force.joint_information(joint, sensor_models(kinds, model), paths)
-        above[seed] = team_information(Belief(joint), model, paths, robot_types=kinds) / exact - 1
-    print(f'{above.mean():.2%} above on average, at most {above.max():.0%}')
-    assert above.min() > -1e-9
-    assert above.mean() < 0.003
-
-
 @for_each('seed', range(20))
 def test_nearly_equal_cameras_are_one_camera(seed):
     """The two differ in a number that changes no reading in nine digits."""
@@ -394,18 +375,6 @@ def test_a_team_of_one_type_is_planned_with_its_numbers(allocation):
     team = plan_round(GRID, belief, MODEL, 12, 3, allocation, types=[kind] * 3)
     alike = plan_round(GRID, belief, kind.model(MODEL), 7, 3, allocation, loss_cost=0.3)
     assert [p.path.tolist() for p in team] == [p.path.tolist() for p in alike]
-
-
-@for_each('allocation', ALLOCATIONS)
-def test_a_robot_alone_is_planned_with_its_own_numbers(allocation):
-    belief = random_belief(2)
-    for kind in (BLIND, KEEN, RobotType()):
-        team = plan_round(GRID, belief, MODEL, 9, 1, allocation, types=[kind])
-        cost, steps = kind.loss_cost or 0.0, kind.max_steps or 9
-        alone = plan(GRID, belief, kind.model(MODEL), steps, loss_cost=cost)
-        assert team[0].path.tolist() == alone.path.tolist()
-        assert team[0].information == alone.information
-        assert team[0].survival == alone.survival
 
 
 def two_wings():

@@ -123,18 +123,6 @@ def converge_at(monkeypatch, error, most):
     monkeypatch.setattr(sampler, 'MAX_SWEEPS', most)
 
 
-@pytest.mark.slow
-def test_more_sweeps_come_closer(monkeypatch):
-    most, seeds, bound = (512, 4, 5e-5) if FULL else (128, 3, 2e-4)
-    found = []
-    for sweeps in (4, most):
-        converge_at(monkeypatch, 0.0, sweeps)
-        found.append(divergences(range(seeds))[0])
-    few, many = found
-    assert np.mean(many) < np.mean(few) / 10
-    assert np.max(many) < bound
-
-
 @for_each('seed', [0, 1])
 @for_each('error, most, made', [(0.0, 4, 4), (0.0, 24, 24), (1e9, 24, 4)])
 def test_the_stated_number_of_sweeps_is_made(monkeypatch, seed, error, most, made):

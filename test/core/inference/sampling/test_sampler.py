@@ -2,7 +2,6 @@
 """Sampling, against the posterior by enumeration of all states and all values."""
 
 from functools import cache
-from itertools import product
 from math import log
 import os
 import subprocess
@@ -224,26 +223,6 @@ def test_a_mission_is_taken_in_nearly_exactly(lethality):
 
 
 @pytest.mark.slow
-@for_each('lethality', [0.9, 0.1, 0.3, 0.5], every=4)
-def test_an_unknown_lethality_is_learnt(lethality):
-    model = SensorModel(lethality)
-    away, apart = [], []
-    for seed in range(5):
-        observations = mission_of_25(seed, model)
-        learner = assimilated(ENTROPIC, SensorModel(0.7), observations, Unknowns((0.0, 1.0)))
-        learnt = learner.parameters['lethality']
-        exact, weights = 0.0, []
-        for value, weight in zip(learnt.bins.values, np.exp(learnt.bins.log_prior)):
-            of_hazards, local = weight_of_hazards(ENTROPIC.joint, SensorModel(value), observations)
-            weights.append(weight * of_hazards.sum())
-            exact = exact + weights[-1] * marginals(of_hazards, local)
-        apart.append(np.abs(learnt.weights - np.array(weights) / sum(weights)).max())
-        away.append(divergence(exact / sum(weights), learner.belief.joint))
-    assert max(apart) < 0.02
-    assert np.mean(away) < 0.003
-
-
-@pytest.mark.slow
 def test_more_sweeps_converge_to_the_exact_posterior(monkeypatch):
     monkeypatch.setattr(sampler, 'CONVERGED', 0.0)
     model = SensorModel(0.5)
@@ -261,22 +240,6 @@ def test_more_sweeps_converge_to_the_exact_posterior(monkeypatch):
             said.append(estimator.sampling_error)
         assert np.mean(away) < close
         assert 0.5 < np.mean(said) / np.mean(away) < 2.0
-
-
-EXCLUSIVE = SensorModel(0.5, malfunction=1e-9)
-
-
-def test_a_loss_with_two_explanations_is_explained_by_either():
-    """Without malfunctions one cell of the path is guilty, so no cell can change alone."""
-    belief = Belief.prior(Grid(4, 1), [0, 0.1, 0.1, 0.1], 0.3, 0.3)
-    path = [0, 1, 2, 3, 2, 1, 0]
-    observations = [Observation(path, False)] * 3
-    states = np.array(list(product((0, 1), repeat=3)))
-    survived = 0.525 ** (states @ [2, 2, 1])
-    weight = 0.1 ** states.sum(axis=1) * 0.9 ** (3 - states.sum(axis=1)) * (1 - survived) ** 3
-    exact = weight @ states / weight.sum()
-    found = assimilated(belief, EXCLUSIVE, observations).belief.hazard[1:]
-    np.testing.assert_allclose(found, exact, rtol=0, atol=0.02)
 
 
 @for_each('malfunction, lethality', [(0.0, 1.0), (0.0, 0.4), (0.2, 1.0)])
@@ -355,15 +318,6 @@ def test_the_model_to_plan_with_survives_and_reads_as_expected():
     assert estimator.model.malfunction == pytest.approx((weight * mal).sum(), abs=0.02)
     expected = (weight * (1 - mal) * (1 - 0.8 * leth)).sum()
     assert estimator.model.survival(1) == pytest.approx(expected, abs=0.02)
-
-
-def test_the_seed_decides():
-    observations = mission_of_25(0, SensorModel(0.5))[:6]
-    beliefs = [
-        assimilated(ENTROPIC, SensorModel(0.5), observations, seed=seed).belief.joint.tobytes()
-        for seed in (0, 0, 1)
-    ]
-    assert beliefs[0] == beliefs[1] != beliefs[2]
 
 
 BITS = """
@@ -445,12 +399,6 @@ def test_a_bad_interval_is_refused(given, message):
 def test_a_bad_beta_distribution_is_refused(arguments):
     with pytest.raises(ValueError, match='of a Beta is .*: it must be above 0'):
         Beta(*arguments)
-
-
-@for_each('method', ['kappa_bnitp_published', 'relaxed_bnitp'])
-def test_a_method_that_learns_no_numbers_refuses_to(method):
-    with pytest.raises(ValueError, match=f'kappa cannot be unknown to {method}.*{METHOD}'):
-        Estimator(ENTROPIC, SensorModel(0.5), method, Unknowns(kappa=(0, 1)))
 
 
 @for_each('unknowns, maps, sensors, message', [
