@@ -205,9 +205,9 @@ def pace(mission: Mission) -> tuple[str, str]:
     moments = mission.moments
     left = undecided(mission, -1)
     if not left:
-        return 'Stop', 'Of every cell it is known to 95 % whether it has a hazard.'
+        return 'Stop', 'Every cell is free of a hazard, or has one, with 95 % or more.'
     if len(moments) < 2:
-        return 'Send robots', f'None was sent, and {counted(left, "cell")} are undecided.'
+        return 'Send robots', f'No robot was sent, and {counted(left, "cell")} are undecided.'
     robots = min(len(moments) - 1, max(FEWEST, int(LAST * (len(moments) - 1))))
     decided = undecided(mission, -1 - robots) - left
     since = {each.deployment: each.outcome for each in moments[-robots:] if each.outcome}
@@ -219,7 +219,7 @@ def pace(mission: Mission) -> tuple[str, str]:
     more = ceil(left * robots / decided)
     return (
         f'About {counted(more, "robot")} more',
-        f'{said}; {cost}. At that pace, {left} undecided cells take so many.',
+        f'{said}; {cost}. At that pace, the {left} undecided cells take so many robots.',
     )
 
 

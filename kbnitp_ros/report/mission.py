@@ -160,7 +160,7 @@ def read_mission(
     evidence = history.evidence
     grid = evidence.grid
     if not evidence.paths and evidence.refused:
-        raise LogError(f'{path}: nothing to report, since refused was {evidence.refused[0]}')
+        raise LogError(f'{path}: nothing to report; refused: {evidence.refused[0]}')
     keys = evidence.orders
     moments, notes = recorded_moments(log, history, keys)
     first = history.moments[0].snapshot

@@ -233,9 +233,11 @@ def text(numbers: list[int]) -> str:
 
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
     """Write deployments.parquet and deployments.csv; raises OSError."""
-    # Columns made from Python lists import pandas, which takes longer than the table.
-    lines = '\n'.join(map(json.dumps, rows(mission, curves))).encode()
-    table = read_json(BytesIO(lines), parse_options=ParseOptions(explicit_schema=COLUMNS))
+    table = COLUMNS.empty_table()
+    if found := rows(mission, curves):
+        # Columns made from Python lists import pandas, which takes longer than the table.
+        lines = '\n'.join(map(json.dumps, found)).encode()
+        table = read_json(BytesIO(lines), parse_options=ParseOptions(explicit_schema=COLUMNS))
     parquet.write_table(table, folder / 'deployments.parquet')
     csv.write_csv(table, folder / 'deployments.csv')
 

@@ -56,8 +56,8 @@ def compare(
             return Results(study, dict(bar))
     except PicklingError as error:
         raise TypeError(
-            'a planner or a method cannot be sent to other processes: with workers=1 it need '
-            'not be'
+            'a planner or a method cannot be sent to other processes: define it in a module, or '
+            'use workers=1'
         ) from error
 
 

@@ -67,7 +67,7 @@ class DecisionRequest:
         if sent_for == SAFEST_LANE and self.goal == Lane.name:
             return SafestLane(self.cells[0], self.confidence or None)
         if sent_for != self.goal:
-            raise ValueError(f'robots are sent for {sent_for}, and {self.goal} is asked for')
+            raise ValueError(f'a team flies for {sent_for}, but the study asks for {self.goal}')
         return self.sought()
 
     def check(self, grid: Grid, robots: int, max_steps: int) -> None:
@@ -297,8 +297,8 @@ class Scenario:
             team_size(self.field(), team.agents)
             if team.second_base >= 0 and team.agents < 2:
                 raise ValueError(
-                    f'second_base is {team.second_base} of {team.agents} robot: it is that of '
-                    'every second one, so at least 2 agents must leave together'
+                    f'second_base is {team.second_base} and agents is {team.agents}: every second '
+                    'robot leaves from it, so agents must be at least 2'
                 )
 
     def check_search(self) -> None:
@@ -363,7 +363,7 @@ class Scenario:
                         f'{name} is {rate}: neither worlds nor teams have {kind} hazards'
                     )
             if kind in kinds and not any(rates.values()):
-                raise ValueError(f'{kind} ones need a rate: {" or ".join(names)}')
+                raise ValueError(f'{kind} hazards need a rate: {" or ".join(names)}')
         for method, team in self.contenders:
             if hazards.of_kind(team.dynamics).effect != 'static' or team.clustering:
                 self.estimator(method, team, self.belief(truth), self.model(truth))

@@ -63,7 +63,7 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
             raise ValueError(f'{key} is {value!r}: it must be a list of at least one')
         values = tuple(_read(get_args(annotation)[0], one, key) for one in value)
         if len(set(values)) < len(values):
-            raise ValueError(f'{key} is {value}: nothing may be in it twice')
+            raise ValueError(f'{key} is {value}: each entry may be there once')
         return values
     wanted, allowed, *besides = get_args(annotation)
     if wanted is str:

@@ -417,7 +417,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--set', 'team.scout_1.steps=3'], 'to every node: did you mean team.scout_1.max'),
     (['--set', 'agent:team.scout_1.max_steps=3'], 'max_steps is 18 of .* and 3 of agent'),
     (['--set', 'publish_truth=false'], 'the demo decides publish_truth by itself'),
-    (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', which is no kind that"),
+    (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', but the hazards of"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[0]'], 'base is 0.*blocked'),
     (['--set', 'grid.blocked=[1, 9, 10]'], 'scout_1 cannot leave .*cell 0: no other cell can be'),

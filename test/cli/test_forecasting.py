@@ -71,11 +71,11 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
 
 @for_each('options, complaint', [
     (['--set', 'robots=0'], 'robots is 0: it must be a whole number at least 1'),
-    (['--set', 'stop.confidence=0.9'], 'goal map has no such thing as a confidence'),
+    (['--set', 'stop.confidence=0.9'], 'goal map takes no confidence'),
     (['--set', 'goal.kind=lane'], 'goal lane has 0 cells'),
     ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
     ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
-    ([*LANE, '--set', 'bound=true'], 'bound is true, which is for the most information'),
+    ([*LANE, '--set', 'bound=true'], 'bound is true, but only plans for the goal map'),
     (['--set', 'estimator:grid.width=5'], 'planner and estimator have different fields'),
     (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
     (['--set', 'map_topic=map'], 'map_topic is map: no map reaches the forecast'),

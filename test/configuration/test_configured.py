@@ -56,8 +56,8 @@ def test_stops_are_those_of_the_parameters():
 
 
 @for_each('given, complaint', [
-    ({'goal__cells': [4]}, 'goal map has no such thing as cells'),
-    ({'stop__confidence': 0.9}, 'goal map has no such thing as a confidence'),
+    ({'goal__cells': [4]}, 'goal map takes no cells'),
+    ({'stop__confidence': 0.9}, 'goal map takes no confidence'),
     ({'goal__kind': 'lane'}, 'goal lane has 0 cells'),
     ({'goal__kind': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
     ({'goal__kind': 'lane', 'goal__cells': [6]}, 'off the map'),

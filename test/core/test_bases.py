@@ -86,11 +86,11 @@ def test_bad_bases_are_refused(others, message):
 
 def test_a_base_of_another_grid_is_refused():
     with pytest.raises(
-        ValueError, match=r'base 4 is none of the grid, which has \[0, 29\].*other'
+        ValueError, match=r'base 4 is not a base of the grid, which has \[0, 29\].*other'
     ):
         CORNERS.at(4)
     belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
-    with pytest.raises(ValueError, match='base 4 is none of the grid'):
+    with pytest.raises(ValueError, match='base 4 is not a base of the grid'):
         plan_round(CORNERS, belief, MODEL, 6, 1, types=(RobotType(base=4),))
 
 

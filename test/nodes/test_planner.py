@@ -472,4 +472,4 @@ def test_robots_keep_their_agent_s_distance_and_a_distance_below_a_step_is_refus
     assert 'max_distance is 1.5 m, which allows no step' in refused.reason
     assert 'it must be at least 2 m, or 0 for no limit' in refused.reason
     refused = field.set_parameter('/planner', 'planner', 'coverage')
-    assert 'which the planner coverage does not keep' in refused.reason
+    assert 'the planner coverage does not keep to it' in refused.reason

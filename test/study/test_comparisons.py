@@ -135,7 +135,7 @@ def test_file_names_of_information_trials_are_unchanged(scenario, tmp_path):
 @pytest.mark.slow
 def test_objectives_that_a_planner_lacks_are_refused(scenario):
     team = Strategy(planner='coverage', objective='behavioral', alpha=2.0)
-    with pytest.raises(ValueError, match='the planner coverage seeks none'):
+    with pytest.raises(ValueError, match='the planner coverage does not seek it'):
         replace(scenario, teams=(team,)).check_search()
 
 
@@ -394,7 +394,7 @@ def test_bases_differ_and_nothing_else_does(compared):
 
 
 def test_a_second_base_of_one_robot_is_refused():
-    for second, told in ((11, 'second_base is 11 of 1 robot'), (99, 'base is 99.*from 0 to')):
+    for second, told in ((11, 'second_base is 11 and agents is 1'), (99, 'base is 99.*from 0 to')):
         agents = 1 if second == 11 else 2
         with pytest.raises(ValueError, match=told):
             parse_scenario({**CONTENT, 'teams': [{'agents': agents, 'second_base': second}]})

@@ -218,9 +218,9 @@ def test_without_a_decision_there_are_no_measures_of_it(scenario, results):
     ({'teams': [{'goal': 'lane'}]}, 'asked: robots are sent for the goal lane: give its cells'),
     (
         {'asked': {'goal': 'area', 'cells': [3]}, 'teams': [{'goal': 'lane'}]},
-        'sent for lane, and area is asked',
+        'flies for lane, but the study asks for area',
     ),
-    ({'asked': {'goal': 'map', 'cells': [3]}}, 'goal map has no such thing as cells'),
+    ({'asked': {'goal': 'map', 'cells': [3]}}, 'goal map takes no cells'),
     ({'asked': {'goal': 'lane', 'cells': [3, 4]}}, 'goal lane has 2 cells'),
     ({'asked': {'goal': 'lane', 'cells': [12]}}, 'asked: goal is cell 12, off the map'),
     ({'asked': {'goal': 'lane', 'cells': [5]}}, 'asked: goal is cell 5, the base'),
@@ -332,7 +332,7 @@ def test_rows_are_named_by_the_belief(scenario):
 @for_each('key, value, told', [
     ('hazards', {'dynamics': 'odd'}, "'odd': it must be one of static, changing, used_up"),
     ('hazards', {'appear': 0.1}, 'hazards: appear is 0.1: neither worlds nor teams have changing'),
-    ('hazards', {'dynamics': 'changing'}, 'hazards: changing ones need a rate'),
+    ('hazards', {'dynamics': 'changing'}, 'hazards: changing hazards need a rate'),
     ('hazards', {'layout': 'odd'}, "'odd': it must be one of independent, blobs, rows"),
     ('hazards', {'dynamics': 'used_up'}, 'hazards: .* does not take hazards that are used_up'),
     ('teams', [{'clustering': 'learn'}], 'hazards: .* does not take clustered hazards'),

@@ -150,7 +150,7 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
     whole_number('max_steps', max_steps, 1)
     least = int(grid.steps_from(start, grid.free)[to])
     if least >= grid.cells:
-        raise ValueError(f'goal is cell {to}, to which no way leads from cell {start}')
+        raise ValueError(f'goal is cell {to}: no way leads to it from cell {start}')
     if least > max_steps:
         raise ValueError(
             f'goal is cell {to}, {least} steps from cell {start}: at most max_steps = '

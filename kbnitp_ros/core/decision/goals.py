@@ -483,17 +483,17 @@ MakeGoal = Callable[[Sequence[int], 'float | None'], 'Goal | None']
 def lane_to(cells: Sequence[int], confidence: float | None) -> Lane:
     """Return the goal of a lane to a cell."""
     if len(cells) != 1:
-        raise ValueError(f'goal lane has {len(cells)} cells: it must be the one that it leads to')
+        raise ValueError(f'goal lane has {len(cells)} cells: give the one cell that it leads to')
     return Lane(cells[0], confidence)
 
 
 def whole_map(cells: Sequence[int], confidence: float | None) -> None:
     """Return no goal: robots are sent where they learn the most."""
-    for name, given in (('cells', list(cells)), ('a confidence', confidence)):
+    for name, given in (('cells', list(cells)), ('confidence', confidence)):
         if given:
             raise ValueError(
-                f'goal map has no such thing as {name}, and it is {given}: choose the goal lane '
-                'or area, or give none'
+                f'goal map takes no {name}, and {given} is given: choose the goal lane or area, '
+                'or leave it out'
             )
 
 

@@ -54,7 +54,7 @@ class Stop:
         """Check that the stops fit each other and the mission."""
         if self.losses > robots:
             raise ValueError(
-                f'stop.losses is {self.losses}, and no more than robots = {robots} are sent: '
+                f'stop.losses is {self.losses}, but at most robots = {robots} are sent: '
                 'lower it, or raise robots'
             )
         if goal and goal.confidence and (few := too_few_draws(goal.confidence, DRAWS)):
@@ -184,16 +184,16 @@ def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None
     """Check that the options of a plan fit the goal."""
     if goal is not None and options.max_distance:
         raise ValueError(
-            f'max_distance is {options.max_distance:.6g} m, which paths for the goal {goal.name} '
-            'do not keep: choose the goal map, or leave max_distance at 0'
+            f'max_distance is {options.max_distance:.6g} m, but paths for the goal {goal.name} '
+            'do not keep to it: choose the goal map, or leave max_distance at 0'
         )
     if goal is not None and options.objective == 'information_per_loss':
         raise ValueError(
-            f'objective is {options.objective}, which paths for the goal {goal.name} do not seek: '
-            'choose the goal map, or the objective information'
+            f'objective is {options.objective}, but paths for the goal {goal.name} are not chosen '
+            'by it: choose the goal map, or the objective information'
         )
     if goal is not None and bound:
         raise ValueError(
-            f'bound is true, which is for the most information, and the goal is {goal.name}: '
-            'leave bound at false, or choose the goal map'
+            f'bound is true, but only plans for the goal map have a bound, and the goal is '
+            f'{goal.name}: leave bound at false, or choose the goal map'
         )

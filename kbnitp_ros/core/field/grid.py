@@ -173,8 +173,8 @@ class Grid:
             return self
         if base not in self.bases:
             raise ValueError(
-                f'base {base} is none of the grid, which has {sorted(self.bases)}: name it in '
-                'other_bases, so that the cell is taken for free of hazard'
+                f'base {base} is not a base of the grid, which has {sorted(self.bases)}: add it '
+                'to other_bases, so that its cell counts as free of hazard'
             )
         if base not in self._at:
             self._at[base] = replace(self, base=base, other_bases=self.bases)

@@ -116,9 +116,7 @@ class Observation(Value):
 
     def _check_lost_at(self, lost_at: NDArray[np.float64]) -> None:
         if self.survived:
-            raise ValueError(
-                'lost_at is given: a robot that returned was lost in none of its steps'
-            )
+            raise ValueError('lost_at is given, but the robot returned: leave it out')
         if lost_at.shape != (self.steps,):
             raise ValueError(
                 f'lost_at has shape {lost_at.shape}: it must be ({self.steps},), one each step'

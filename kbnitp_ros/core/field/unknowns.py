@@ -295,12 +295,12 @@ class Dynamics:
         """Return the rates by name; refuse unknown ones."""
         if self.kind == 'learn':
             raise ValueError(
-                "dynamics is 'learn', which is no kind that the hazards of a world can be of: "
-                'use one of ' + ', '.join(HAZARDS[:-1])
+                "dynamics is 'learn', but the hazards of a world are of a known kind: use one of "
+                + ', '.join(HAZARDS[:-1])
             )
         for name, prior in self.unknown_rates.items():
             raise ValueError(
-                f'{name} is unknown from {prior.low} to {prior.high}: that of a world is a number'
+                f'{name} is unknown, from {prior.low} to {prior.high}: a world needs a number'
             )
         return {name: getattr(self, name) for name in ('appear', 'vanish', 'move')}
 

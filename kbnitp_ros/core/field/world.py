@@ -111,7 +111,7 @@ class World(Value):
             )
         for base in sorted(grid.bases):
             if self.hazard[base]:
-                raise ValueError(f'world has a hazard at the base {base}: a base is free of it')
+                raise ValueError(f'world has a hazard at the base {base}: a base has none')
         filled = np.flatnonzero((self.hazard | self.target) & ~grid.free)
         if filled.size:
             raise ValueError(

@@ -81,9 +81,7 @@ class Bank:
         priors = {**unknowns.priors, **dynamics.unknown_rates}
         self._names, self._priors = tuple(priors), tuple(priors.values())
         if not self._correlated and 'kappa' in self._names:
-            raise ValueError(
-                'kappa cannot be unknown to a method that keeps none: use kappa_bnitp'
-            )
+            raise ValueError('kappa cannot be learnt by a method without kappa: use kappa_bnitp')
         self._maps = prior_maps(belief, model, self._names)
         self.predicted: tuple[Floats, ...] = ()
         self._evidence: tuple[Evidence, ...] = ()

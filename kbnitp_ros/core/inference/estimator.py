@@ -107,8 +107,7 @@ class Estimator:
             check_able(
                 method,
                 lambda each: each.learns,
-                f'{" and ".join(unknown)} cannot be unknown to {name}, which takes all '
-                'numbers for right',
+                f'{name} takes all numbers as given and cannot learn {" and ".join(unknown)}',
             )
         if clustering is not None:
             check_able(
@@ -198,7 +197,9 @@ class Estimator:
         """
         if self._make_checker is None:
             name = entry_name(self.method)
-            return ModelCheck(False, {}, f'{name} is not checked: kappa_bnitp and relaxed_itp are')
+            return ModelCheck(
+                False, {}, f'{name} has no model check: kappa_bnitp and relaxed_itp have one'
+            )
         if self._checker is None:
             self._checker = self._make_checker()
         predicted = getattr(self._inference, 'predicted', None)
@@ -433,8 +434,7 @@ class Ledger(MissionRecord):
                 if each == key:
                     raise
                 raise ValueError(
-                    f'report of deployment {key} does not go with that of {each}, which is held: '
-                    f'{error}'
+                    f'report of deployment {key} contradicts that of {each}, which counts: {error}'
                 ) from error
             estimators[count] = estimator
             estimators = {

@@ -167,7 +167,7 @@ def update(
     if method not in one_pass:
         others = [name for name in METHODS if name not in one_pass]
         raise ValueError(
-            f'method is {method!r}: known for one deployment are {", ".join(one_pass)}; '
-            f'{", ".join(others)} need them all, in an Estimator'
+            f'method is {method!r}: update takes {", ".join(one_pass)}; {", ".join(others)} need '
+            'all deployments: use an Estimator'
         )
     return one_pass[method].update(belief, model, observation)

@@ -179,13 +179,13 @@ class PathFinder(Value):
         planner, objective = self.options.planner, self.options.objective
         if objective != 'information' and planner in BASELINES:
             raise ValueError(
-                f'objective is {objective}, and the planner {planner} seeks none: choose the '
-                'planner beam or relaxed, or leave the objective at information'
+                f'objective is {objective}, but the planner {planner} does not seek it: choose '
+                'the planner beam or relaxed, or leave the objective at information'
             )
         if self.options.max_distance and planner in BASELINES:
             raise ValueError(
-                f'max_distance is {self.options.max_distance:.6g} m, which the planner {planner} '
-                'does not keep: choose the planner beam or relaxed, or leave max_distance '
+                f'max_distance is {self.options.max_distance:.6g} m, but the planner {planner} '
+                'does not keep to it: choose the planner beam or relaxed, or leave max_distance '
                 'at 0'
             )
         given, cells = self.visited, self.grid.cells

@@ -235,9 +235,17 @@ def test_the_impossible_is_refused_and_changes_nothing():
 @for_each(
     'method, unknowns, message',
     [
-        ('relaxed_itp', {'kappa': (0.0, 1.0)}, 'kappa cannot be unknown to a method that keeps'),
-        ('relaxed_bnitp', {'lethality': (0.0, 1.0)}, 'lethality cannot be unknown to relaxed_bn'),
-        ('kappa_bnitp_published', {'lethality': (0.0, 1.0)}, 'lethality cannot be unknown to kap'),
+        ('relaxed_itp', {'kappa': (0.0, 1.0)}, 'kappa cannot be learnt by a method without kappa'),
+        (
+            'relaxed_bnitp',
+            {'lethality': (0.0, 1.0)},
+            'as given and cannot learn lethality',
+        ),
+        (
+            'kappa_bnitp_published',
+            {'lethality': (0.0, 1.0)},
+            'as given and cannot learn leth',
+        ),
     ],
 )
 def test_numbers_that_a_method_cannot_learn_are_refused(method, unknowns, message):

@@ -179,7 +179,7 @@ def test_a_check_does_not_depend_on_earlier_checks():
     assert often.check == late.check
     others = after(observations, method='kappa_bnitp_sampled').check
     assert (others.is_in_doubt, dict(others.alternatives)) == (False, {})
-    assert 'kappa_bnitp_sampled is not checked' in others.reason
+    assert 'kappa_bnitp_sampled has no model check' in others.reason
 
 
 def test_a_kind_that_the_evidence_rules_out_has_no_weight():
@@ -202,7 +202,7 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
     'make, message',
     [
         (lambda: Dynamics('learn').known_rates(), "dynamics is 'learn'"),
-        (lambda: UNKNOWN['moving'].known_rates(), 'move is unknown from 0.01 to 0.3: that of'),
+        (lambda: UNKNOWN['moving'].known_rates(), 'move is unknown, from 0.01 to 0.3: a world'),
         (lambda: Dynamics('changing', vanish=(0.2, 0.1)), r'vanish is unknown within \(0.2, 0.1'),
         (lambda: Dynamics('changing', vanish=(0.0, 0.1)), 'it must go from above 0 to more'),
         (lambda: Dynamics('moving', move=(0.5, 1.5)), 'move is 1.5'),
@@ -221,7 +221,7 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
                 GRID, PRIOR, MODEL, World([False] * 6, [False] * 6), 1, 0,
                 dynamics=UNKNOWN['changing'],
             ),
-            'vanish is unknown from 0.01 to 0.3: that of a world is a number',
+            'vanish is unknown, from 0.01 to 0.3: a world needs a number',
         ),
     ],
 )  # fmt: skip

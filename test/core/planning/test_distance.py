@@ -210,7 +210,7 @@ BELIEF = Belief.prior(Grid(3, 3), 0.2, 0.4, 0.8)
 
 @for_each('planner', ['random', 'coverage', 'shortest_unvisited'])
 def test_planners_without_distance_limits_refuse_them(planner):
-    with pytest.raises(ValueError, match=f'which the planner {planner} does not keep: choose'):
+    with pytest.raises(ValueError, match=f'but the planner {planner} does not keep to it: choose'):
         plan(Grid(3, 3), BELIEF, SensorModel(0.5), 6, planner, max_distance=4.0)
 
 
@@ -247,7 +247,7 @@ def test_distances_out_of_range_are_refused(wrong):
 def test_goals_do_not_keep_a_distance():
     grid = Grid(3, 3)
     rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match='max_distance is 5 m, which paths for the goal area do'):
+    with pytest.raises(ValueError, match='max_distance is 5 m, but paths for the goal area do'):
         next(
             iter(
                 run_mission(

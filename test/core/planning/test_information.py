@@ -182,10 +182,10 @@ def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
 @for_each('planner', [each for each in PLANNERS.own if each not in SEEKING])
 def test_planners_without_an_objective_refuse_it(planner):
     with pytest.raises(
-        ValueError, match=f'{planner} seeks none: choose the planner beam or relax'
+        ValueError, match=f'{planner} does not seek it: choose the planner beam or relax'
     ):
         plan(*random_problem(0), 6, planner, objective='behavioral', alpha=0.5)
-    with pytest.raises(ValueError, match='seeks none'):
+    with pytest.raises(ValueError, match='does not seek it'):
         plan_round(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
 
 
