@@ -51,7 +51,8 @@ TABLE = (
     Parameter(
         'map_topic',
         '',
-        'Topic that such a map is published on, such as /map, to be waited for; empty for none.',
+        'Topic of the map, such as /map, in place of the parameter map: nodes wait for its first '
+        'message; empty for none.',
         GRID,
     ),
     Parameter(
@@ -65,8 +66,8 @@ TABLE = (
     Parameter(
         'grid.base',
         0,
-        'Cell (row * width + column, row 0 at the bottom) that paths start and end in; of one '
-        'agent as team.AGENT.base.',
+        'Cell (row * width + column, row 0 at the bottom) that paths start and end in; for one '
+        'agent team.AGENT.base.',
         GRID,
         limits=(0, MAX_CELLS - 1),
         per_agent=True,
@@ -74,8 +75,8 @@ TABLE = (
     Parameter(
         'grid.base_position',
         (),
-        'A point in the cell that paths start and end in, x and y in metres in the frame map, in '
-        'place of grid.base; empty for none. Of one agent as team.AGENT.base_position.',
+        'Point in the base cell, x and y in metres in the frame map, in place of grid.base; empty '
+        'for none. For one agent team.AGENT.base_position.',
         GRID,
         element=float,
         per_agent=True,
@@ -126,9 +127,9 @@ TABLE = (
     Parameter(
         'max_distance',
         0.0,
-        'How long a path may be, metres: a diagonal step is 1.41 times as long as a straight one, '
-        'a stay has no length; for the planners beam, relaxed and exact and the goal map; 0 for '
-        'no limit.',
+        'Maximum length of a path, metres: a diagonal step is 1.41 times as long as a straight '
+        'one, a stay has no length. For the planners beam and relaxed and the goal map; 0 for no '
+        'limit.',
         ('planner',),
         limits=(0.0, 1e9),
         read_only=False,
@@ -179,32 +180,32 @@ TABLE = (
     Parameter(
         'hazards.dynamics',
         'static',
-        'Dynamics of hazards: they stay, come and go from one deployment to the next, move to '
-        'neighbouring cells, or are used up when they strike. Of the agent it is the truth, of '
-        'the estimator the belief of estimator and planner; learn for a kind that the evidence '
-        'tells.',
+        'Dynamics of hazards: static, changing from one deployment to the next, moving to '
+        'neighbouring cells, or used up when they strike; learn to infer the kind from the '
+        'evidence. The value of the agent is the truth, that of the estimator the belief of '
+        'estimator and planner.',
         SENSING,
         choices=HAZARDS,
     ),
     Parameter(
         'hazards.appear',
         0.0,
-        'Probability per deployment that a free cell becomes a hazard, of changing hazards; 0 '
-        'where hazards.vanish is learnt for the rate that keeps the number of hazards.',
+        'Probability per deployment that a free cell gets a hazard, for changing hazards; 0 with '
+        'a learnt hazards.vanish stands for the rate that keeps the expected number of hazards.',
         SENSING,
         limits=PROBABILITY,
     ),
     Parameter(
         'hazards.vanish',
         0.0,
-        'Probability per deployment that a hazard disappears, of changing hazards.',
+        'Probability per deployment that a hazard disappears, for changing hazards.',
         SENSING,
         limits=PROBABILITY,
     ),
     Parameter(
         'hazards.move',
         0.0,
-        'Probability per deployment that a hazard goes to a free neighbouring cell, of moving '
+        'Probability per deployment that a hazard goes to a free neighbouring cell, for moving '
         'hazards.',
         SENSING,
         limits=PROBABILITY,
@@ -243,8 +244,8 @@ TABLE = (
     Parameter(
         'prior.resample',
         False,
-        'Whether a .npy of the prior may have other rows and columns than the field; a cell then '
-        'has the mean of what lies over it.',
+        'Whether a prior map in .npy may have another number of rows and columns than the field: '
+        'each cell then takes the mean of the values over it.',
         ('estimator',),
     ),
     Parameter(
@@ -297,9 +298,8 @@ TABLE = (
     Parameter(
         'learn.numbers',
         (),
-        'Numbers that are not known but learnt, by kappa_bnitp, relaxed_itp (all but kappa) or, '
-        'in a static field, kappa_bnitp_sampled. Robots are then planned with what is known of '
-        'them.',
+        'Numbers to learn from the evidence, with kappa_bnitp, relaxed_itp (all but kappa) or, in '
+        'a static field, kappa_bnitp_sampled. Robots are planned with their current estimates.',
         ('estimator',),
         element=str,
         choices=tuple(LEARN),
@@ -331,9 +331,7 @@ TABLE = (
         ('agent',),
         pattern=f'({NAME})?',
     ),
-    Parameter(
-        'agent', 'scout_1', 'Name of the agent that this robot is.', ('robot',), pattern=NAME
-    ),
+    Parameter('agent', 'scout_1', 'Agent name of this robot.', ('robot',), pattern=NAME),
     Parameter(
         'robots',
         100,
@@ -345,8 +343,8 @@ TABLE = (
     Parameter(
         'planner',
         'beam',
-        'How a path is searched for; random, coverage and shortest_unvisited seek no information, '
-        'and are there to be compared with.',
+        'Search for paths; random, coverage and shortest_unvisited seek no information and serve '
+        'as baselines.',
         ('planner',),
         choices=PLANNERS,
         read_only=False,
@@ -362,8 +360,8 @@ TABLE = (
     Parameter(
         'bound',
         False,
-        'Whether an upper bound of what any path is worth is computed with each plan, for '
-        'progress and the report: of an agent that is alone and seeks information.',
+        'Whether to compute, with each plan, an upper bound on the value of any path, for '
+        'progress and the report; for a single agent that seeks information.',
         ('planner',),
     ),
     Parameter(
@@ -395,8 +393,8 @@ TABLE = (
     Parameter(
         'alpha',
         1.0,
-        'The Prelec weight of the objective behavioral: 1 is the information, less counts what is '
-        'nearly certain as less sure, more as surer.',
+        'Prelec weight of the objective behavioral: 1 gives the information; below 1 near '
+        'certainty counts as less sure, above 1 as surer.',
         ('planner',),
         limits=ALPHAS,
         read_only=False,
@@ -404,7 +402,7 @@ TABLE = (
     Parameter(
         'loss_cost',
         0.0,
-        'What a lost robot is worth, in nats of information.',
+        'Cost of a lost robot, in nats of information.',
         ('planner',),
         limits=(0.0, 1e9),
         read_only=False,
@@ -413,22 +411,22 @@ TABLE = (
     Parameter(
         'goal.kind',
         'map',
-        'What the mission is to make sure of: map, where the most is to be learnt; lane, a way '
-        'from the base to a cell that is free of hazards; area, cells that are.',
+        'Goal of the mission: map, the most information; lane, a way from the base to a cell that '
+        'is free of hazards; area, cells that are free of hazards.',
         ('planner',),
         choices=GOALS,
     ),
     Parameter(
         'goal.cells',
         (),
-        'Cells of the goal: of a lane the one that it leads to.',
+        'Cells of the goal; for a lane the one cell that it leads to.',
         ('planner',),
         element=int,
     ),
     Parameter(
         'goal.position',
         (),
-        'A point in the one cell of the goal, x and y in metres in the frame map, in place of '
+        'Point in the one cell of the goal, x and y in metres in the frame map, in place of '
         'goal.cells; empty for none.',
         ('planner',),
         element=float,
@@ -451,8 +449,8 @@ TABLE = (
     Parameter(
         'stop.gain',
         0.0,
-        'No more robots leave when the best deployment gains less than this for each robot that '
-        'it is expected to lose: nats, with the goal lane probability; 0 for never.',
+        'Minimum gain of the best deployment for each robot that it is expected to lose, below '
+        'which the mission ends: nats, with the goal lane probability; 0 for never.',
         ('planner',),
         limits=(0.0, 1e9),
         read_only=False,
@@ -460,7 +458,7 @@ TABLE = (
     Parameter(
         'stop.losses',
         0,
-        'No more robots leave when so many are lost; 0 for never.',
+        'Number of lost robots at which the mission ends; 0 for never.',
         ('planner',),
         limits=(0, MAX_ROBOTS),
         read_only=False,
@@ -477,7 +475,7 @@ TABLE = (
     Parameter(
         'approval',
         False,
-        'Whether robots leave only when the operator has approved of their paths, shown on '
+        'Whether robots leave only after the operator has approved their paths, shown on '
         'AGENT/proposal, by the service approve.',
         ('planner',),
         read_only=False,
@@ -485,13 +483,14 @@ TABLE = (
     Parameter(
         'keep_running',
         True,
-        'Whether the planner goes on running when the mission is over, and does not end.',
+        'Whether the planner keeps running when the mission is over.',
         ('planner',),
     ),
     Parameter(
         'rolling',
         False,
-        'Whether a robot leaves whenever its agent is free, and not with all others in rounds.',
+        'Whether each robot leaves as soon as its agent is free, instead of in rounds with all '
+        'others.',
         ('planner',),
     ),
     Parameter(
@@ -519,8 +518,8 @@ TABLE = (
     Parameter(
         'contact_probability',
         0.0,
-        'Probability that the base hears, after a step survived, how far a robot is, so that its '
-        'silence afterwards tells where it was lost; 0 infers nothing from silence.',
+        'Probability that the base receives, after each step survived, how far a robot is, so '
+        'that later silence tells where it was lost; 0 infers nothing from silence.',
         ('planner', 'agent'),
         limits=PROBABILITY,
     ),
@@ -534,7 +533,7 @@ TABLE = (
     Parameter(
         'silent_loss',
         False,
-        'Whether a robot that was destroyed is only known by not coming back.',
+        'Whether a destroyed robot sends no report, so that only its absence tells of the loss.',
         ('planner', 'agent'),
     ),
     Parameter(
@@ -547,9 +546,9 @@ TABLE = (
     Parameter(
         'presume_departure',
         False,
-        'Whether robots are taken to have departed when their paths are sent, and with recorded '
-        'on disk; otherwise when their agents say so on AGENT/status. With silent_loss an agent '
-        'that never does gets no path.',
+        'Whether robots count as departed once their paths are sent (with recorded: are on disk), '
+        'instead of when their agents report it on AGENT/status. With silent_loss an agent that '
+        'never reports departures gets no path.',
         ('planner',),
         read_only=False,
     ),
@@ -636,14 +635,14 @@ TABLE = (
     Parameter(
         'recorded',
         False,
-        'Whether a robot leaves only when the recorder has its path, and its departure, on disk, '
-        'and the estimator takes that path only.',
+        'Whether a robot leaves only when its path and its departure are on record, and the '
+        'estimator accepts recorded paths only.',
         ('planner', 'estimator', 'agent'),
     ),
     Parameter(
         'recorded',
         True,
-        'Whether the robot leaves only when the recorder has its path and its departure on disk.',
+        'Whether the robot leaves only when its path and its departure are on record.',
         ('robot',),
     ),
     Parameter(
@@ -664,8 +663,7 @@ TABLE = (
     Parameter(
         'nav_namespace',
         '',
-        "Namespace of the robot's Nav2, which its actions are in; / for none, empty for that of "
-        'this node.',
+        "Namespace of the robot's Nav2 and its actions; / for none, empty for that of this node.",
         ('robot',),
         pattern='/|(/?[A-Za-z][A-Za-z0-9_]*)*',
     ),
@@ -694,8 +692,8 @@ TABLE = (
     Parameter(
         'max_speed',
         0.0,
-        'What the robot can drive, in m/s: after a jump that is faster nothing more is read on '
-        'its walk; 0 to check no jump.',
+        'Maximum speed of the robot, in m/s: after a faster jump its position is uncertain and no '
+        'more readings of its walk count; 0 for no check.',
         ('robot',),
         limits=(0.0, 1e6),
     ),
@@ -716,7 +714,8 @@ TABLE = (
     Parameter(
         'attempts',
         3,
-        'How often a goal is tried that brings the robot to no new cell, before it goes home.',
+        'Maximum number of goals in a row that bring the robot to no new cell, before it goes '
+        'home.',
         ('robot',),
         limits=(1, 1000),
     ),
@@ -766,7 +765,7 @@ TABLE = (
     Parameter(
         'resume',
         '',
-        'Log of the mission to go on with, its first file or its folder; empty for a new mission.',
+        'Log of the mission to resume, its first file or its folder; empty for a new mission.',
         ('planner', 'agent', 'estimator', 'recorder'),
     ),
     Parameter(
@@ -786,8 +785,8 @@ TABLE = (
     Parameter(
         'max_file_size',
         2**24,
-        'Bytes after which the log goes on in another file beside the first, which frees the '
-        'memory that its index takes; 0 for one file. What each file begins with, which is up to '
+        'Bytes after which the log continues in another file beside the first, which frees the '
+        'memory of its index; 0 for one file. What each file starts with, up to '
         '100 kB, does not count.',
         ('recorder',),
         limits=(2**20, 2**62),
@@ -796,7 +795,7 @@ TABLE = (
     Parameter(
         'max_file_duration',
         0.0,
-        'Seconds after which the log goes on in another file beside the first; 0 for one file.',
+        'Seconds after which the log continues in another file beside the first; 0 for one file.',
         ('recorder',),
         limits=(0.0, 1e9),
     ),
