@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 import errno
 from importlib.metadata import version
+import os
 from pathlib import Path
 import re
 from typing import Any
@@ -55,6 +56,16 @@ def naming(path: str | Path) -> Iterator[None]:
         if error.filename is None:
             error.filename = str(path)
         raise
+
+
+def sync_folder(folder: Path) -> None:
+    """Put a folder's list of files onto the disk."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with naming(folder):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def in_words(error: BaseException) -> str:

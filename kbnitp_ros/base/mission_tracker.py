@@ -12,15 +12,11 @@ from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.log.record import read_newest_round, read_resumed
+from kbnitp_ros.log.record import EarlyError, read_newest_round, read_resumed
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import report_message, Source
 from kbnitp_ros.messages.headers import check_mission, LAST_COUNTED_ON, named, shown
-
-
-class PathsUnknownError(ValueError):
-    """A belief holds deployments whose paths are not known (yet)."""
 
 
 class MissionTracker:
@@ -68,7 +64,7 @@ class MissionTracker:
         most = known + (self._unknown or 0)
         if snapshot.deployments > most and not is_first_of_one:
             why = f', and {remedy}' if authors > 1 else ''
-            raise PathsUnknownError(
+            raise EarlyError(
                 f'deployments is {snapshot.deployments}: the paths of only {most} are known{why}'
             )
         if self._rules is None or authors <= 1:

@@ -18,6 +18,7 @@ from kbnitp_ros.log.read import log_size, LoggedMessage, read_metadata, Recorded
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade, ReplayReport, TOLERANCE
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.messages.headers import in_seconds
 from kbnitp_ros.messages.progress import NOT_KNOWN
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from tqdm import tqdm
@@ -61,9 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if options.repair:
             options.repair.parent.mkdir(parents=True, exist_ok=True)
-            repaired = repair(log, options.repair, partial(with_progress, log_size(log)))
-            say(f'{repaired.messages} messages of {log} are saved in {options.repair}')
-            say(*([f'lost: {loss}' for loss in repaired.lost] or ['nothing was lost']))
+            saved, lost = repair(log, options.repair, partial(with_progress, log_size(log)))
+            say(f'{saved} messages of {log} are saved in {options.repair}')
+            say(*([f'lost: {loss}' for loss in lost] or ['nothing was lost']))
             log = options.repair
         mission = MissionLog(log, options.namespace)
         progress = partial(with_progress, log_size(log))
@@ -98,8 +99,8 @@ def lines(report: ReplayReport) -> Iterator[str]:
         f'{deployments} deployments, {survived} survived, {deployments - survived} lost; '
         f'method {report.method or "not on record"}'
     )
-    for action in evidence.actions:
-        yield f'the operator {action}, at {action.when}'
+    for action in evidence.operator.actions.values():
+        yield f'the operator {action}, at {in_seconds(action.stamp)}'
     yield from report.changes
     if report.standing is not NOT_KNOWN:
         state, reason = report.standing

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 import json
 import os
 from pathlib import Path
@@ -20,13 +20,16 @@ import numpy as np
 
 def numerical_environment() -> dict[str, str]:
     """Return the numerical environment of this process, by item."""
+    extensions: dict[str, dict[str, list[str]]] = np.show_config(mode='dicts')  # type: ignore
+    found = extensions['SIMD Extensions']
+    numba = next((each.version for each in distributions(name='numba')), 'none')
     return {
         'processor': _processor(),
         # numpy and the C library compute logarithms differently on processors with more features.
-        'processor_features': ' '.join(_processor_features()),
+        'processor_features': ' '.join([*found.get('baseline', ()), *found.get('found', ())]),
         'c_library': ' '.join(platform.libc_ver()),
         'numpy': np.__version__,
-        'numba': _installed_version('numba'),
+        'numba': numba,
     }
 
 
@@ -37,21 +40,6 @@ def _processor() -> str:
             if line.startswith('model name'):
                 return line.partition(':')[2].strip()
     return platform.machine()
-
-
-def _processor_features() -> list[str]:
-    """Return the processor features that numpy found and uses."""
-    extensions: dict[str, dict[str, list[str]]] = np.show_config(mode='dicts')  # type: ignore
-    found = extensions['SIMD Extensions']
-    return [*found.get('baseline', ()), *found.get('found', ())]
-
-
-def _installed_version(package: str) -> str:
-    """Return the version of a Python package; 'none' if it is not installed."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return 'none'
 
 
 def run_record(rmw_implementation: str) -> dict[str, str]:

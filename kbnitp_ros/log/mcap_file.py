@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 import os
 from pathlib import Path
-from typing import NamedTuple
 
-from kbnitp_ros.files import naming, parse_yaml
+from kbnitp_ros.files import naming, parse_yaml, sync_folder
 from kbnitp_ros.log.files import check_in_place, check_is_new, log_parts, LogError, LogLock
 from kbnitp_ros.log.read import (
     is_finished_part,
@@ -26,7 +24,6 @@ from kbnitp_ros.log.schema import (
     BagTopic,
     information,
     QOS,
-    sync_folder,
     TYPE_HASH,
     write_metadata,
 )
@@ -46,12 +43,8 @@ BAG_RECORD = 'rosbag2'
 BAG_FIELD = 'serialized_metadata'
 
 
-class Definition(NamedTuple):
-    """A message type: its name, and its definition with the language of that."""
-
-    name: str
-    encoding: str
-    text: bytes
+# A message type: its name, the language of its definition, and its definition.
+Definition = tuple[str, str, bytes]
 
 
 class FileWriter:
@@ -100,9 +93,10 @@ class FileWriter:
         metadata: Mapping[str, str],
     ) -> int:
         """Return the channel of a topic; the same one for the same arguments."""
+        type_name, _, text = definition
         if definition not in self._schemas:
             self._schemas[definition] = self._writer.register_schema(*definition)
-            self._pending += len(definition.text)
+            self._pending += len(text)
         schema = self._schemas[definition]
         key = topic, message_encoding, schema, frozenset(metadata.items())
         if key not in self._channels:
@@ -110,11 +104,14 @@ class FileWriter:
                 topic, message_encoding, schema, dict(metadata)
             )
             self._channels[key] = channel
+            qos: object = []
+            with suppress(ValueError):
+                qos = parse_yaml(metadata.get(QOS, '')) or []
             described = {
                 'name': topic,
-                'type': definition.name,
+                'type': type_name,
                 'serialization_format': message_encoding,
-                'offered_qos_profiles': parsed_qos(metadata.get(QOS, '')),
+                'offered_qos_profiles': qos,
                 'type_description_hash': metadata.get(TYPE_HASH, ''),
             }
             self._topics[channel] = BagTopic(described)
@@ -199,29 +196,12 @@ class FileWriter:
             self._file.raw.close()
 
 
-def parsed_qos(text: str) -> object:
-    """Return the QoS that a channel was offered; none if it is missing or no YAML."""
-    try:
-        return parse_yaml(text) or []
-    except ValueError:
-        return []
-
-
-@dataclass(frozen=True)
-class RepairResult:
-    """The result of a repair."""
-
-    messages: int
-    # Unfinished files, and corrupt places.
-    lost: list[str]
-
-
 def repair(
     path: str | Path,
     target: Path,
     progress: Callable[[Iterator[Recorded]], Iterable[Recorded]] = iter,
-) -> RepairResult:
-    """Write the readable part of a log to a new finished file; none is left after an error."""
+) -> tuple[int, list[str]]:
+    """Write the readable part of a log to a new file; return its messages and what was lost."""
     check_is_new(target)
     lost = [f'{part} is unfinished' for part in log_parts(path) if not is_finished_part(part)]
     corrupt: list[LogError] = []
@@ -233,7 +213,7 @@ def repair(
     except (LogError, OSError):
         target.unlink()
         raise
-    return RepairResult(contents.messages, lost + [str(each) for each in corrupt])
+    return contents.messages, lost + [str(each) for each in corrupt]
 
 
 def finished(part: Path, compression: str, lock: LogLock) -> BagFile:
@@ -275,7 +255,7 @@ def copy(recorded: Iterable[Recorded], target: Path, name: str, compression: str
                 channel = part.add_channel(
                     record.channel.topic,
                     record.channel.message_encoding,
-                    Definition(schema.name, schema.encoding, schema.data),
+                    (schema.name, schema.encoding, schema.data),
                     record.channel.metadata,
                 )
                 part.write(

@@ -115,7 +115,8 @@ def read_log(
     A cut part yields what is before the cut, a corrupt one what is before its first error. That is
     raised as a LogError, or added to `corrupt` if that is given.
     """
-    decode, indices = Decoders(path), defaultdict[str, Iterator[int]](count)
+    decoders: Decoders = {}
+    indices = defaultdict[str, Iterator[int]](count)
     for item in read_recorded(path, corrupt):
         if not isinstance(item, RecordedMessage):
             continue
@@ -129,7 +130,7 @@ def read_log(
                 item.publish_time,
                 item.position,
                 item.data,
-                decode(item),
+                decoded(path, item, decoders),
             )
 
 
@@ -353,29 +354,25 @@ def readable(part: Path) -> Iterator[None]:
         raise LogError(f'{part} cannot be read: {error.strerror}') from error
 
 
-class Decoders:
-    """Decoders of messages, by type as the file defines it."""
+# Decoders by encoding of the message, and encoding, name and text of its type's definition.
+Decoders = dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None]
 
-    def __init__(self, path: str | Path) -> None:
-        self._path = path
-        self._decoders: dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None] = {}
 
-    def __call__(self, recorded: RecordedMessage) -> Any:
-        """Decode a message."""
-        channel, schema = recorded.channel, recorded.schema
-        encoding = channel.message_encoding
-        key = encoding, schema.encoding, schema.name, schema.data
-        try:
-            if key not in self._decoders:
-                self._decoders[key] = DecoderFactory().decoder_for(encoding, schema)
-            decoder = self._decoders[key]
-            if decoder is not None:
-                return decoder(recorded.data)
-        except Exception as error:
-            raise LogError(
-                f'{self._path}: a message of topic {channel.topic} is no {schema.name}: {error!r}'
-            ) from error
+def decoded(path: str | Path, recorded: RecordedMessage, decoders: Decoders) -> Any:
+    """Decode a message of a log by its type as the file defines it."""
+    channel, schema = recorded.channel, recorded.schema
+    encoding = channel.message_encoding
+    key = encoding, schema.encoding, schema.name, schema.data
+    try:
+        if key not in decoders:
+            decoders[key] = DecoderFactory().decoder_for(encoding, schema)
+        if decoder := decoders[key]:
+            return decoder(recorded.data)
+    except Exception as error:
         raise LogError(
-            f'{self._path}: topic {channel.topic} is {encoding!r} of a type defined in '
-            f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
-        )
+            f'{path}: a message of topic {channel.topic} is no {schema.name}: {error!r}'
+        ) from error
+    raise LogError(
+        f'{path}: topic {channel.topic} is {encoding!r} of a type defined in '
+        f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
+    )

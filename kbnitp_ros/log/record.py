@@ -35,15 +35,14 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
-    OperatorAction,
     OperatorState,
     read_operator_action,
 )
 from numpy.typing import ArrayLike
 
 
-class AtBaseError(ValueError):
-    """A robot reported lost is at the base, or was by its last status."""
+class EarlyError(ValueError):
+    """A message refers to another one that has not arrived: a loss before its departure."""
 
 
 class Departures:
@@ -112,14 +111,14 @@ class Departures:
         return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a robot can have been lost; raises `AtBaseError` if it never departed."""
+        """Check that a robot can have been lost; raises `EarlyError` if it never departed."""
         if self.is_refused(key):
             raise ValueError(
                 f'deployment {key} is reported lost, and its robot stays at the base: '
                 f'{self._statuses[key].reason}'
             )
         if self.is_at_base(key) and key not in self._reported:
-            raise AtBaseError(
+            raise EarlyError(
                 f'deployment {key} is reported lost, and its agent has not reported its departure'
             )
 
@@ -320,11 +319,6 @@ class RecordedMission(MissionRecord):
         status = self.departures.status(key)
         says_so = status is not None and status.state is OrderState.DEPARTED
         return says_so or self.outcome(key) is not None
-
-    @property
-    def actions(self) -> list[OperatorAction]:
-        """Return the operator's actions in recorded order."""
-        return [*self.operator.actions.values()]
 
     @property
     def survived(self) -> int:

@@ -216,9 +216,7 @@ def roles_of_old(
     }
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
-        raise AmbiguousMissionError(
-            f'{log} has missions in the namespaces {found}: name one, --namespace'
-        )
+        raise LogError(f'{log} has missions in the namespaces {found}: name one, --namespace')
     # A log without parameters and beliefs so far names no mission.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
@@ -232,10 +230,6 @@ def roles_of_old(
     ]
     found_agents = (agent for agent, _, role in sent if role in EVIDENCE)
     return Roles.of(root, dict.fromkeys([*(reader.agents if reader else ()), *found_agents]))
-
-
-class AmbiguousMissionError(LogError):
-    """A log with several missions, of which none was chosen."""
 
 
 @dataclass(frozen=True)
@@ -316,7 +310,8 @@ def resumed_log(log: str, own: Roles) -> MissionLog:
     """Return a log to resume; raise ValueError if it is not of the node's mission."""
     try:
         recorded = MissionLog(log, own=own)
-    except AmbiguousMissionError:
+    except LogError:
+        # It may hold several missions.
         recorded = MissionLog(log, own.namespace, own)
     if differs := recorded.roles.difference(own.names):
         raise ValueError(

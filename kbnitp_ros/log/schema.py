@@ -12,7 +12,7 @@ from pathlib import Path
 import struct
 from typing import Any
 
-from kbnitp_ros.files import naming
+from kbnitp_ros.files import naming, sync_folder
 from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
@@ -239,13 +239,3 @@ def is_of_another_bag(folder: Path, first: str) -> bool:
         return False
     # A list of missing files alone is of a log that was renamed.
     return any((folder / str(name)).exists() for name in listed)
-
-
-def sync_folder(folder: Path) -> None:
-    """Put the folder's list of files onto the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        with naming(folder):
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -100,7 +100,7 @@ class LogWriter:
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
         """Add a topic before its first message, and again whenever its QoS changes."""
         description = describe(type_name)
-        definition = Definition(type_name, SchemaEncoding.ROS2, description.definition.encode())
+        definition = type_name, SchemaEncoding.ROS2, description.definition.encode()
         metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
         known = self._topics.get(topic)
         self._topics[topic] = Topic(definition, metadata, known.messages if known else 0)

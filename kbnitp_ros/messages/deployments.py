@@ -13,7 +13,6 @@ from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import (
     check_frame,
     content_hash,
-    from_stamp,
     header,
     NO_MISSION,
     read_name,
@@ -76,11 +75,6 @@ def read_path_name(message: Any) -> int:
     for index, pose in enumerate(message.poses):
         check_frame(f'poses[{index}].header.frame_id', pose.header.frame_id)
     return read_name('header.stamp', message.header.stamp)
-
-
-def key_of_path(agent: str, message: Any) -> DeploymentKey:
-    """Return the deployment of an agent's path, whatever its poses."""
-    return DeploymentKey(agent, from_stamp(message.header.stamp))
 
 
 def report_message(

@@ -53,6 +53,11 @@ def from_stamp(stamp: Any) -> int:
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
+def in_seconds(nanoseconds: int) -> str:
+    """Return a time in seconds, as in the names of deployments."""
+    return f'{nanoseconds // SECOND}.{nanoseconds % SECOND:09d}'
+
+
 def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
     """Return the nanoseconds of a received builtin_interfaces/Time."""
     if not stamp.nanosec < SECOND:
@@ -60,7 +65,7 @@ def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
     nanoseconds = from_stamp(stamp)
     if not 0 <= nanoseconds <= last:
         raise ValueError(
-            f'{name} is {stamp.sec}.{stamp.nanosec:09d} s: '
+            f'{name} is {in_seconds(nanoseconds)} s: '
             f'it must be from 0 to {last // SECOND} s, so that later ones can follow'
         )
     return nanoseconds
@@ -193,4 +198,4 @@ def named(mission: int) -> str:
     """Return the name of a mission."""
     if mission == NO_MISSION:
         return 'a mission that tells no time'
-    return f'the mission begun at {mission // SECOND}.{mission % SECOND:09d}'
+    return f'the mission begun at {in_seconds(mission)}'

@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.messages.deployments import path_message, read_path
-from kbnitp_ros.messages.headers import check_frame, header, read_name, SECOND, shown
+from kbnitp_ros.messages.headers import check_frame, header, read_name, shown
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,11 +62,6 @@ class OperatorAction:
         return ' '.join(filter(None, [WORDS[self.action], robots])) + (
             contact if self.steps_survived else ''
         )
-
-    @property
-    def when(self) -> str:
-        """Return its time as shown in the names of deployments."""
-        return f'{self.stamp // SECOND}.{self.stamp % SECOND:09d}'
 
 
 def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorAction:

@@ -18,9 +18,9 @@ from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import (
-    AtBaseError,
     check_same_field,
     Departures,
+    EarlyError,
     is_of_mission,
     read_mission,
     record,
@@ -178,7 +178,7 @@ class EstimatorNode(FieldNode):
                 self._departures.check_loss(key)
             named = replace(report, content=content_hash(message))
             changed = self._ledger.record_report(key, named)
-        except AtBaseError as error:
+        except EarlyError as error:
             if not self._early.keep(deadline, agent, message):
                 self._refuse(f'{agent}/report', error)
         except ValueError as error:

@@ -16,12 +16,12 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import Recorded
-from kbnitp_ros.base.mission_tracker import MissionTracker, PathsUnknownError
+from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import PARAMETERS, RUN
-from kbnitp_ros.log.record import AtBaseError, Departures, read_mission
+from kbnitp_ros.log.record import Departures, EarlyError, read_mission
 from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import check_readable, qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
@@ -363,7 +363,7 @@ class RecorderNode(MissionNode):
                 return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
-            is_early = isinstance(error, (PathsUnknownError, AtBaseError))
+            is_early = isinstance(error, EarlyError)
             if not (is_early and self._early.keep(deadline, message)):
                 self.diagnostics.refuse(topic.name, error)
             return
@@ -420,7 +420,7 @@ class RecorderNode(MissionNode):
         # Of two departures of one deployment, by two robots of one name, only the first is
         # acknowledged.
         if key not in self._ordered:
-            raise PathsUnknownError(
+            raise EarlyError(
                 f'deployment {key} is {status.state.name}, and its path is not on record'
             )
         self._departures.take(key, status)

@@ -15,7 +15,7 @@ from typing import Any
 import zlib
 
 from kbnitp_ros.core import Grid, Observation
-from kbnitp_ros.files import naming
+from kbnitp_ros.files import naming, sync_folder
 from kbnitp_ros.robot.way import steps_within
 import numpy as np
 
@@ -334,13 +334,3 @@ def journal_line(entry: dict[str, Any], before: int) -> tuple[bytes, int]:
     text = json.dumps(entry, separators=(',', ':')).encode()
     check = zlib.crc32(text, before)
     return b'%08x %s\n' % (check, text), check
-
-
-def sync_folder(folder: Path) -> None:
-    """Put a folder's list of files onto the disk."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        with naming(folder):
-            os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -15,7 +15,7 @@ from kbnitp_ros.configuration.known import ROS_PARAMETERS
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.messages.deployments import key_of_path, OrderState, read_status
+from kbnitp_ros.messages.deployments import OrderState, read_status
 import numpy as np
 from onlooker import Evidence, Onlooker
 import rclpy
@@ -273,7 +273,7 @@ class Mission:
             if role.name == 'report':
                 evidence.take_report(logged.message)
             else:
-                key = key_of_path(role.agent, logged.message)
+                key, _ = logged.said
                 evidence.take_path(key, logged.message)
         return evidence
 

@@ -183,8 +183,8 @@ def test_a_date_is_not_a_part_number(sent, tmp_path):
 
 def test_a_bag_becomes_a_log_by_repair(sent, tmp_path):
     folder = write_bag(tmp_path / 'bag', sent)
-    repaired = repair(folder, tmp_path / 'mission.mcap')
-    assert (repaired.messages, repaired.lost) == (len(sent), [])
+    saved, lost = repair(folder, tmp_path / 'mission.mcap')
+    assert (saved, lost) == (len(sent), [])
     check(tmp_path / 'mission.mcap', sent)
 
 

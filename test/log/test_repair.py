@@ -54,9 +54,9 @@ def content(*files):
 def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
     target = tmp_path / 'repaired' / 'mission.mcap'
     target.parent.mkdir()
-    repaired = repair(folder, target)
-    assert repaired.messages == len(whole_mission.sent)
-    assert repaired.lost == [f'{folder / "mission_1.mcap"} is unfinished']
+    saved, lost = repair(folder, target)
+    assert saved == len(whole_mission.sent)
+    assert lost == [f'{folder / "mission_1.mcap"} is unfinished']
     assert is_finished(target)
     assert content(target) == content(*log_parts(folder))
     assert read_metadata(target)['run'] == {'seed': '8'}
@@ -126,10 +126,10 @@ def test_messages_before_an_error_are_saved_from_each_part(folder, whole_mission
     kept = len([each for each in read_part(path, []) if isinstance(each, RecordedMessage)])
     assert kept == 10
     later = len(content(*log_parts(folder)[1:]))
-    repaired = repair(folder, tmp_path / 'repaired.mcap')
-    assert repaired.messages == kept + later
-    assert repaired.lost[0] == f'{folder / "mission_1.mcap"} is unfinished'
-    assert repaired.lost[1].startswith(f'{path} is corrupt after byte')
+    saved, lost = repair(folder, tmp_path / 'repaired.mcap')
+    assert saved == kept + later
+    assert lost[0] == f'{folder / "mission_1.mcap"} is unfinished'
+    assert lost[1].startswith(f'{path} is corrupt after byte')
     assert is_finished(tmp_path / 'repaired.mcap')
 
 
