@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robots in flight, refused orders and late returns."""
+"""Robots in flight."""
 
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-import time
 from typing import Any, TypeVar
 
 from kbnitp_ros.configuration import value_for
@@ -17,59 +16,6 @@ from kbnitp_ros.messages.deployments import AgentStatus, OrderState
 from kbnitp_ros.messages.headers import SECOND
 import numpy as np
 from numpy.typing import NDArray
-
-# Seconds after the first refusal, doubled with each further one, and their maximum.
-FIRST, MAX_PAUSE = 1.0, 60.0
-
-
-class Refusals:
-    """Agents that refused their last orders, and when to try them again."""
-
-    def __init__(self) -> None:
-        self._pauses: dict[str, float] = {}
-        self._until: dict[str, float] = {}
-
-    def add(self, agent: str) -> None:
-        """Record that an agent refused an order."""
-        pause = min(2 * self._pauses[agent], MAX_PAUSE) if agent in self._pauses else FIRST
-        self._pauses[agent], self._until[agent] = pause, time.monotonic() + pause
-
-    def clear(self, agent: str) -> None:
-        """Record that a robot of an agent departed."""
-        self._pauses.pop(agent, None)
-        self._until.pop(agent, None)
-
-    def is_left_alone(self, agent: str) -> bool:
-        """Return whether an agent must not be sent an order yet."""
-        return time.monotonic() < self._until.get(agent, 0.0)
-
-
-# Seconds that the nodes of a base may take to process a return.
-TAKEN_IN = 5.0
-
-
-class LateReturns:
-    """Robots that were given up and may still return."""
-
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self._values = values
-        self._until: dict[DeploymentKey, float] = {}
-
-    def expect(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
-        """Await a robot that was given up on a path, shape (steps + 1,)."""
-        self._until[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
-
-    def end(self, key: DeploymentKey) -> None:
-        """Stop awaiting a robot that has returned, once its return is processed."""
-        if key in self._until:
-            self._until[key] = min(self._until[key], time.monotonic() + TAKEN_IN)
-
-    @property
-    def awaited(self) -> dict[DeploymentKey, float]:
-        """Return the robots that may still return, with the seconds left."""
-        now = time.monotonic()
-        return {key: until - now for key, until in self._until.items() if until > now}
-
 
 K = TypeVar('K')
 V = TypeVar('V')
@@ -108,7 +54,8 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         self.kept = kept
         self._in_flight: dict[DeploymentKey, DeploymentInFlight] = {}
         self._sent: set[DeploymentKey] = set()
-        self._departures = Departures()
+        # The state of all orders.
+        self.departures = Departures()
         # Acknowledgements without a path, and statuses of unknown orders: a restarted planner may
         # send these again.
         self._recorded: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
@@ -176,7 +123,9 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         if (status := self._unknown.pop(key, None)) is not None:
             self.take(key, status)
 
-    def hear(self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int) -> bool:
+    def add_path(
+        self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int
+    ) -> bool:
         """Add a path; return whether it replaces the one that the robot was sent on."""
         if key in self._sent:
             robot = self._in_flight.get(key)
@@ -214,13 +163,13 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
         """Add an agent's status of an order; return whether it is new."""
-        is_known = key in self._sent or key in self._others or self._departures.is_refused(key)
+        is_known = key in self._sent or key in self._others or self.departures.is_refused(key)
         if not is_known:
             remember(self._unknown, key, status)
             raise ValueError(
                 f'deployment {key} is {status.state.name}, but this planner knows no path of it'
             )
-        if not self._departures.take(key, status):
+        if not self.departures.take(key, status):
             return False
         robot = self._in_flight.get(key)
         if robot is None:
@@ -244,17 +193,13 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         if status.state is OrderState.DEPARTED and key in self._in_flight:
             self._in_flight[key].has_departed = True
 
-    def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a robot can have been lost, as `Departures` does."""
-        self._departures.check_loss(key)
-
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
         """Remove a robot that its agent reported, or that was given up."""
-        if self._departures.is_refused(key):
+        if self.departures.is_refused(key):
             # A returned robot must have departed.
             self._sent.add(key)
         self._in_flight.pop(key, None)
-        self._departures.end(key, reported)
+        self.departures.end(key, reported)
 
     def overdue(self, now: int) -> list[DeploymentKey]:
         """Return the robots in flight that have timed out."""
@@ -266,16 +211,16 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             if not self.has_departed(key):
                 continue
             # A clock that was set back does not delay timeouts.
-            robot.due = self._due(now, key.agent, robot) if robot.due is None else robot.due + jump
+            if robot.due is None:
+                away = longest_absence(self._values, key.agent, robot.path)
+                robot.due = now + round(away * SECOND)
+            else:
+                robot.due += jump
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
             # Messages that came during a search are read between two checks.
             if was_overdue and robot.is_overdue:
                 overdue.append(key)
         return overdue
-
-    def _due(self, now: int, agent: str, robot: DeploymentInFlight) -> int:
-        """Return when a robot that departs now times out, in nanoseconds."""
-        return now + round(longest_absence(self._values, agent, robot.path) * SECOND)
 
 
 def longest_absence(values: Mapping[str, Any], agent: str, path: NDArray[np.intp]) -> float:

@@ -9,7 +9,6 @@ from threading import Lock
 from typing import Any
 
 from kbnitp_ros.configuration import make_goal
-from kbnitp_ros.configuration.mission import make_stop
 from kbnitp_ros.core import (
     Belief,
     Decision,
@@ -21,7 +20,6 @@ from kbnitp_ros.core import (
     MissionRecord,
     Report,
     RobotType,
-    Stop,
 )
 from kbnitp_ros.messages.beliefs import Snapshot
 import numpy as np
@@ -39,7 +37,8 @@ class MissionEvidence:
     ) -> None:
         self._grid = grid
         self._values = values
-        self._deployments = MissionRecord(grid, values['max_steps'], robot_types)
+        # The evidence that counts.
+        self.record = MissionRecord(grid, values['max_steps'], robot_types)
         self._prior: Snapshot | None = None
         # All evidence so far.
         self._events: list[Event] = []
@@ -57,16 +56,6 @@ class MissionEvidence:
         """Return the goal of the mission; None to map the field."""
         return make_goal(self._values, self._grid)
 
-    @property
-    def stop(self) -> Stop:
-        """Return the conditions that end the mission early."""
-        return make_stop(self._values)
-
-    @property
-    def lost(self) -> int:
-        """Return the number of robots known to be lost."""
-        return self._deployments.lost
-
     def begin(self, prior: Snapshot) -> None:
         """Use the first belief of an estimator as the prior."""
         if self._prior is None or self._prior.rules() != prior.rules():
@@ -83,7 +72,7 @@ class MissionEvidence:
     def _note(self, event: Event) -> None:
         # The estimator refuses it as well, and reports the refusal.
         with suppress(ValueError):
-            event(self._deployments)
+            event(self.record)
         self._events.append(event)
 
     @property

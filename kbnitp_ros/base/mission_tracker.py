@@ -7,16 +7,15 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.log.record import EarlyError, read_newest_round, read_resumed
+from kbnitp_ros.log.record import EarlyError, read_newest_round, read_resumed, RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import report_message, Source
-from kbnitp_ros.messages.headers import check_mission, LAST_COUNTED_ON, named, shown
+from kbnitp_ros.messages.headers import check_mission, named, shown
 
 
 class MissionTracker:
@@ -104,70 +103,45 @@ class MissionTracker:
         return is_newest
 
 
-class Resumption:
-    """A mission to be resumed from its log."""
+def read_planner_record(
+    log: MissionLog, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
+) -> RecordedMission:
+    """Read the record of a mission that a planner of these agents resumes."""
+    robot_types = make_robot_types(values, grid)
+    record = read_resumed(log, grid, values['max_steps'], robot_types)
+    for key in record.orders:
+        if key.agent not in agents:
+            raise ValueError(
+                f'{log.path} has deployments of {key.agent}: the parameter agents names only '
+                f'{", ".join(agents)}'
+            )
+    return record
 
-    def __init__(
-        self, log: MissionLog, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
-    ) -> None:
-        self._log = log
-        self._values = values
-        self._agents = agents
-        robot_types = make_robot_types(values, grid)
-        self.record = read_resumed(log, grid, values['max_steps'], robot_types)
-        # In their order.
-        self.orders = self.record.orders
-        for key in self.orders:
-            if key.agent not in agents:
-                raise ValueError(
-                    f'{log.path} has deployments of {key.agent}: the parameter agents names only '
-                    f'{", ".join(agents)}'
-                )
 
-    @property
-    def last_stamp(self) -> int:
-        """Return the stamp of the last deployment after which other robots are counted."""
-        return max((key.stamp for key in self.orders if key.stamp <= LAST_COUNTED_ON), default=0)
+def recorded_losses(
+    record: RecordedMission, values: Mapping[str, Any]
+) -> Iterator[tuple[DeploymentKey, DeploymentReport]]:
+    """Yield the losses that the former planner reported."""
+    given_up = record.operator.given_up
+    for key in record.orders:
+        is_own = values['silent_loss'] or key in given_up
+        outcome = record.outcome(key)
+        if is_own and outcome is not None and not outcome.survived:
+            source = Source.OPERATOR if key in given_up else Source.SILENCE
+            yield key, report_message(key, outcome, record.reports[key].stamp, source)
 
-    def note(self, in_flight: DeploymentsInFlight, rounds: Rounds) -> None:
-        """Restore all robots that were sent, and their outcomes."""
-        record = self.record
-        for key in self.orders:
-            path, content = record.paths[key], record.path_contents[key]
-            in_flight.send(key, path, content)
-            in_flight.record(key, content)
-            if (status := record.departures.status(key)) is not None:
-                in_flight.restore(key, status)
-            if record.departures.is_refused(key):
-                continue
-            rounds.count_path(path)
-            if (outcome := record.outcome(key)) is not None:
-                in_flight.end(key, record.reports[key].stamp if outcome.survived else None)
 
-    def losses(self) -> Iterator[tuple[DeploymentKey, DeploymentReport]]:
-        """Yield the losses that the former planner reported."""
-        given_up = self.record.operator.given_up
-        for key in self.orders:
-            is_own = self._values['silent_loss'] or key in given_up
-            outcome = self.record.outcome(key)
-            if is_own and outcome is not None and not outcome.survived:
-                source = Source.OPERATOR if key in given_up else Source.SILENCE
-                yield key, report_message(key, outcome, self.record.reports[key].stamp, source)
-
-    def missing(self, rounds: Rounds) -> tuple[Plans, int] | None:
-        """Return the plans of the newest round that are not on record, and its mission."""
-        # A round of one robot, or of robots that leave independently, has no missing part.
-        if len(self._agents) == 1 or self._values['rolling']:
-            return None
-        operator = self.record.operator
-        if operator.is_holding:
-            return None
-        newest_round = read_newest_round(self._log, self.record)
-        if newest_round is None:
-            return None
-        planned_on, keys = newest_round
-        recorded = {key: self.record.paths[key] for key in keys}
-        refused = operator.refused(planned_on.deployments)
-        at_base = {key for key in keys if self.record.departures.is_refused(key)}
-        plans = rounds.missing(planned_on, list(self._agents), recorded, refused, at_base)
-        return plans, planned_on.mission
+def missing_plans(
+    log: MissionLog, record: RecordedMission, agents: Collection[str], rounds: Rounds
+) -> tuple[Plans, int] | None:
+    """Return the plans of the newest round that are not on record, and its mission."""
+    operator = record.operator
+    newest_round = None if operator.is_holding else read_newest_round(log, record)
+    if newest_round is None:
+        return None
+    planned_on, keys = newest_round
+    recorded = {key: record.paths[key] for key in keys}
+    refused = operator.refused(planned_on.deployments)
+    at_base = {key for key in keys if record.departures.is_refused(key)}
+    plans = rounds.missing(planned_on, list(agents), recorded, refused, at_base)
+    return plans, planned_on.mission

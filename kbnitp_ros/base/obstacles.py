@@ -27,7 +27,7 @@ class Obstacle(Enum):
     DECIDING = auto()
     UNDECIDED = auto()
     OVER = auto()
-    NOT_HEARD = auto()
+    NO_SUBSCRIBER = auto()
     ALL_LEFT = auto()
     PAUSED = auto()
     NO_FREE_AGENT = auto()
@@ -70,7 +70,7 @@ class PlannerState:
     # Number of deployments in the newest belief; None before the first.
     newest: int | None
     # Number of deployments in the last belief received; less than `newest` after a restart.
-    last_heard: int
+    last_received: int
     # Evidence that the estimator has refused since then; empty if none.
     refusal: str
     # Number of nodes that publish beliefs.
@@ -83,6 +83,9 @@ class PlannerState:
     why_over: Callable[[], str]
     # Returns the listeners missing before the first robot leaves; empty if none is.
     missing_listeners: Callable[[], str]
+    # Return the full name of a topic and of a service.
+    topic: Callable[[str], str]
+    service: Callable[[str], str]
     # The agents of the search that runs.
     searched: Sequence[str] = ()
     # Reason why no path found is worth a robot; empty if one is.
@@ -162,7 +165,7 @@ class PlannerState:
         if self.why_over():
             return Obstacle.UNREPORTED if unreported else Obstacle.OVER
         if self.missing_listeners():
-            return Obstacle.NOT_HEARD
+            return Obstacle.NO_SUBSCRIBER
         if self.sent >= self.robots:
             return Obstacle.ALL_LEFT
         if self.operator.is_paused:
@@ -180,6 +183,10 @@ class PlannerState:
             Obstacle.SEARCHING,
         )
 
+    def topics(self, agents: Iterable[str], name: str) -> str:
+        """Return the topics of agents as a list in words."""
+        return some(self.topic(f'{agent}/{name}') for agent in agents)
+
     def mission_state(self, obstacle: Obstacle) -> MissionState:
         """Return the state of the mission under a condition."""
         if self.operator.is_ended:
@@ -189,29 +196,17 @@ class PlannerState:
         return MissionState.PAUSED if self.operator.is_paused else MissionState.RUNNING
 
 
-class FullNames(NamedTuple):
-    """Resolvers of names."""
-
-    # Returns the full name under which a topic is published or a service answered.
-    of_topic: Callable[[str], str]
-    of_service: Callable[[str], str]
-
-    def of_topics(self, agents: Iterable[str], name: str) -> str:
-        """Return the topics of agents as a list in words."""
-        return some(self.of_topic(f'{agent}/{name}') for agent in agents)
-
-
-def describe_obstacle(now: PlannerState, obstacle: Obstacle, names: FullNames) -> str:
+def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
     """Describe the planner's wait, or the end of the mission."""
     match obstacle:
         case Obstacle.ACTION_UNRECORDED:
             return now.unrecorded_action
         case Obstacle.NO_BELIEF:
-            return first_belief(now, names)
+            return first_belief(now)
         case Obstacle.UNREPORTED:
-            return report(now, names)
+            return report(now)
         case Obstacle.BELIEF_BEHIND:
-            return next_belief(now, names)
+            return next_belief(now)
         case Obstacle.DECIDING:
             return 'the decision for the goal to be made'
         case Obstacle.UNDECIDED:
@@ -219,26 +214,26 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle, names: FullNames) -
                 'the evidence behind the belief, which the goal needs: restart the planner with '
                 'the parameter resume set to the log'
             )
-        case Obstacle.NOT_HEARD:
+        case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:
             return f'robots in flight: {some(now.in_flight)}; all were sent (parameter robots)'
         case Obstacle.PAUSED:
-            return f'the operator to end the pause by the service {names.of_service("pause")}'
+            return f'the operator to end the pause by the service {now.service("pause")}'
         case Obstacle.NO_FREE_AGENT:
-            return free_agent(now, names)
+            return free_agent(now)
         case Obstacle.SEARCHING:
             return f'the search for the paths of {some(now.searched)} to end'
         case Obstacle.WORTHLESS:
             return (
                 f'the operator, since nothing is worth a robot: {now.why_worthless}; change '
-                f'parameters, or call {names.of_service("end_mission")}'
+                f'parameters, or call {now.service("end_mission")}'
             )
         case Obstacle.UNAPPROVED:
-            proposals = names.of_topics((key.agent for key in now.proposed), 'proposal')
+            proposals = now.topics((key.agent for key in now.proposed), 'proposal')
             return (
                 f'the operator to approve of {proposals} by the service '
-                f'{names.of_service("approve")} (parameter approval)'
+                f'{now.service("approve")} (parameter approval)'
             )
         case Obstacle.ALL_DEPLOYED:
             return deployed(now)
@@ -252,7 +247,7 @@ def deployed(now: PlannerState) -> str:
     return f'{now.newest or 0} of {now.values["robots"]} robots deployed{by_operator}'
 
 
-def not_heard_again(kept: int) -> str:
+def not_repeated(kept: int) -> str:
     """Return why an estimator may never hold all deployments, given how many are kept."""
     return (
         f', and publishers keep only the last {kept} of each agent: restart the estimator with '
@@ -260,34 +255,34 @@ def not_heard_again(kept: int) -> str:
     )
 
 
-def first_belief(now: PlannerState, names: FullNames) -> str:
+def first_belief(now: PlannerState) -> str:
     """Describe the wait for the first belief."""
-    wait = f'the belief on {belief_topic(now, names)}'
+    wait = f'the belief on {belief_topic(now)}'
     if not now.estimators:
         return f'{wait}: start an estimator'
     return f'{wait}: its estimator waits for the nodes in its parameter await_nodes'
 
 
-def next_belief(now: PlannerState, names: FullNames) -> str:
+def next_belief(now: PlannerState) -> str:
     """Describe the wait for the next belief."""
     wait = f'a belief that holds {counted(now.reported, "deployment")}'
-    if now.last_heard < now.reported and now.in_flight.forgotten:
-        again = not_heard_again(now.in_flight.kept)
-        return f'{wait}; the last one holds {now.last_heard}{again}'
+    if now.last_received < now.reported and now.in_flight.forgotten:
+        again = not_repeated(now.in_flight.kept)
+        return f'{wait}; the last one holds {now.last_received}{again}'
     refusal = f'; {now.refusal}' if now.refusal else ''
-    return f'{wait} on {belief_topic(now, names)}{refusal}'
+    return f'{wait} on {belief_topic(now)}{refusal}'
 
 
-def belief_topic(now: PlannerState, names: FullNames) -> str:
+def belief_topic(now: PlannerState) -> str:
     """Return the topic of beliefs, and whether it has a publisher."""
-    name = names.of_topic('belief')
+    name = now.topic('belief')
     return name if now.estimators else f'{name}, which nobody publishes'
 
 
-def report(now: PlannerState, names: FullNames) -> str:
+def report(now: PlannerState) -> str:
     """Describe the first report awaited, and its deadline."""
     key = min(now.unreported, key=deployment_order)
-    agent = names.of_topic(key.agent)
+    agent = now.topic(key.agent)
     wait = f'{key} to be reported on {agent}/report'
     if now.values['recorded'] and not now.in_flight[key].is_recorded:
         return (
@@ -302,14 +297,14 @@ def report(now: PlannerState, names: FullNames) -> str:
     return f'{wait}, however long that takes (parameter silent_loss is false)'
 
 
-def free_agent(now: PlannerState, names: FullNames) -> str:
+def free_agent(now: PlannerState) -> str:
     """Explain why no agent is free."""
     absent, mute, left_alone = now.absent, now.mute, now.left_alone
     reasons = [
-        f'nobody publishes {names.of_topics(absent, "report")}' if absent else '',
+        f'nobody publishes {now.topics(absent, "report")}' if absent else '',
         f'{some(now.in_flight)} are out' if now.in_flight else '',
         f'{some(left_alone)} refused the last order' if left_alone else '',
-        f'nobody publishes {names.of_topics(mute, "status")}, so a robot that never left would '
+        f'nobody publishes {now.topics(mute, "status")}, so a robot that never left would '
         'count as lost (parameter presume_departure)'
         if mute
         else '',

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import most_distance
-from kbnitp_ros.configuration.mission import search_options, type_to_plan
+from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_plan
 from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_round, RobotType, Team
 from kbnitp_ros.core.decision.rounds import why_worthless
 from kbnitp_ros.core.planning.planners import count_visits
@@ -129,7 +129,7 @@ class Rounds:
 
         types = tuple(map(robot_type, agents))
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
-        goal, stop = self._knowledge.goal, self._knowledge.stop
+        goal, stop = self._knowledge.goal, make_stop(self._values)
         options = search_options(self._values)
         # Gains of other objectives and of goals are not in nats of information.
         is_mapping = goal is None and options.objective == 'information'

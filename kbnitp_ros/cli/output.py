@@ -10,16 +10,12 @@ from io import TextIOWrapper
 import os
 import signal
 import sys
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from kbnitp_ros.files import in_words
 
-
-class Main(Protocol):
-    """The main function of a command; returns the exit code."""
-
-    def __call__(self, argv: Sequence[str] | None = None) -> int:
-        """Run the command with these arguments; None for those of the process."""
+# The main function of a command: takes its arguments, and returns the exit code.
+Main = Callable[..., int]
 
 
 class OutputError(Exception):
@@ -54,7 +50,9 @@ def command(name: str) -> Callable[[Main], Main]:
                 try:
                     return main(argv)
                 finally:
-                    flush()
+                    if sys.stdout is not None:
+                        with writing():
+                            sys.stdout.flush()
             except KeyboardInterrupt:
                 return 128 + signal.SIGINT
             except MemoryError as error:
@@ -81,13 +79,6 @@ def writing() -> Iterator[None]:
         yield
     except OSError as error:
         raise OutputError from error
-
-
-def flush() -> None:
-    """Flush standard output; raise OutputError."""
-    if sys.stdout is not None:
-        with writing():
-            sys.stdout.flush()
 
 
 def discard(stream: TextIO) -> None:

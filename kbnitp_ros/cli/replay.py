@@ -99,7 +99,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
         f'{deployments} deployments, {survived} survived, {deployments - survived} lost; '
         f'method {report.method or "not on record"}'
     )
-    for action in evidence.operator.actions.values():
+    for action in evidence.actions:
         yield f'the operator {action}, at {in_seconds(action.stamp)}'
     yield from report.changes
     if report.standing is not NOT_KNOWN:

@@ -15,7 +15,7 @@ from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report.comparison import check_one_field, comparison_page, Pair
 from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
 from kbnitp_ros.report.mission import Mission, read_mission
-from kbnitp_ros.report.tables import Curves, mission_curves
+from kbnitp_ros.report.tables import mission_curves
 from tqdm import tqdm
 
 DESCRIPTION = """
@@ -33,6 +33,10 @@ EXAMPLES = (
     'python3 -m kbnitp_ros report runs/small/mission.mcap --out shown',
     'python3 -m kbnitp_ros report runs/small runs/other --out runs/compared',
 )
+
+
+# A progress bar on a terminal while the curves of a mission are computed.
+CURVES = partial(tqdm, unit='belief', desc='curves', disable=None)
 
 
 @command('report')
@@ -73,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def report(log: Path, folder: Path, note: str = '', namespace: str | None = None) -> Mission:
     """Write the report of a log, with progress bars on a terminal."""
     mission = read(log, namespace)
-    curves = curves_with_progress(mission)
+    curves = mission_curves(mission, CURVES)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
         left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
     say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
@@ -87,7 +91,7 @@ def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
     """Write the page of two missions, with progress bars on a terminal."""
     missions = [read(first), read(second)]
     check_one_field(*missions)
-    page = comparison_page(*(Pair(each, curves_with_progress(each)) for each in missions))
+    page = comparison_page(*(Pair(each, mission_curves(each, CURVES)) for each in missions))
     write_comparison(folder, page)
     say(f'wrote {folder / "comparison.html"}')
     return missions
@@ -96,8 +100,3 @@ def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
 def read(log: Path, namespace: str | None = None) -> Mission:
     """Return the mission of a log, with a progress bar on a terminal."""
     return read_mission(log, partial(with_progress, log_size(log)), namespace)
-
-
-def curves_with_progress(mission: Mission) -> Curves:
-    """Return the curves of a mission, with a progress bar on a terminal."""
-    return mission_curves(mission, partial(tqdm, unit='belief', desc='curves', disable=None))

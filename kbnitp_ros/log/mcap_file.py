@@ -19,7 +19,6 @@ from kbnitp_ros.log.read import (
     RecordedMetadata,
 )
 from kbnitp_ros.log.schema import (
-    bag_file,
     BagFile,
     BagTopic,
     information,
@@ -234,12 +233,19 @@ def described(part: Path) -> BagFile:
         each.name: each.values for each in read_part(part) if isinstance(each, RecordedMetadata)
     }
     try:
-        contents = bag_file(yaml.safe_load(records[BAG_RECORD][BAG_FIELD]))
+        bag = yaml.safe_load(records[BAG_RECORD][BAG_FIELD])
+        topics = [
+            BagTopic(entry['topic_metadata'], entry['message_count'])
+            for entry in bag['topics_with_message_count']
+        ]
+        contents = BagFile(part.name, topics)
+        if contents.messages:
+            contents.first = bag['starting_time']['nanoseconds_since_epoch']
+            contents.last = contents.first + bag['duration']['nanoseconds']
     except Exception as error:
         raise LogError(
             f'{part} does not say what is in it ({error!r}): replay --repair makes a log that does'
         ) from error
-    contents.name = part.name
     return contents
 
 

@@ -35,6 +35,7 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
+    OperatorAction,
     OperatorState,
     read_operator_action,
 )
@@ -319,6 +320,11 @@ class RecordedMission(MissionRecord):
         status = self.departures.status(key)
         says_so = status is not None and status.state is OrderState.DEPARTED
         return says_so or self.outcome(key) is not None
+
+    @property
+    def actions(self) -> list[OperatorAction]:
+        """Return the operator's actions in recorded order."""
+        return [*self.operator.actions.values()]
 
     @property
     def survived(self) -> int:

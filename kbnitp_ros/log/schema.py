@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 import json
@@ -195,21 +195,6 @@ def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
         same = topics.setdefault(repr(topic.metadata), BagTopic(topic.metadata))
         same.messages += topic.messages
     yield from topics.values()
-
-
-def bag_file(bag: Mapping[str, Any]) -> BagFile:
-    """Return the content of the one file of a bag, from its description."""
-    file = BagFile(
-        bag['relative_file_paths'][0],
-        [
-            BagTopic(entry['topic_metadata'], entry['message_count'])
-            for entry in bag['topics_with_message_count']
-        ],
-    )
-    if file.messages:
-        file.first = bag['starting_time']['nanoseconds_since_epoch']
-        file.last = file.first + bag['duration']['nanoseconds']
-    return file
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:

@@ -162,15 +162,11 @@ class OperatorState:
 
     def is_approved(self, robots_left: int, paths: Paths) -> bool:
         """Return whether paths were approved since the last robot left."""
+        # Of a plan that was found again the stamps differ.
+        sent = {key.agent: path.tolist() for key, path in paths.items()}
         return any(
             each.action == Action.APPROVE
             and each.robots_left == robots_left
-            and are_same(each.paths, paths)
+            and sent == {key.agent: path.tolist() for key, path in each.paths.items()}
             for each in self.actions.values()
         )
-
-
-def are_same(ones: Paths, others: Paths) -> bool:
-    """Return whether two rounds send the same agents on the same paths."""
-    cells = [{key.agent: path.tolist() for key, path in paths.items()} for paths in (ones, others)]
-    return cells[0] == cells[1]

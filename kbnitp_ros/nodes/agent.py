@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-import sys
+from functools import partial
 
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.simulation import AgentPaths, PATIENCE, SimulatedAgent, Simulation
@@ -34,7 +33,7 @@ class AgentNode(FieldNode):
         played = [name] if name else team
         self._agents = [SimulatedAgent(simulation, name, record) for name in played]
         # Robots of other nodes change the field as well, unless hazards stay.
-        others = () if simulation.field.is_static else set(team).difference(played)
+        others = () if simulation.is_static else set(team).difference(played)
         self._others = [AgentPaths(simulation, name, record.mission) for name in sorted(others)]
         self._is_deaf = True
         self.create_poll(self._look)
@@ -49,7 +48,7 @@ class AgentNode(FieldNode):
             for agent in (*self._agents, *self._others):
                 agent.listen()
         awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]
-        if agent_awaited := self._simulation.field.awaited:
+        if agent_awaited := self._simulation.awaited:
             awaited.append(
                 f'the path of {agent_awaited} in the same round, at most {PATIENCE} s: robots '
                 'change the field in their order (parameter hazards.dynamics)'
@@ -57,14 +56,8 @@ class AgentNode(FieldNode):
         names = ', '.join(agent.name for agent in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
         self.diagnostics.state = (
-            waiting_for(awaited[0]) if awaited else working(f'taking paths of {names}')
+            waiting_for(awaited[0]) if awaited else NodeState(f'taking paths of {names}')
         )
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the agent; return the exit code."""
-    return run('agent', AgentNode, args, linger=0.15)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, 'agent', AgentNode, linger=0.15)

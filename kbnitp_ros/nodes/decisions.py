@@ -11,7 +11,8 @@ from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration.agents import own_robot_types
-from kbnitp_ros.core import Decision, Grid, NoPathError, safest_path
+from kbnitp_ros.configuration.mission import make_stop
+from kbnitp_ros.core import Decision, Grid, safest_path
 from kbnitp_ros.core.decision.decision import SafestPath
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import RecordedMission
@@ -45,8 +46,9 @@ class Decisions:
         self._begun_with = 0, 0
         self._deciding: futures.Future[Decision | None] | None = None
         self._finding: futures.Future[SafestPath] | None = None
-        # Why the plans on the newest belief end the mission, and the last message about it.
-        self._not_worth = ''
+        # Why the plans on the newest belief end the mission; empty if they do not. And the last
+        # message about it.
+        self.not_worth = ''
         self._said = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
@@ -72,7 +74,7 @@ class Decisions:
 
     def review(self) -> None:
         """Request a new decision at the next poll."""
-        self._is_decided, self._not_worth = False, ''
+        self._is_decided, self.not_worth = False, ''
         self._news += 1
 
     @property
@@ -110,16 +112,15 @@ class Decisions:
     def why_over(self) -> str:
         """Return why no more robots leave; empty if they do."""
         decision = self._decision if self.knowledge.goal is not None else None
-        why = self.knowledge.stop.why(decision, self.knowledge.lost) or self._not_worth
+        why = (
+            make_stop(self._node.values).why(decision, self.knowledge.record.lost)
+            or self.not_worth
+        )
         if why != self._said:
             self._said = why
             if why:
                 self._node.get_logger().info(f'no more robots leave: {why}')
         return why
-
-    def note_not_worth(self, why: str | NoPathError) -> None:
-        """Record why the plans on the newest belief are not worth a robot; empty if they are."""
-        self._not_worth = str(why)
 
     def _publish(self, decision: Decision) -> None:
         newest = self._newest

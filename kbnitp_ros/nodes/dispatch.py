@@ -5,18 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+import time
 
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, LateReturns, Refusals
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, longest_absence
 from kbnitp_ros.base.mission_evidence import MissionEvidence
-from kbnitp_ros.base.mission_tracker import Resumption
+from kbnitp_ros.base.mission_tracker import recorded_losses
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
 from kbnitp_ros.core.inference.record import make_observation
-from kbnitp_ros.log.record import EarlyError
+from kbnitp_ros.log.record import EarlyError, RecordedMission
 from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
@@ -26,12 +27,21 @@ from kbnitp_ros.messages.deployments import (
     report_message,
     Source,
 )
-from kbnitp_ros.messages.headers import content_hash, mission_of_path, read_name
+from kbnitp_ros.messages.headers import content_hash, LAST_COUNTED_ON, mission_of_path, read_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
+
+# Seconds for which an agent that refused an order gets none, doubled with each further refusal,
+# and their maximum.
+FIRST_PAUSE, MAX_PAUSE = 1.0, 60.0
+
+# Seconds that the nodes of a base may take to process a return.
+PROCESSING = 5.0
 
 
 class Dispatch:
@@ -60,10 +70,10 @@ class Dispatch:
         }
         # The robots in flight.
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
-        # The robots that were given up and may still return.
-        self.late = LateReturns(self._values)
-        # The agents that refused their last orders.
-        self.refusals = Refusals()
+        # Robots that were given up, and until when they may still return.
+        self._late: dict[DeploymentKey, float] = {}
+        # Agents that refused their last orders: the pause in seconds, and its end.
+        self._pauses: dict[str, tuple[float, float]] = {}
         # Losses of robots that are not known to have departed.
         self._early = PendingMessages(node, self._on_report)
         # The stamp of the last deployment, in nanoseconds.
@@ -71,38 +81,61 @@ class Dispatch:
         # Descriptions of paths whose robots are not known to have departed.
         self._goals: dict[DeploymentKey, str] = {}
 
-    def restore(self, resumed: Resumption) -> None:
-        """Publish the recorded paths again: no other publisher has them now."""
-        record = resumed.record
-        for key in resumed.orders:
-            if not record.departures.is_refused(key):
-                self._paths[key.agent].publish(record.messages[key])
-        resumed.note(self.in_flight, self._rounds)
-        for key, report in resumed.losses():
+    def restore(self, record: RecordedMission) -> None:
+        """Restore the robots of a recorded mission, and publish their paths again."""
+        for key in record.orders:
+            path, content = record.paths[key], record.path_contents[key]
+            self.in_flight.send(key, path, content)
+            self.in_flight.record(key, content)
+            if key.stamp <= LAST_COUNTED_ON:
+                self.last_stamp = key.stamp
+            if (status := record.departures.status(key)) is not None:
+                self.in_flight.restore(key, status)
+            if record.departures.is_refused(key):
+                continue
+            # No other publisher has it now.
+            self._paths[key.agent].publish(record.messages[key])
+            self._rounds.count_path(path)
+            if (outcome := record.outcome(key)) is not None:
+                self.in_flight.end(key, record.reports[key].stamp if outcome.survived else None)
+        for key, report in recorded_losses(record, self._values):
             self._losses[key.agent].publish(report)
-            self.late.expect(key, record.paths[key])
-        self.last_stamp = resumed.last_stamp
+            self._await_late(key, record.paths[key])
         for key, steps_survived in record.operator.given_up.items():
             if key in self.in_flight and self.in_flight.has_departed(key):
                 self.give_up(key, Source.OPERATOR, steps_survived)
 
     def listen(self) -> None:
         """Subscribe to the agents' topics."""
-        self._sent_paths = {agent: self._hear_paths(agent) for agent in self._agents}
+        self._sent_paths = {agent: self._subscribe_to_paths(agent) for agent in self._agents}
         for agent in self._agents:
-            self._node.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
-            self._node.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
+            self._node.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
+            self._node.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
             if self._values['recorded']:
-                self._node.hear_agent(Recorded, agent, partial(self._on_recorded, agent))
+                self._node.subscribe_to_agent(Recorded, agent, partial(self._on_recorded, agent))
 
-    def _hear_paths(self, agent: str) -> Subscription:
+    def _subscribe_to_paths(self, agent: str) -> Subscription:
         """Subscribe to the paths of an agent, which another planner may publish."""
-        return self._node.hear_agent(Path, agent, partial(self._on_path, agent))
+        return self._node.subscribe_to_agent(Path, agent, partial(self._on_path, agent))
 
     @property
     def publishers(self) -> list[Publisher]:
         """Return the publishers of paths."""
         return list(self._paths.values())
+
+    def is_left_alone(self, agent: str) -> bool:
+        """Return whether an agent refused its last order and must not be sent another one yet."""
+        return agent in self._pauses and time.monotonic() < self._pauses[agent][1]
+
+    def _await_late(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+        """Await a robot that was given up, for the longest time that its path may take."""
+        self._late[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
+
+    @property
+    def late(self) -> dict[DeploymentKey, float]:
+        """Return the robots that were given up and may still return, with the seconds left."""
+        now = time.monotonic()
+        return {key: until - now for key, until in self._late.items() if until > now}
 
     def send(self, plans: Plans, mission: int) -> None:
         """Publish the paths of robots that leave now."""
@@ -118,12 +151,12 @@ class Dispatch:
 
     def give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
         """Report a robot in flight as lost."""
-        self._tell_departure(key)
+        self._log_departure(key)
         path, contact = self.in_flight[key].path, self._values['contact_probability']
         lost = lost_after_contact(path, steps_survived, contact)
         self._losses[key.agent].publish(report_message(key, lost, self._node.now(), source))
         self.in_flight.end(key)
-        self.late.expect(key, path)
+        self._await_late(key, path)
 
     def give_up_overdue(self) -> None:
         """Report robots as lost that are long overdue."""
@@ -131,14 +164,14 @@ class Dispatch:
             for key in self.in_flight.overdue(self._node.elapsed()):
                 self.give_up(key, Source.SILENCE)
 
-    def tell_departures(self) -> None:
+    def log_departures(self) -> None:
         """Log the departures."""
         for key in [key for key in self._goals if self.in_flight.has_departed(key)]:
-            self._tell_departure(key)
+            self._log_departure(key)
 
-    def _tell_departure(self, key: DeploymentKey) -> None:
+    def _log_departure(self, key: DeploymentKey) -> None:
         if goal := self._goals.pop(key, None):
-            self.refusals.clear(key.agent)
+            self._pauses.pop(key.agent, None)
             self._node.deployment_logger.info(f'{key} leaves {goal}')
 
     def _on_report(
@@ -147,7 +180,7 @@ class Dispatch:
         try:
             key, report = read_report(message, agent)
             if not report.survived:
-                self.in_flight.check_loss(key)
+                self.in_flight.departures.check_loss(key)
             if is_awaited := key in self.in_flight:
                 # The estimator would refuse it too, and the robot is still in flight.
                 path = self.in_flight[key].path
@@ -160,10 +193,11 @@ class Dispatch:
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/report', error)
             return
-        self._tell_departure(key)
+        self._log_departure(key)
         self.in_flight.end(key, report.stamp if report.survived else None)
         if report.survived:
-            self.late.end(key)
+            if key in self._late:
+                self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
             if is_awaited and len({cell for cell, _ in report.readings}) == 1:
                 self._node.get_logger().warning(
                     f'{key} returned without moving; it still counts as a deployment: see the '
@@ -182,16 +216,19 @@ class Dispatch:
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/status', error)
             return
-        self._node.diagnostics.accept()
+        self._node.diagnostics.accepted += 1
         if status.state is OrderState.REFUSED and robot is not None:
             self._rounds.count_path(robot.path, -1)
-            self.refusals.add(agent)
+            pause = FIRST_PAUSE
+            if agent in self._pauses:
+                pause = min(2 * self._pauses[agent][0], MAX_PAUSE)
+            self._pauses[agent] = pause, time.monotonic() + pause
             self._goals.pop(key, None)
             self._node.get_logger().warning(
                 f'{key} is refused by its agent, so its robot stays at the base and brings no '
                 f'evidence: {status.reason}'
             )
-        self.tell_departures()
+        self.log_departures()
 
     def _on_path(self, agent: str, message: Path) -> None:
         """Record a path: another planner's path may be on disk in place of the own one."""
@@ -201,7 +238,7 @@ class Dispatch:
             own = grid.at(own_base(self._values, agent, grid))
             path = own.check_path(cells, value_for(self._values, 'max_steps', agent))
             mission = mission_of_path(message)
-            is_other = self.in_flight.hear(key, path, content_hash(message), mission)
+            is_other = self.in_flight.add_path(key, path, content_hash(message), mission)
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/path', error)
             return
@@ -221,5 +258,5 @@ class Dispatch:
         if self.in_flight.record(key, message.content):
             # The publisher keeps the path for nodes that join later.
             self._node.destroy_subscription(self._sent_paths[agent])
-            self._sent_paths[agent] = self._hear_paths(agent)
-        self.tell_departures()
+            self._sent_paths[agent] = self._subscribe_to_paths(agent)
+        self.log_departures()

@@ -11,14 +11,14 @@ from math import ceil, hypot
 import socket
 import struct
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import header, read_stamp, shown
-from kbnitp_ros.nodes.heard import message_class
+from kbnitp_ros.nodes.recorded_topics import message_class
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
@@ -95,38 +95,8 @@ def addresses() -> dict[str, str]:
     return found
 
 
-class Links:
-    """The links that DDS knows; to be created before the node."""
-
-    # A node that starts without a link listens on lo alone, and stays deaf when one comes up. A
-    # node whose address changes is not found under the new one.
-
-    def __init__(self) -> None:
-        self._known = addresses()
-
-    @property
-    def are_missing(self) -> bool:
-        """Return whether there was no link when the node started."""
-        return not self._known
-
-    @property
-    def news(self) -> str:
-        """Return the addresses that DDS does not know; empty if it knows all."""
-        new = addresses().items() - self._known.items()
-        return ', '.join(f'{name} has {address}' for name, address in sorted(new))
-
-
 # Values of the parameter detection_type; the package of the second is not always installed.
 TYPES = {'bool': 'std_msgs/msg/Bool', 'detection2d_array': 'vision_msgs/msg/Detection2DArray'}
-
-
-class Detection(NamedTuple):
-    """One detection."""
-
-    # Whether there is a target.
-    seen: bool
-    # Time of the image, nanoseconds; None if it is not stamped.
-    stamp: int | None
 
 
 def detection_class(name: str) -> type:
@@ -141,10 +111,10 @@ def detection_class(name: str) -> type:
         ) from error
 
 
-def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
-    """Parse a message of the detector, by the parameters of its type."""
+def read_detection(message: Any, values: Mapping[str, Any]) -> tuple[bool, int | None]:
+    """Return whether a detector saw a target, and when in nanoseconds if its message tells."""
     if values['detection_type'] == 'bool':
-        return Detection(bool(message.data), None)
+        return bool(message.data), None
     wanted, least = values['detection_class'], values['detection_score']
     seen = any(
         result.hypothesis.class_id == (wanted or result.hypothesis.class_id)
@@ -154,7 +124,7 @@ def read_detection(message: Any, values: Mapping[str, Any]) -> Detection:
     )
     stamp = read_stamp('header.stamp', message.header.stamp)
     # A driver that fills no header tells no time.
-    return Detection(seen, stamp or None)
+    return seen, stamp or None
 
 
 # Largest distance between poses of a path for a controller, in metres.
@@ -234,7 +204,7 @@ class Driver:
         self._handle: ClientGoalHandle | None = None
         # Counts the goals, so that late answers to earlier ones are ignored.
         self._number = 0
-        self._heard = 0.0
+        self._fed_back_at = 0.0
 
     @property
     def awaited(self) -> str:
@@ -276,12 +246,12 @@ class Driver:
         self._number += 1
         number = self._number
         self.is_busy, self.failure, self.was_cancelled, self._handle = True, '', False, None
-        self._heard = time.monotonic()
+        self._fed_back_at = time.monotonic()
         goal = self._goal_along(points, stamp)
 
         def on_feedback(_: object) -> None:
             if number == self._number:
-                self._heard = time.monotonic()
+                self._fed_back_at = time.monotonic()
 
         answer = self._client.send_goal_async(goal, on_feedback)
         answer.add_done_callback(self._node.guarded(partial(self._on_answer, number)))
@@ -292,7 +262,7 @@ class Driver:
             return
         if not self._client.server_is_ready():
             self._end(self._number, f'the action server {self.name} has left the graph')
-        elif (silent := time.monotonic() - self._heard) > self._patience:
+        elif (silent := time.monotonic() - self._fed_back_at) > self._patience:
             self._end(
                 self._number,
                 f'the action server {self.name} has been silent for {silent:.0f} s '
@@ -314,7 +284,7 @@ class Driver:
             if handle.accepted:
                 handle.cancel_goal_async()
             return
-        self._heard = time.monotonic()
+        self._fed_back_at = time.monotonic()
         if not handle.accepted:
             self._end(number, f'the action server {self.name} rejected the goal')
             return

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-import sys
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
 from kbnitp_ros.base.checks import density_note
@@ -33,7 +31,7 @@ from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp,
 from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import NewEvidence, Views
@@ -70,7 +68,7 @@ class EstimatorNode(FieldNode):
         # Created before belief, so that nodes that discover belief already know the views.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
-            self._tell_nav2()
+            self._publish_filter_info()
         is_checked = bool(estimator.check.alternatives)
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
@@ -88,8 +86,8 @@ class EstimatorNode(FieldNode):
         for agent in agents:
             sent = RecordedPaths(self, agent, partial(self._read_path, agent), self._take_path)
             sent.listen()
-            self.hear_agent(DeploymentReport, agent, partial(self._on_report, agent))
-            self.hear_agent(AgentStatus, agent, partial(self._on_status, agent))
+            self.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
+            self.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
         # Losses of robots that are not known to have departed.
         self._early = PendingMessages(self, self._on_report)
         self._started = 0
@@ -97,7 +95,7 @@ class EstimatorNode(FieldNode):
         self._weak_density = ''
         self._awaiting = self.create_poll(self._publish_first)
 
-    def _tell_nav2(self) -> None:
+    def _publish_filter_info(self) -> None:
         """Announce the map of hazards as the mask of Nav2's costmap filters."""
         from nav2_msgs.msg import CostmapFilterInfo
 
@@ -115,7 +113,7 @@ class EstimatorNode(FieldNode):
         if self._mission is None:
             self._mission = read_mission(log)
         evidence = log.read('path', 'report', 'status')
-        for role, logged in self.tell_progress(evidence, f'taking in {log.path}'):
+        for role, logged in self.log_progress(evidence, f'taking in {log.path}'):
             # Evidence that was refused before is refused again.
             with suppress(ValueError):
                 if role.name == 'status':
@@ -202,7 +200,7 @@ class EstimatorNode(FieldNode):
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/status', error)
             return
-        self.diagnostics.accept()
+        self.diagnostics.accepted += 1
         if is_new:
             self._count_out()
             if self._awaiting.is_canceled():
@@ -242,7 +240,7 @@ class EstimatorNode(FieldNode):
             if changed:
                 self._new.add(key)
                 self._publish(self._ledger)
-                self._tell_ending(key)
+                self._log_outcome(key)
             else:
                 self._views.show_out(self._ledger)
             self._say_what_is_held()
@@ -250,9 +248,9 @@ class EstimatorNode(FieldNode):
             # The return that counted until now no longer does.
             self.diagnostics.refuse(f'{key.agent}/report', self._ledger.contradicted[key])
         else:
-            self.diagnostics.accept()
+            self.diagnostics.accepted += 1
 
-    def _tell_ending(self, key: DeploymentKey) -> None:
+    def _log_outcome(self, key: DeploymentKey) -> None:
         """Log the outcome of a deployment, and the new entropy."""
         ledger = self._ledger
         outcome = ledger.outcomes[key]
@@ -306,7 +304,7 @@ class EstimatorNode(FieldNode):
         )
 
     def _say_what_is_held(self) -> None:
-        self.diagnostics.state = working(
+        self.diagnostics.state = NodeState(
             f'{counted(len(self._ledger.deployments), "deployment")} in the belief, '
             f'{counted(self._ledger.duplicates, "duplicate message")}'
         )
@@ -316,10 +314,4 @@ class EstimatorNode(FieldNode):
         self._views.publish()
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the estimator; return the exit code."""
-    return run('estimator', EstimatorNode, args, linger=0.3)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, 'estimator', EstimatorNode, linger=0.3)

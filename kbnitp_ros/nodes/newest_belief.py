@@ -5,21 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.obstacles import not_heard_again
+from kbnitp_ros.base.obstacles import not_repeated
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.mission import check_search
-from kbnitp_ros.core import ORDINARY, RobotType
+from kbnitp_ros.core import ORDINARY
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import LAST_REFUSAL, TOPIC
+from kbnitp_ros.nodes.runtime.diagnostics import LAST_REFUSAL
 from kbnitp_ros.nodes.runtime.node import FieldNode
+from rclpy.subscription import Subscription
 
 
 class NewestBelief:
@@ -41,39 +41,33 @@ class NewestBelief:
         # Number of robots sent that only the belief knows of.
         self.sent_unknown = 0
         # Number of deployments in the last belief received.
-        self.last_heard = 0
+        self.last_received = 0
         # Evidence that the estimator has refused since; empty if none.
         self.refusal = ''
         # Whether the planner was warned that an estimator will never hold all deployments.
         self._is_incomplete_told = False
+        self._subscription: Subscription | None = None
+        node.subscribe_to_diagnostics(self._on_diagnostics)
 
     @property
     def newest(self) -> Snapshot | None:
         """Return the newest belief; None before the first."""
         return self.tracker.newest
 
-    @property
-    def robot_types(self) -> Mapping[str, RobotType]:
-        """Return the known robot types of the agents in the belief."""
-        return self.newest.robot_types if self.newest else {}
-
-    def listen(self) -> None:
-        """Subscribe to beliefs."""
-        self._subscription = self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
-        self._node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
-
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+    def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
         evidence = tuple(f'{agent}/' for agent in self._agents)
-        for status in array.status:
-            said = {each.key: each.value for each in status.values}.get(LAST_REFUSAL, '')
-            if said.startswith(evidence) and status.name in self._node.authors('belief', BELIEF):
-                self.refusal = f'{status.name} says: {said}'
+        said = values.get(LAST_REFUSAL, '')
+        if said.startswith(evidence) and name in self._node.authors('belief', BELIEF):
+            self.refusal = f'{name} says: {said}'
 
-    def listen_anew(self) -> None:
-        """Subscribe again after one of several estimators has left."""
+    def subscribe(self) -> None:
+        """Subscribe to beliefs, again after one of several estimators has left."""
         self.tracker.newest = None
-        self._node.destroy_subscription(self._subscription)
-        self._subscription = self._node.hear(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
+        if self._subscription:
+            self._node.destroy_subscription(self._subscription)
+        self._subscription = self._node.subscribe(
+            BeliefMaps, 'belief', self._on_belief, qos.LATCHED
+        )
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:
@@ -84,7 +78,7 @@ class NewestBelief:
         except ValueError as error:
             self._node.diagnostics.refuse('belief', error)
             return
-        self._node.diagnostics.accept()
+        self._node.diagnostics.accepted += 1
         self.refusal = ''
         unknown = snapshot.deployments - self._in_flight.sent
         if unknown > self.sent_unknown:
@@ -94,14 +88,14 @@ class NewestBelief:
                 'will lack them unless its parameter resume is set to the log'
             )
             self.sent_unknown = unknown
-        held = self.last_heard = snapshot.deployments
+        held = self.last_received = snapshot.deployments
         # An estimator that resumes a log publishes its prior first, then a belief with all
         # evidence on record.
         if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
             self._is_incomplete_told = True
             self._node.diagnostics.refuse(
                 'belief',
-                f'it holds {counted(held, "deployment")}{not_heard_again(self._in_flight.kept)}',
+                f'it holds {counted(held, "deployment")}{not_repeated(self._in_flight.kept)}',
             )
         if self.tracker.accept_belief(snapshot, known):
             self._take(snapshot)

@@ -97,7 +97,7 @@ class Operator:
         node.create_service(GiveUp, 'give_up', self._on_give_up)
         node.create_service(Trigger, 'end_mission', self._on_end)
         if node.values['recorded']:
-            node.hear(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
+            node.subscribe(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
 
     def restore(self, action: OperatorAction, data: bytes) -> None:
         """Restore an action on record, and publish it again for nodes that join late."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-import sys
 
 from kbnitp_ros.base.checks import (
     check_changes,
@@ -15,11 +14,10 @@ from kbnitp_ros.base.checks import (
     reach_note,
 )
 from kbnitp_ros.base.deployments_in_flight import check_periods
-from kbnitp_ros.base.mission_tracker import Resumption
+from kbnitp_ros.base.mission_tracker import missing_plans, read_planner_record
 from kbnitp_ros.base.obstacles import (
     AgentPresence,
     describe_obstacle,
-    FullNames,
     Obstacle,
     PlannerState,
 )
@@ -29,7 +27,7 @@ from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
-from kbnitp_ros.log.roles import resumed_log
+from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
 from kbnitp_ros.messages.headers import next_name
@@ -40,9 +38,9 @@ from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.presence import HoldPublisher, Peers
 from kbnitp_ros.nodes.runtime.diagnostics import (
-    done,
     MISSION_REASON,
     MISSION_STATE,
+    NodeState,
     waiting_for,
 )
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -83,34 +81,35 @@ class PlannerNode(FieldNode):
         self._why_worthless = ''
         self._holding = HoldPublisher(self)
         self._operator = Operator(
-            self, self.grid, self._in_flight, self._proposals, self._holding.tell, self._act
+            self, self.grid, self._in_flight, self._proposals, self._holding.publish, self._act
         )
-        self._is_heard = False
-        self._end_told = ''
+        self._has_subscribers = False
+        self._end_logged = ''
         if self.values['resume']:
             log = resumed_log(self.values['resume'], self.roles)
-            resumed = Resumption(log, self.grid, self.values, self._agents)
-            self._restore(resumed)
-            self._decisions.restore(resumed.record)
+            self._restore(log)
             check_robots(self.values['robots'], self._sent)
-        self._holding.tell(self._operator.state.is_holding)
+        self._holding.publish(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
         # Before the beliefs, which hold published paths only.
         self._dispatch.listen()
-        self._beliefs.listen()
+        self._beliefs.subscribe()
         self.create_look(self._look_at_graph)
         self.create_poll(self._go_on)
 
-    def _restore(self, resumed: Resumption) -> None:
+    def _restore(self, log: MissionLog) -> None:
         """Resume the mission of a log."""
-        record = resumed.record
+        record = read_planner_record(log, self.grid, self.values, self._agents)
         for stamp, action in record.operator.actions.items():
             self._operator.restore(action, record.messages[stamp])
-        self._dispatch.restore(resumed)
+        self._dispatch.restore(record)
         self._beliefs.tracker.mission = record.mission
-        if missing := resumed.missing(self._rounds):
+        # A round of one robot, or of robots that leave independently, has no missing part.
+        has_rounds = len(self._agents) > 1 and not self.values['rolling']
+        if has_rounds and (missing := missing_plans(log, record, self._agents, self._rounds)):
             self._send(*missing)
+        self._decisions.restore(record)
 
     def _log_reachability(self) -> None:
         """Log what no path reaches, as a warning if it is most of the field."""
@@ -126,8 +125,10 @@ class PlannerNode(FieldNode):
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
         """Refuse parameters that a running mission cannot change to."""
         new = {each.name: each.value for each in changes}
+        newest = self._beliefs.newest
+        believed = newest.robot_types if newest else {}
         try:
-            check_changes(new, self.values, self.grid, self._beliefs.robot_types, self._sent)
+            check_changes(new, self.values, self.grid, believed, self._sent)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -139,10 +140,10 @@ class PlannerNode(FieldNode):
 
     def _look_at_graph(self) -> None:
         if self._peers.look():
-            self._beliefs.listen_anew()
+            self._beliefs.subscribe()
 
     def _go_on(self) -> None:
-        self._dispatch.tell_departures()
+        self._dispatch.log_departures()
         self._dispatch.give_up_overdue()
         self._deploy()
 
@@ -172,7 +173,7 @@ class PlannerNode(FieldNode):
                 agent: AgentPresence(
                     self._peers.is_present(agent),
                     self._peers.says_status(agent),
-                    self._dispatch.refusals.is_left_alone(agent),
+                    self._dispatch.is_left_alone(agent),
                 )
                 for agent in self._agents
             },
@@ -181,13 +182,15 @@ class PlannerNode(FieldNode):
             unrecorded_action=self._operator.awaited,
             sent=self._sent,
             newest=newest.deployments if newest else None,
-            last_heard=self._beliefs.last_heard,
+            last_received=self._beliefs.last_received,
             refusal=self._beliefs.refusal,
             estimators=self._peers.estimators,
             is_decided=self._decisions.is_ready,
             is_deciding=self._decisions.is_deciding,
             why_over=self._decisions.why_over,
             missing_listeners=self._missing_listeners,
+            topic=self.resolve_topic_name,
+            service=self.resolve_service_name,
             searched=self._search.request.agents if self._search else (),
             why_worthless=self._why_worthless,
             proposed=tuple(self._proposals.plans),
@@ -195,7 +198,7 @@ class PlannerNode(FieldNode):
 
     def _missing_listeners(self) -> str:
         """Return the listeners still missing; empty once all were there."""
-        if self._is_heard:
+        if self._has_subscribers:
             return ''
         missing = self.missing_listeners(self._dispatch.publishers)
         if not missing and 'agent' in self.values['await_nodes']:
@@ -203,18 +206,18 @@ class PlannerNode(FieldNode):
             absent = [agent for agent in self._agents if not self._peers.is_present(agent)]
             if absent:
                 missing = f'agent to answer for {some(absent)} (parameter await_nodes)'
-        self._is_heard = not missing
+        self._has_subscribers = not missing
         return missing
 
     def _deploy(self) -> None:
         """Send the next robots, unless a condition blocks them."""
         now = self._circumstances()
         if obstacle := now.obstacle:
-            self._tell(now, obstacle)
+            self._publish_obstacle(now, obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
                 self._proposals.withdraw()
-            late = self._dispatch.late.awaited
-            if obstacle.is_end and not self.values['keep_running'] and not late:
+            is_over = obstacle.is_end and not self.values['keep_running']
+            if is_over and not self._dispatch.late:
                 self.end()
             return
         newest = self._beliefs.newest
@@ -222,25 +225,25 @@ class PlannerNode(FieldNode):
         try:
             plans = self._next_plans(newest, now.free_agents[: now.robots - now.sent])
         except NoPathError as error:
-            self._decisions.note_not_worth(error)
+            self._decisions.not_worth = str(error)
         if self._decisions.why_over():
             self._deploy()
             return
         if not plans:
             obstacle = Obstacle.SEARCHING if self._search else Obstacle.WORTHLESS
-            self._tell(self._circumstances(), obstacle)
+            self._publish_obstacle(self._circumstances(), obstacle)
             return
         if self.values['approval'] and not self._are_approved(plans):
-            self._tell(self._circumstances(), Obstacle.UNAPPROVED)
+            self._publish_obstacle(self._circumstances(), Obstacle.UNAPPROVED)
             return
         self._proposals.withdraw()
         self._send(plans, newest.mission)
 
-    def _tell(self, now: PlannerState, obstacle: Obstacle) -> None:
+    def _publish_obstacle(self, now: PlannerState, obstacle: Obstacle) -> None:
         """Show what blocks the next deployment, and publish a new state of the mission at once."""
-        names = FullNames(self.resolve_topic_name, self.resolve_service_name)
-        what = describe_obstacle(now, obstacle, names)
-        self.diagnostics.state = done(what) if obstacle.is_end else waiting_for(what)
+        what = describe_obstacle(now, obstacle)
+        is_end = obstacle.is_end
+        self.diagnostics.state = NodeState(f'done: {what}') if is_end else waiting_for(what)
         sentence = self.diagnostics.state.sentence
         state = now.mission_state(obstacle).name
         before = self.diagnostics.values.get(MISSION_STATE)
@@ -250,16 +253,16 @@ class PlannerNode(FieldNode):
         }
         if state != before:
             self.diagnostics.publish()
-        if obstacle.is_end:
-            self._tell_end(sentence)
+        if is_end:
+            self._log_end(sentence)
 
-    def _tell_end(self, how: str) -> None:
+    def _log_end(self, how: str) -> None:
         """Log once how the mission ended, and until when the base stays."""
-        if how == self._end_told:
+        if how == self._end_logged:
             return
-        self._end_told = how
+        self._end_logged = how
         self.get_logger().info(f'the mission is over: {how}')
-        if not self.values['keep_running'] and (late := self._dispatch.late.awaited):
+        if not self.values['keep_running'] and (late := self._dispatch.late):
             self.get_logger().info(
                 f'the base stays for up to {max(late.values()):.0f} s, since robots that were '
                 f'given up may return: {some(late)}'
@@ -295,7 +298,7 @@ class PlannerNode(FieldNode):
         self._search = None
         planned = search.found.result()
         self._rounds.say_if_slow(planned)
-        self._decisions.note_not_worth(planned.why_not_worth)
+        self._decisions.not_worth = planned.why_not_worth
         if planned.why_worthless:
             self._worthless_for = search.request
             self._why_worthless = planned.why_worthless
@@ -324,10 +327,4 @@ class PlannerNode(FieldNode):
         self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the planner; return the exit code."""
-    return run('planner', PlannerNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, 'planner', PlannerNode)

@@ -5,71 +5,18 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import inf
 import time
+from typing import NamedTuple
 from uuid import uuid4
 
-from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
-from kbnitp_ros.nodes.heard import NAMELESS
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import TOPIC
-from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
+from kbnitp_ros.nodes.runtime.graph import PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from std_msgs.msg import Bool
 
 INSTANCE = 'instance'
-
-# Seconds without diagnostics after which a node counts as dead: DDS lists a killed node for much
-# longer, and a live one publishes every second.
-SILENT = 3.0
-
-# Maximum number of other instances remembered, the newest.
-MAX_INSTANCES = 10
-
-
-@dataclass(frozen=True)
-class Instance:
-    """Another process."""
-
-    # The full name of its node.
-    name: str
-    # The values of its last diagnostics.
-    values: Mapping[str, str]
-    # When they came, by `time.monotonic`.
-    heard_at: float
-
-
-class Instances:
-    """The diagnostics of other instances than this process."""
-
-    def __init__(
-        self, node: MissionNode, is_meant: Callable[[str, Mapping[str, str]], bool]
-    ) -> None:
-        # The identifier of this process.
-        self.own = uuid4().hex
-        self._is_meant = is_meant
-        self._heard: dict[str, Instance] = {}
-        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
-
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        for status in array.status:
-            values = {each.key: each.value for each in status.values}
-            instance = values.get(INSTANCE, self.own)
-            if instance == self.own or not self._is_meant(status.name, values):
-                continue
-            self._heard.pop(instance, None)
-            self._heard[instance] = Instance(status.name, values, time.monotonic())
-            if len(self._heard) > MAX_INSTANCES:
-                del self._heard[next(iter(self._heard))]
-
-    @property
-    def alive(self) -> list[Instance]:
-        """Return the other instances with recent diagnostics."""
-        since = time.monotonic() - SILENT
-        return [each for each in self._heard.values() if each.heard_at >= since]
-
 
 # Published by every recorder from start to end, and by no other node. A publisher alone may be of
 # a killed process, and diagnostics alone may be of anybody.
@@ -86,26 +33,54 @@ MAX_TIME = 20
 # Seconds that a recorder looks for others before its acknowledgements count.
 LOOK = 1.5
 
+# Seconds without diagnostics after which a recorder counts as dead: DDS lists a killed node for
+# much longer, and a live one publishes every second.
+SILENT = 3.0
+
+# Maximum number of other recorders remembered, the newest.
+MAX_RECORDERS = 10
+
+
+class Instance(NamedTuple):
+    """Another process that records."""
+
+    # The full name of its node.
+    name: str
+    # The values of its last diagnostics.
+    values: Mapping[str, str]
+    # When they came, by `time.monotonic`.
+    received_at: float
+
 
 class Recorders:
-    """The other recorders of a namespace."""
+    """The recorders of a namespace; this process is one of them."""
 
-    def __init__(self, node: MissionNode) -> None:
+    def __init__(self, node: MissionNode, log: object) -> None:
         self._node = node
         self._topic = node.resolve_topic_name(OPERATORS)
-        self._namespace = full_name(node.get_namespace(), '')
-        self._looks_until = 0.0
-        # Diagnostics of the recorders.
-        self.instances = Instances(node, self._is_recording)
+        self._above = node.get_namespace().rstrip('/')
+        # The diagnostics that announce this process.
+        self._own = {INSTANCE: uuid4().hex, LOG: str(log), BEGUN: str(time.time_ns())}
+        node.diagnostics.values |= self._own
+        self._looks_until = time.monotonic() + LOOK
+        # The others by identifier.
+        self._others: dict[str, Instance] = {}
+        node.subscribe_to_diagnostics(self._on_diagnostics)
 
-    def _is_recording(self, name: str, values: Mapping[str, str]) -> bool:
+    def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
         begun = values.get(BEGUN, '')
         is_time = begun.isdecimal() and len(begun) <= MAX_TIME
-        is_here = name.rpartition('/')[0] == self._namespace.rstrip('/')
-        return is_here and is_time and len(values.get(LOG, '')) <= MAX_PATH
+        is_here = name.rpartition('/')[0] == self._above
+        instance = values.get(INSTANCE, self._own[INSTANCE])
+        is_own = instance == self._own[INSTANCE]
+        if is_own or not (is_here and is_time and len(values.get(LOG, '')) <= MAX_PATH):
+            return
+        self._others.pop(instance, None)
+        self._others[instance] = Instance(name, values, time.monotonic())
+        if len(self._others) > MAX_RECORDERS:
+            del self._others[next(iter(self._others))]
 
-    @property
-    def publishers(self) -> Counter[str]:
+    def _publishers(self) -> Counter[str]:
         """Return how often each node publishes the recorders' topic, this process left out."""
         own = sum(each.topic_name == self._topic for each in self._node.publishers)
         if self._node.count_publishers(self._topic) <= own:
@@ -115,33 +90,31 @@ class Recorders:
 
     @property
     def alive(self) -> list[Instance]:
-        """Return the active recorders, at most as many of a name as publish."""
+        """Return the other active recorders, at most as many of a name as publish."""
+        since = time.monotonic() - SILENT
         alive = []
-        if heard := self.instances.alive:
-            publishers = self.publishers
-            for recorder in heard:
+        if recent := [each for each in self._others.values() if each.received_at >= since]:
+            publishers = self._publishers()
+            for recorder in recent:
                 if publishers[recorder.name]:
                     publishers[recorder.name] -= 1
                     alive.append(recorder)
         return alive
-
-    def begin(self, log: object) -> None:
-        """Announce that this process records."""
-        begun = {INSTANCE: self.instances.own, LOG: str(log), BEGUN: str(time.time_ns())}
-        self._node.diagnostics.values |= begun
-        self._looks_until = time.monotonic() + LOOK
 
     @property
     def why_silent(self) -> str:
         """Return why acknowledgements of this recorder do not count: the first one's do."""
         if time.monotonic() < self._looks_until:
             return 'diagnostics of another recorder'
-        own = rank(self._node.diagnostics.values)
-        if earlier := [each for each in self.alive if rank(each.values) < own]:
-            return (
-                f'the end of an earlier recorder, whose acknowledgements count: {records(earlier)}'
-            )
-        return ''
+        own = rank(self._own)
+        earlier = ' and '.join(
+            f'node {each.name} records to {each.values[LOG]}'
+            for each in self.alive
+            if rank(each.values) < own
+        )
+        return earlier and (
+            f'the end of an earlier recorder, whose acknowledgements count: {earlier}'
+        )
 
 
 def rank(values: Mapping[str, str]) -> tuple[int, str]:
@@ -149,90 +122,76 @@ def rank(values: Mapping[str, str]) -> tuple[int, str]:
     return int(values[BEGUN]), values[INSTANCE]
 
 
-def records(recorders: list[Instance]) -> str:
-    """Return which recorder writes which log, in words."""
-    return ' and '.join(f'node {each.name} records to {each.values[LOG]}' for each in recorders)
-
-
-# Number of looks for the names of other planners before they are reported.
-LOOKS = 20
-
-
 class Peers:
     """The other participants of the mission, as last seen in the graph."""
 
     def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
-        # Number of nodes that publish beliefs.
-        self.estimators = 0
         self._node = node
         self._agents = agents
-        self._answering: dict[str, int] = {}
+        # Numbers of other publishers by topic.
+        self._others: Counter[str] = Counter()
         self._unknown_agents: set[str] = set()
-        self._planners: dict[str, int] = {}
-        self._looks: Counter[str] = Counter()
+
+    @property
+    def estimators(self) -> int:
+        """Return the number of nodes that publish beliefs."""
+        return self._others['belief']
 
     def is_present(self, agent: str) -> bool:
         """Return whether a node answers for an agent."""
-        return self._answering.get(agent, 0) > 0
+        return self._others[f'{agent}/report'] > 0
 
     def says_status(self, agent: str) -> bool:
         """Return whether a node reports when robots of an agent depart."""
         return self._node.count_authors(f'{agent}/status', STATUS) > 0
 
     def look(self) -> bool:
-        """Look at the graph; return whether one of several estimators left."""
-        self._look_for_agents()
-        self._look_for_planners()
-        self._look_for_unknown_agents()
-        before = self.estimators
-        self.estimators = self._node.count_authors('belief', BELIEF)
-        if self.estimators > max(before, 1):
-            self._node.diagnostics.refuse(
-                'belief',
-                f'{self.estimators} nodes publish beliefs: unless one has just died, '
-                'end all but one',
-            )
-        return 0 < self.estimators < before
-
-    def _look_for_agents(self) -> None:
-        """Check which agents have a node, and warn of agents with several."""
+        """Look at the graph, and warn; return whether one of several estimators left."""
         for agent in self._agents:
             # The planner itself reports robots that are given up.
-            answering = self._node.count_authors(f'{agent}/report', REPORT) - 1
-            answering = max(answering, 0)
-            before = self._answering.get(agent, 0)
-            self._answering[agent] = answering
-            if answering > max(before, 1):
+            before, now = self._count(f'{agent}/report', REPORT, own=1)
+            if now > max(before, 1):
                 self._node.diagnostics.refuse(
                     f'{agent}/report',
-                    f'{answering} nodes answer for agent {agent}: unless one has just died, '
-                    'each needs a name of its own',
+                    f'{now} nodes answer for agent {agent}: unless one has just died, each needs '
+                    'a name of its own',
                 )
-            elif before and not answering:
+            elif before and not now:
                 self._node.diagnostics.refuse(
                     f'{agent}/path',
                     f'agent {agent} has left the graph: the others carry on, and so does '
                     f'{agent} when it is back',
                 )
+            self._look_for_planners(f'{agent}/path')
+        self._look_for_unknown_agents()
+        before, now = self._count('belief', BELIEF)
+        if now > max(before, 1):
+            self._node.diagnostics.refuse(
+                'belief',
+                f'{now} nodes publish beliefs: unless one has just died, end all but one',
+            )
+        return 0 < now < before
 
-    def _look_for_planners(self) -> None:
-        """Warn of other planners that publish paths of an agent, with their names."""
-        for agent in self._agents:
-            before = self._planners.get(agent, 1)
-            planners = self._node.count_authors(f'{agent}/path', PATH)
-            if planners > max(before, 1):
-                nodes = self._node.authors(f'{agent}/path', PATH)
-                self._looks[agent] += 1
-                # DDS knows the publishers of a node a moment before its name.
-                if NAMELESS in nodes and self._looks[agent] < LOOKS:
-                    continue
-                self._node.diagnostics.refuse(
-                    f'{agent}/path',
-                    f'{len(nodes)} planners publish it, nodes {", ".join(nodes)}: stop all but '
-                    'one, unless one has just died; of two paths with the same stamp the one '
-                    'recorded first counts',
-                )
-            self._planners[agent] = planners
+    def _count(self, topic: str, type_name: str, own: int = 0) -> tuple[int, int]:
+        """Count the other publishers of a topic; return their number before, and now."""
+        before = self._others[topic]
+        self._others[topic] = max(self._node.count_authors(topic, type_name) - own, 0)
+        return before, self._others[topic]
+
+    def _look_for_planners(self, topic: str) -> None:
+        """Warn of other planners that publish paths of an agent, once their names are known."""
+        planners = self._node.count_authors(topic, PATH) - 1
+        if planners > max(self._others[topic], 0):
+            nodes = self._node.named_authors(topic, PATH)
+            if not nodes:
+                return
+            self._node.diagnostics.refuse(
+                topic,
+                f'{len(nodes)} planners publish it, nodes {", ".join(nodes)}: stop all but '
+                'one, unless one has just died; of two paths with the same stamp the one '
+                'recorded first counts',
+            )
+        self._others[topic] = planners
 
     def _look_for_unknown_agents(self) -> None:
         """Warn of reports for an agent outside the team."""
@@ -257,11 +216,8 @@ MIN_PAUSE = 0.1
 # Seconds that the graph may take to name the author of a message.
 MAX_UNNAMED = 30.0
 
-# Seconds that an author may be in the graph without a name before it is reported without.
-MAX_NAMELESS = 1.0
 
-
-class HoldListener:
+class HoldSubscription:
     """The planner's hold on departures: also while it is unknown, or others publish it."""
 
     def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
@@ -269,7 +225,7 @@ class HoldListener:
         self._act = act
         self.is_held: bool | None = None
         self._topic = node.resolve_topic_name(f'{node.above}/{HOLD}')
-        node.hear(Bool, self._topic, self._on_hold, qos.LATCHED)
+        node.subscribe(Bool, self._topic, self._on_hold, qos.LATCHED)
 
     def _on_hold(self, message: Bool) -> None:
         self.is_held = message.data
@@ -297,12 +253,12 @@ class HoldPublisher:
         self._node = node
         self._is_held: bool | None = None
         self._is_contradicted = False
-        self._published_at = self._heard_at = -inf
+        self._published_at = self._received_at = -inf
         self._publisher = node.create_publisher(Bool, HOLD, qos.LATCHED)
-        node.hear(Bool, HOLD, self._on_hold, qos.LATCHED)
+        node.subscribe(Bool, HOLD, self._on_hold, qos.LATCHED)
         node.create_poll(self._answer)
 
-    def tell(self, is_held: bool) -> None:
+    def publish(self, is_held: bool) -> None:
         """Publish whether departures are held, if that has changed."""
         if is_held != self._is_held:
             self._is_held = is_held
@@ -316,7 +272,7 @@ class HoldPublisher:
     def _on_hold(self, message: Bool) -> None:
         if self._is_held is not None and message.data != self._is_held:
             self._is_contradicted = True
-            self._heard_at = time.monotonic()
+            self._received_at = time.monotonic()
             self._answer()
 
     def _answer(self) -> None:
@@ -324,14 +280,12 @@ class HoldPublisher:
         now = time.monotonic()
         if self._is_contradicted and now > self._published_at + MIN_PAUSE:
             self._publish()
-        if now > self._heard_at + MAX_UNNAMED:
+        if now > self._received_at + MAX_UNNAMED:
             return
-        others = self._node.authors(self._publisher.topic_name, BOOL)
-        # DDS knows the publishers of a node a moment before its name, if it has one.
-        is_named = NAMELESS not in others or now > self._heard_at + MAX_NAMELESS
+        others = self._node.named_authors(self._publisher.topic_name, BOOL)
         # An own value from before the last change arrives as well: then there are no others.
-        if len(others) > 1 and is_named:
-            self._heard_at = -inf
+        if len(others) > 1:
+            self._received_at = -inf
             self._node.diagnostics.refuse(
                 HOLD,
                 f'data is {not self._is_held}, but this planner publishes {self._is_held}, which '

@@ -44,7 +44,7 @@ class RecordedPaths(Generic[P]):
         self._read = read
         self._take = take
         # Paths that are not acknowledged, by stamp and content.
-        self._pending: dict[tuple[int, int], P] = {}
+        self._unacknowledged: dict[tuple[int, int], P] = {}
         # Callbacks of departures that are not acknowledged, by stamp and content.
         self._departures: dict[tuple[int, int], Callable[[], None]] = {}
         self._has_missed = False
@@ -53,22 +53,22 @@ class RecordedPaths(Generic[P]):
 
     def listen(self) -> None:
         """Subscribe to the paths."""
-        self._node.hear_agent(Path, self._agent, self._on_path)
+        self._node.subscribe_to_agent(Path, self._agent, self._on_path)
         if self._node.values['recorded']:
-            self._recorded = self._hear_recorded()
+            self._recorded = self._subscribe_to_recorded()
             self._node.create_poll(self._ask_again)
 
     @property
     def pending(self) -> int:
         """Return the number of paths that are not acknowledged."""
-        return len(self._pending)
+        return len(self._unacknowledged)
 
     @property
     def awaited(self) -> str:
         """Describe the wait of the first of these paths; empty if there is none."""
-        if not self._pending:
+        if not self._unacknowledged:
             return ''
-        stamp, _ = next(iter(self._pending))
+        stamp, _ = next(iter(self._unacknowledged))
         return (
             f'the recorder to acknowledge the path of {DeploymentKey(self._agent, stamp)} on '
             f'{self._agent}/recorded (parameter recorded)'
@@ -81,10 +81,10 @@ class RecordedPaths(Generic[P]):
         else:
             depart()
 
-    def _hear_recorded(self) -> Subscription:
+    def _subscribe_to_recorded(self) -> Subscription:
         self._has_missed = False
         self._ask_at = time.monotonic() + self._interval
-        return self._node.hear_agent(Recorded, self._agent, self._on_recorded)
+        return self._node.subscribe_to_agent(Recorded, self._agent, self._on_recorded)
 
     def _on_path(self, message: Path) -> None:
         try:
@@ -97,11 +97,11 @@ class RecordedPaths(Generic[P]):
         except ValueError as error:
             self._refuse(error)
             return
-        if not self._pending:
+        if not self._unacknowledged:
             self._ask_at = time.monotonic() + self._interval
-        self._pending[from_stamp(message.header.stamp), content_hash(message)] = path
-        if len(self._pending) > qos.DEPTH:
-            stamp, content = next(iter(self._pending))
+        self._unacknowledged[from_stamp(message.header.stamp), content_hash(message)] = path
+        if len(self._unacknowledged) > qos.DEPTH:
+            stamp, content = next(iter(self._unacknowledged))
             self._drop(stamp, content, f'{qos.DEPTH} later paths wait to be recorded as well')
 
     def _on_recorded(self, message: Recorded) -> None:
@@ -113,12 +113,12 @@ class RecordedPaths(Generic[P]):
         if depart := self._departures.pop((stamp, message.content), None):
             depart()
             return
-        path = self._pending.pop((stamp, message.content), None)
+        path = self._unacknowledged.pop((stamp, message.content), None)
         if path is None:
             self._has_missed = True
             return
         self._interval = ASK_FIRST
-        for other in [content for each, content in self._pending if each == stamp]:
+        for other in [content for each, content in self._unacknowledged if each == stamp]:
             self._drop(stamp, other, 'another path with the same stamp was recorded first')
         try:
             self._take(path)
@@ -126,7 +126,7 @@ class RecordedPaths(Generic[P]):
             self._refuse(error)
 
     def _drop(self, stamp: int, content: int, why: str) -> None:
-        del self._pending[stamp, content]
+        del self._unacknowledged[stamp, content]
         self._refuse(ValueError(f'deployment {DeploymentKey(self._agent, stamp)}: {why}'))
 
     def _refuse(self, error: ValueError) -> None:
@@ -134,17 +134,17 @@ class RecordedPaths(Generic[P]):
 
     def _ask_again(self) -> None:
         """Request the acknowledgements from before a path came again."""
-        if self._pending and self._has_missed and time.monotonic() > self._ask_at:
+        if self._unacknowledged and self._has_missed and time.monotonic() > self._ask_at:
             self._interval = min(2 * self._interval, ASK_LAST)
             self._node.destroy_subscription(self._recorded)
-            self._recorded = self._hear_recorded()
+            self._recorded = self._subscribe_to_recorded()
 
 
 # Seconds without a new path after which the history of a publisher has arrived.
 SETTLED = 0.3
 
 
-class PendingPaths:
+class PendingPaths(RecordedPaths[Deployment]):
     """The paths that a robot has not left on."""
 
     # Paths arrive again after a restart of the robot or the base. The base sends no path while an
@@ -158,24 +158,20 @@ class PendingPaths:
         accept: Callable[[Deployment], None],
         refuse: Callable[[Deployment, str], object],
     ) -> None:
+        super().__init__(node, agent, self._read_path, self._take_path)
         # Whether paths are accepted.
         self.is_listening = False
-        self._node = node
-        self._agent = agent
         self._journal = journal
         self._accept = accept
-        self._refuse = refuse
+        self._refuse_order = refuse
         self._max_steps = value_for(node.values, 'max_steps', agent)
         self._pending: dict[int, Deployment] = {}
-        self._sent = RecordedPaths(node, agent, self._read_path, self._take_path)
-        # Calls back when a departure is on record.
-        self.when_recorded = self._sent.when_recorded
         self._last = 0.0
 
     def listen(self) -> None:
         """Subscribe to the paths."""
         self.is_listening = True
-        self._sent.listen()
+        super().listen()
 
     def _read_path(self, message: Path) -> Deployment | None:
         key, cells = read_path(self._node.grid, self._agent, message)
@@ -186,14 +182,14 @@ class PendingPaths:
             raise ValueError(f'deployment {key} is known with another path: the first path counts')
         if known is not None or deployment.stamp in self._journal.refusals:
             return None
-        self._node.diagnostics.accept()
+        self._node.diagnostics.accepted += 1
         self._last = time.monotonic()
         return deployment
 
     def _take_path(self, deployment: Deployment) -> None:
         self._last = time.monotonic()
         if why := self._why_earlier(deployment.mission):
-            self._refuse(deployment, why)
+            self._refuse_order(deployment, why)
             return
         self._pending[deployment.stamp] = deployment
         self._accept(deployment)
@@ -224,15 +220,15 @@ class PendingPaths:
     @property
     def pending(self) -> int:
         """Return the number of paths that the robot has not left on."""
-        return len(self._pending) + self._sent.pending
+        return len(self._pending) + super().pending
 
     @property
     def awaited(self) -> str:
         """Describe the wait before a departure; empty if there is none."""
         if not self._pending:
-            return self._sent.awaited
+            return super().awaited
         # Acknowledgements of later paths that came too early are requested again.
-        settled = 2 * ASK_FIRST if self._sent.pending else SETTLED
+        settled = 2 * ASK_FIRST if super().pending else SETTLED
         if time.monotonic() < self._last + settled:
             return 'paths that may still arrive'
         return ''

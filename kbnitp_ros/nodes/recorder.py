@@ -11,7 +11,6 @@ from functools import partial
 import heapq
 from itertools import chain
 from pathlib import Path
-import sys
 import time
 from typing import Any
 
@@ -32,17 +31,17 @@ from kbnitp_ros.messages.headers import (
     NO_MISSION,
     to_stamp,
 )
-from kbnitp_ros.nodes.heard import (
-    HeardTopic,
+from kbnitp_ros.nodes.presence import OPERATORS, Recorders
+from kbnitp_ros.nodes.recorded_topics import (
     Message,
     message_class,
     ParameterWatch,
+    RecordedTopic,
     time_received,
 )
-from kbnitp_ros.nodes.presence import OPERATORS, Recorders
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import TOPICS
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode, PendingMessages
@@ -104,8 +103,7 @@ class RecorderNode(MissionNode):
                 f'folder {self._log.path.parent} stays the bag of another log: open this log by '
                 f'its files, such as {self._log.path}, or use a folder for each log'
             )
-        self._recorders = Recorders(self)
-        self._recorders.begin(self._log.path)
+        self._recorders = Recorders(self, self._log.path)
         self._why_silent = self._recorders.why_silent
         # Publisher of `operator/recorded`, by which other nodes find recorders in the graph.
         self._operators = self.create_publisher(Recorded, OPERATORS, qos.EVIDENCE)
@@ -136,7 +134,7 @@ class RecorderNode(MissionNode):
                         self._departures.take(*logged.said)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
-        self._topics: dict[str, HeardTopic] = {}
+        self._topics: dict[str, RecordedTopic] = {}
         # Topics with all publishers subscribed to, and topics that cannot be recorded.
         self._settled: set[str] = set()
         self._last_looked = ''
@@ -162,7 +160,7 @@ class RecorderNode(MissionNode):
         """Write the messages that have arrived, in their order."""
         self._write_arrived_on(self._topics.values())
 
-    def _write_arrived_on(self, topics: Iterable[HeardTopic]) -> None:
+    def _write_arrived_on(self, topics: Iterable[RecordedTopic]) -> None:
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
@@ -187,7 +185,7 @@ class RecorderNode(MissionNode):
         self._log.check_in_place()
         if (why := self._recorders.why_silent) != self._why_silent:
             self._why_silent = why
-            self._tell_what_waited()
+            self._acknowledge_pending()
 
     def _discover(self) -> None:
         """Subscribe to new topics and publishers."""
@@ -199,25 +197,25 @@ class RecorderNode(MissionNode):
         looked = True
         while looked:
             before = found.keys()
-            own, others = self._unheard()
+            own, others = self._new_topics()
             found = self._published(own)
             looked = found.keys() != before
         self._watch.look()
         if gone := [node for node in self._differing if not self._watch.is_present(node)]:
             for node in gone:
                 del self._differing[node]
-            self._tell_what_waited()
+            self._acknowledge_pending()
         found |= self._published(self._next_topics(others))
         for topic in sorted(found, reverse=True):
-            self._hear(topic, found[topic])
+            self._subscribe_to(topic, found[topic])
 
-    def _unheard(self) -> tuple[list[str], list[str]]:
+    def _new_topics(self) -> tuple[list[str], list[str]]:
         """Return the topics that may have new publishers: the mission's, and others."""
         own: list[str] = []
         others: list[str] = []
         for topic, types in self.get_topic_names_and_types():
-            heard = self._topics[topic].type_name if topic in self._settled else None
-            if all(each == heard or (topic, each) in self._refused for each in types):
+            known = self._topics[topic].type_name if topic in self._settled else None
+            if all(each == known or (topic, each) in self._refused for each in types):
                 continue
             if topic in self.roles.by_topic:
                 own.append(topic)
@@ -238,7 +236,7 @@ class RecorderNode(MissionNode):
         self._last_looked = taken[-1] if taken else ''
         return taken
 
-    def _hear(self, name: str, publishers: Sequence[Any]) -> None:
+    def _subscribe_to(self, name: str, publishers: Sequence[Any]) -> None:
         """Subscribe to a topic, once for each profile of its publishers."""
         for publisher in publishers:
             type_name = publisher.topic_type
@@ -271,7 +269,7 @@ class RecorderNode(MissionNode):
                 topic.subscriptions[kind] = self._subscribe(topic, profile)
             self._settled.add(name)
 
-    def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> HeardTopic:
+    def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> RecordedTopic:
         """Return a topic, recorded from now on."""
         if name in self._topics:
             topic = self._topics[name]
@@ -283,7 +281,7 @@ class RecorderNode(MissionNode):
             raise LookupError(f'type is {type_name}: on this topic it must be {role.type_name}')
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
-        topic = self._topics[name] = HeardTopic(name, type_name, role)
+        topic = self._topics[name] = RecordedTopic(name, type_name, role)
         if role is not None and role.name in ('path', 'status'):
             # Each with its own history, as deep as DDS has it.
             name = f'{role.agent}/recorded'
@@ -304,15 +302,15 @@ class RecorderNode(MissionNode):
             )
         if self._why_silent:
             return waiting_for(f'{self._why_silent}; {recording}')
-        heard = {topic.role.name for topic in self._topics.values() if topic.role}
-        absent = [who for kind, who in AWAITED.items() if kind not in heard]
+        known = {topic.role.name for topic in self._topics.values() if topic.role}
+        absent = [who for kind, who in AWAITED.items() if kind not in known]
         if not absent:
-            return working(recording)
+            return NodeState(recording)
         return waiting_for(
             f'{" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
         )
 
-    def _subscribe(self, topic: HeardTopic, profile: QoSProfile) -> Subscription:
+    def _subscribe(self, topic: RecordedTopic, profile: QoSProfile) -> Subscription:
         def look_again(_: Any) -> None:
             self._settled.discard(topic.name)
 
@@ -327,7 +325,7 @@ class RecorderNode(MissionNode):
             ),
         )
 
-    def _on_message(self, topic: HeardTopic, data: bytes, info: Any) -> None:
+    def _on_message(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         role = topic.role.name if topic.role else ''
         # So many messages delay nobody; only the paths read with them do.
         is_seldom_awaited = role in ('belief', 'status')
@@ -346,9 +344,9 @@ class RecorderNode(MissionNode):
             # whole history. All that was published before an acknowledgement is then on disk.
             self._write_arrived()
             self._sync()
-            self._tell_recorded()
+            self._acknowledge_all()
 
-    def _write(self, topic: HeardTopic, data: bytes, info: Any) -> None:
+    def _write(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         """Write a message, unless it is on record."""
         if topic.is_new(info['source_timestamp'], data):
             self._write_checked((topic, data, info))
@@ -369,16 +367,16 @@ class RecorderNode(MissionNode):
             return
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
-        self.diagnostics.accept()
+        self.diagnostics.accepted += 1
 
-    def _is_of_this_mission(self, topic: HeardTopic, data: bytes) -> bool:
+    def _is_of_this_mission(self, topic: RecordedTopic, data: bytes) -> bool:
         """Return whether diagnostics, which all missions share, are of this mission."""
         if topic.name != DIAGNOSTICS or self._namespace == '/':
             return True
         status = deserialize_message(data, message_class(topic.type_name)).status
         return any(each.name.startswith(self._namespace) for each in status)
 
-    def _check(self, topic: HeardTopic, data: bytes) -> None:
+    def _check(self, topic: RecordedTopic, data: bytes) -> None:
         """Check that a message that others act on can be of this mission."""
         role = topic.role
         if role is None:
@@ -415,7 +413,7 @@ class RecorderNode(MissionNode):
             self._tracker.check_belief(said, self.count_authors(topic.name, BELIEF), known)
             self._tracker.accept_belief(said, known)
 
-    def _check_status(self, topic: HeardTopic, key: DeploymentKey, status: AgentStatus) -> None:
+    def _check_status(self, topic: RecordedTopic, key: DeploymentKey, status: AgentStatus) -> None:
         """Check an agent's status, and acknowledge a departure once it is on disk."""
         # Of two departures of one deployment, by two robots of one name, only the first is
         # acknowledged.
@@ -435,17 +433,17 @@ class RecorderNode(MissionNode):
             self._ordered.add(DeploymentKey(role.agent, stamp))
         return self._first.setdefault(key, content)
 
-    def _tell_recorded(self) -> None:
+    def _acknowledge_all(self) -> None:
         """Acknowledge the paths on disk, if this recorder's acknowledgements count."""
         if self._differing or self._why_silent:
             return
         for topic in self._topics.values():
             if topic.recorded is not None:
                 topic.unacknowledged = [
-                    each for each in topic.unacknowledged if not self._tell(topic, *each)
+                    each for each in topic.unacknowledged if not self._acknowledge(topic, *each)
                 ]
 
-    def _tell(self, topic: HeardTopic, stamp: int, content: int, mission: int) -> bool:
+    def _acknowledge(self, topic: RecordedTopic, stamp: int, content: int, mission: int) -> bool:
         """Acknowledge a path or action on disk; return False if that must wait."""
         if topic.type_name == PATH:
             try:
@@ -484,13 +482,13 @@ class RecorderNode(MissionNode):
         self._differing.pop(node, None)
         if differs:
             self._differing[node] = differs
-        self._tell_what_waited()
+        self._acknowledge_pending()
 
-    def _tell_what_waited(self) -> None:
+    def _acknowledge_pending(self) -> None:
         """Send the pending acknowledgements once they count."""
         self.diagnostics.state = self._state()
         self._sync()
-        self._tell_recorded()
+        self._acknowledge_all()
 
 
 def offered_by(publishers: Sequence[Any], type_name: str) -> str:
@@ -500,10 +498,4 @@ def offered_by(publishers: Sequence[Any], type_name: str) -> str:
     )
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the recorder; return the exit code."""
-    return run('recorder', RecorderNode, args, linger=0.6)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, 'recorder', RecorderNode, linger=0.6)

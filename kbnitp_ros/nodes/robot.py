@@ -8,7 +8,6 @@ from functools import partial
 from math import hypot
 import os
 from pathlib import Path
-import sys
 import time
 from typing import Any
 
@@ -22,11 +21,11 @@ from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
-from kbnitp_ros.nodes.driver import detection_class, Driver, Links, read_detection
-from kbnitp_ros.nodes.presence import HoldListener
+from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_detection
+from kbnitp_ros.nodes.presence import HoldSubscription
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for, working
+from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot.journal import Deployment, Journal, Step
@@ -53,7 +52,10 @@ class RobotNode(FieldNode):
         return field.at(own_base(self.values, self.values['agent'], field))
 
     def __init__(self) -> None:
-        self._links = Links()
+        # The network addresses that DDS knows. A node that starts without a link listens on lo
+        # alone, and stays deaf when one comes up. A node whose address changes is not found under
+        # the new one.
+        self._addresses = addresses()
         super().__init__('robot')
         values = self.values
         self._agent: str = values['agent']
@@ -65,7 +67,7 @@ class RobotNode(FieldNode):
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
-        self._hold = HoldListener(self)
+        self._hold = HoldSubscription(self)
         self._pending = PendingPaths(self, self._agent, self._journal, self._accept, self._refuse)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
@@ -86,7 +88,7 @@ class RobotNode(FieldNode):
         # Current place of the robot; None if it is unknown.
         self._place: Place | None = None
         # Current problems by subject, and those that were logged.
-        self._troubles = {self._source: 'nothing was heard yet'}
+        self._troubles = {self._source: 'nothing was received yet'}
         self._is_driving = False
         # Whether a departure was reported that is not on record yet.
         self._is_at_gate = False
@@ -97,27 +99,34 @@ class RobotNode(FieldNode):
         # The time of the last look, by the system's clock and by ROS.
         self._looked = 0, 0
         self._resume()
-        if self._links.are_missing:
+        if not self._addresses:
             self.get_logger().warning(
                 'this computer has no network link but lo, so no other computer can reach this '
                 f'robot. Once it has one, this node ends with exit code {NEW_LINKS} and must be '
                 'started again'
             )
-        self._hear_places()
-        self.hear_newest(detections, 'detections', self._on_detection, qos.READINGS, is_timed=True)
+        self._subscribe_to_places()
+        self.subscribe(
+            detections,
+            'detections',
+            self._on_detection,
+            qos.READINGS,
+            is_timed=True,
+            keeps_all=False,
+        )
         self.create_poll(self._look)
 
-    def _hear_places(self) -> None:
+    def _subscribe_to_places(self) -> None:
         if isinstance(self._whereis, Fixes):
             take = partial(self._take_place, self._whereis.take)
-            self.hear_newest(NavSatFix, 'fix', take, qos.READINGS)
+            self.subscribe(NavSatFix, 'fix', take, qos.READINGS, keeps_all=False)
             return
         for topic, profile, is_static in (
             ('/tf', qos.POSES, False),
             ('/tf_static', qos.LATCHED_POSES, True),
         ):
             take = partial(self._take_place, partial(self._whereis.take, static=is_static))
-            self.hear_newest(TFMessage, topic, take, profile)
+            self.subscribe(TFMessage, topic, take, profile, keeps_all=False)
 
     def _resume(self) -> None:
         """Resume from the journal: publish again, and continue where the robot was."""
@@ -241,13 +250,13 @@ class RobotNode(FieldNode):
     def _on_detection(self, message: object, published: int) -> None:
         """Keep a detection until the robot's place at its time is known."""
         try:
-            detection = read_detection(message, self.values)
-            since, until = self._detection_time(detection.stamp, published)
+            seen, stamp = read_detection(message, self.values)
+            since, until = self._detection_time(stamp, published)
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
             return
         if self._deployment is not None and not self._deployment.is_doubted:
-            self._unread = [*self._unread[-MAX_UNREAD:], (since, until, detection.seen)]
+            self._unread = [*self._unread[-MAX_UNREAD:], (since, until, seen)]
         self._locate()
 
     def _detection_time(self, stamp: int | None, published: int) -> tuple[int, int]:
@@ -286,7 +295,9 @@ class RobotNode(FieldNode):
         self._locate()
         self._keep(self._journal.write)
         self._driver.look()
-        if (self._deployment is None or self._is_at_gate) and (news := self._links.news):
+        is_home = self._deployment is None or self._is_at_gate
+        if is_home and (new := addresses().items() - self._addresses.items()):
+            news = ', '.join(f'{name} has {address}' for name, address in sorted(new))
             self._say(
                 'links', f'{news}, unknown to DDS: exit code {NEW_LINKS}, to be started again'
             )
@@ -306,7 +317,7 @@ class RobotNode(FieldNode):
         if awaited := self._pending.awaited:
             return waiting_for(awaited)
         if (deployment := self._pending.newest) is None:
-            return working(f'taking paths of {self._agent}')
+            return NodeState(f'taking paths of {self._agent}')
         if not self._keep(partial(self._journal.begin, deployment.mission)):
             return self._no_room
         for superseded in self._pending.superseded():
@@ -393,7 +404,7 @@ class RobotNode(FieldNode):
             itinerary.go_home()
         goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
         if self._driver.is_busy:
-            return working(f'driving {goal}')
+            return NodeState(f'driving {goal}')
         if self._place is None:
             return waiting_for(self._unplaced)
         if self._is_driving:
@@ -406,7 +417,7 @@ class RobotNode(FieldNode):
             self._end_leg(self._place)
         if itinerary.heads_home and self._is_at_base(self._place):
             self._come_home(deployment)
-            return working(f'home from {self._key(deployment)}')
+            return NodeState(f'home from {self._key(deployment)}')
         if itinerary.is_stay and self._walk.cell == itinerary.destination:
             return self._stay()
         if time.monotonic() < self._try_again_at:
@@ -416,7 +427,7 @@ class RobotNode(FieldNode):
         start = self._place.x, self._place.y
         self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
         self._is_driving = True
-        return working(f'driving {goal}')
+        return NodeState(f'driving {goal}')
 
     def _wait_at_gate(self, deployment: Deployment) -> NodeState:
         """Wait until the departure is on record; a pause ends the deployment."""
@@ -427,7 +438,7 @@ class RobotNode(FieldNode):
             )
             self._is_at_gate = False
             self._come_home(deployment)
-            return working(f'home from {self._key(deployment)}')
+            return NodeState(f'home from {self._key(deployment)}')
         return waiting_for(
             f'the recorder to acknowledge the departure of {self._key(deployment)} on '
             f'{self._agent}/recorded (parameter recorded)'
@@ -483,7 +494,7 @@ class RobotNode(FieldNode):
         elif now >= self._stays_until:
             self._stays_until = None
             self._itinerary.succeed()
-        return working(f'staying in cell {self._walk.cell}')
+        return NodeState(f'staying in cell {self._walk.cell}')
 
     def _come_home(self, deployment: Deployment) -> None:
         """End a walk at the base."""
@@ -521,10 +532,4 @@ class RobotNode(FieldNode):
         super().close()
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the robot; return the exit code."""
-    return run('robot', RobotNode, args, linger=0.15)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = partial(run, 'robot', RobotNode, linger=0.15)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from functools import partial
 import time
 
@@ -19,11 +19,7 @@ from kbnitp_ros.configuration.agents import (
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import (
     DeploymentKey,
-    Dynamics,
-    Execution,
-    Grid,
     Observation,
-    SensorModel,
     World,
 )
 from kbnitp_ros.core.field.world import Traverse
@@ -33,7 +29,7 @@ from kbnitp_ros.messages.deployments import OrderState, read_path, report_messag
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
 from kbnitp_ros.messages.markers import pose_message, readings_marker
-from kbnitp_ros.nodes.presence import HoldListener
+from kbnitp_ros.nodes.presence import HoldSubscription
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -52,8 +48,8 @@ from visualization_msgs.msg import Marker
 PATIENCE = 5.0
 
 
-class HiddenField:
-    """Outcomes of robots in a hidden field, as in core's run_mission."""
+class Simulation:
+    """The hidden field of a team, and the outcomes of its robots as in core's run_mission."""
 
     # Hazards that change are a fold of all paths in deployment order, so a robot leaves when those
     # before it are known. Where all agents take part in each round in their order, robot n of an
@@ -61,57 +57,62 @@ class HiddenField:
     # whose robot is out or waits gets no earlier path. Of others it may never come, as at the end
     # of a mission or when agents leave one by one, so nobody waits for longer than `PATIENCE`.
 
-    def __init__(
-        self,
-        grid: Grid,
-        world: World,
-        dynamics: Dynamics,
-        execution: Execution,
-        models: Mapping[str, SensorModel],
-        agents: Sequence[str],
-        generator: Callable[[str, int], np.random.Generator],
-    ) -> None:
+    def __init__(self, node: FieldNode, record: RecordedMission) -> None:
+        self.node = node
+        self.grid = node.grid
+        values = node.values
+        common = make_sensor_model(values)
+        robot_types = make_robot_types(values, self.grid)
+        self._models = {agent: each.model(common) for agent, each in robot_types.items()}
+        self.agents = agent_names(values, self.grid)
+        dynamics = self._dynamics = true_dynamics(values)
+        # Whether hazards stay.
+        self.is_static = dynamics.effect == 'static'
+        self._execution = make_execution(values)
+        self._seeds = np.random.SeedSequence(values['seed'])
         # The present field.
-        self.world = world
-        self._grid = grid
-        self._dynamics = dynamics
-        self._execution = execution
-        self._models = models
-        self._agents = agents
-        self._generator = generator
+        self._world = self._first_world()
         # The known paths, and the number of robots that left, by agent; and waiting paths.
-        self._known = dict.fromkeys(agents, 0)
-        self._made = dict.fromkeys(agents, 0)
+        self._known = dict.fromkeys(self.agents, 0)
+        self._left = dict.fromkeys(self.agents, 0)
         self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
         # When these became known.
         self._since: dict[DeploymentKey, float] = {}
         # Agents whose robots have left and are not back.
         self.out: set[str] = set()
+        self._truth = {
+            name: node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
+            for name in ('hazard', 'target')
+            if values['publish_truth']
+        }
+        # Outcomes of robots that leave at once, and robots that move once their outcome is known.
+        self._outcomes: dict[DeploymentKey, Traverse] = {}
+        self._moving: set[DeploymentKey] = set()
+        for key in record.orders:
+            self._restore(key, record)
+        self._publish_truth()
+        # Callbacks with the outcomes, by agent; agents of other nodes have none.
+        self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
+        if not self.is_static:
+            node.create_poll(self._leave_all)
 
-    def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
-        """Add a path."""
-        if key not in self._waiting:
-            self._known[key.agent] += 1
-            self._waiting[key] = path
-            self._since[key] = time.monotonic()
+    def _first_world(self) -> World:
+        """Return the world before the first deployment, from a file or drawn."""
+        values = self.node.values
+        if file := values['world.file']:
+            return read_world(file, self.grid)
+        return World.random(
+            self.grid,
+            np.random.default_rng(self._seeds),
+            values['world.hazard_density'],
+            values['world.kappa'],
+            values['world.target_background'],
+        )
 
-    def leaving(self) -> list[tuple[DeploymentKey, Traverse]]:
-        """Return the robots that leave now, with their outcomes."""
-        leaving = []
-        while self._waiting and not self.awaited:
-            first = min(self._waiting, key=deployment_order)
-            leaving.append((first, self._leave(first)))
-        return leaving
-
-    def pass_over(self, agent: str) -> None:
-        """Count a robot whose outcome is known, where hazards stay."""
-        self._known[agent] += 1
-        self._made[agent] += 1
-
-    @property
-    def is_static(self) -> bool:
-        """Return whether hazards stay."""
-        return self._dynamics.effect == 'static'
+    def _publish_truth(self) -> None:
+        for name, publisher in self._truth.items():
+            truth = getattr(self._world, name)
+            publisher.publish(occupancy_grid(self.grid, truth, self.node.now()))
 
     @property
     def awaited(self) -> str:
@@ -121,100 +122,56 @@ class HiddenField:
         first = min(self._waiting, key=deployment_order)
         if time.monotonic() > self._since[first] + PATIENCE:
             return ''
-        place, robot = self._agents.index(first.agent), self._made[first.agent]
+        place, robot = self.agents.index(first.agent), self._left[first.agent]
         settled = {*self.out, *(key.agent for key in self._waiting)}
-        for number, other in enumerate(self._agents):
+        for number, other in enumerate(self.agents):
             if self._known[other] < robot + (number < place) and other not in settled:
                 return other
         return ''
 
-    def _leave(self, key: DeploymentKey) -> Traverse:
-        robot = self._made[key.agent]
-        is_first = not any(self._made.values())
-        path = self._waiting.pop(key)
-        del self._since[key]
-        made = self._execution.traverse(
-            self.world,
-            self._grid.at(int(path[0])),
-            path,
-            self._models[key.agent],
-            self._generator(key.agent, robot),
-            self._dynamics,
-            changing=None if is_first else self._grid.may_be_hazardous,
-        )
-        self._made[key.agent] = robot + 1
-        self.world = made.world
-        return made
-
-
-class Simulation:
-    """The real field, shared by all agents of a team."""
-
-    def __init__(self, node: FieldNode, record: RecordedMission) -> None:
-        self.node = node
-        self.grid = node.grid
-        common = make_sensor_model(node.values)
-        robot_types = make_robot_types(node.values, self.grid)
-        self.agents = agent_names(node.values, self.grid)
-        dynamics = true_dynamics(node.values)
-        self._seeds = np.random.SeedSequence(node.values['seed'])
-        if file := node.values['world.file']:
-            world = read_world(file, self.grid)
-        else:
-            world = World.random(
-                self.grid,
-                np.random.default_rng(self._seeds),
-                node.values['world.hazard_density'],
-                node.values['world.kappa'],
-                node.values['world.target_background'],
-            )
-        self.field = HiddenField(
-            self.grid,
-            world,
-            dynamics,
-            make_execution(node.values),
-            {agent: robot_type.model(common) for agent, robot_type in robot_types.items()},
-            self.agents,
-            self.generator,
-        )
-        self._truth = {
-            name: node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
-            for name in ('hazard', 'target')
-            if node.values['publish_truth']
-        }
-        # Outcomes of robots that leave at once, and robots that move once their outcome is known.
-        self._out: dict[DeploymentKey, Traverse] = {}
-        self._moving: set[DeploymentKey] = set()
-        for key in record.orders:
-            self._restore(key, record)
-        self._publish_truth()
-        # Callbacks with the outcomes, by agent; agents of other nodes have none.
-        self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
-        if not self.field.is_static:
-            node.create_poll(self._leave_all)
-
-    def _publish_truth(self) -> None:
-        for name, publisher in self._truth.items():
-            truth = getattr(self.field.world, name)
-            publisher.publish(occupancy_grid(self.grid, truth, self.node.now()))
-
     def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
         """Start a deployment once all earlier ones that can change the field have started."""
         self._moving.add(key)
-        if key not in self._out:
-            self.field.take(key, path)
+        if key not in self._outcomes:
+            self._add_path(key, path)
         self._leave_all()
 
+    def _add_path(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+        if key not in self._waiting:
+            self._known[key.agent] += 1
+            self._waiting[key] = path
+            self._since[key] = time.monotonic()
+
     def _leave_all(self) -> None:
-        before = self.field.world
-        self._out |= self.field.leaving()
-        if not np.array_equal(before.hazard, self.field.world.hazard):
+        before = self._world
+        self._traverse_all()
+        if not np.array_equal(before.hazard, self._world.hazard):
             self._publish_truth()
-        for key in sorted(self._moving & self._out.keys(), key=deployment_order):
+        for key in sorted(self._moving & self._outcomes.keys(), key=deployment_order):
             self._moving.remove(key)
-            made = self._out.pop(key)
+            made = self._outcomes.pop(key)
             if key.agent in self.leave:
                 self.leave[key.agent](key, made)
+
+    def _traverse_all(self) -> None:
+        """Compute the outcomes of the robots that leave now."""
+        while self._waiting and not self.awaited:
+            key = min(self._waiting, key=deployment_order)
+            is_first = not any(self._left.values())
+            path = self._waiting.pop(key)
+            del self._since[key]
+            made = self._execution.traverse(
+                self._world,
+                self.grid.at(int(path[0])),
+                path,
+                self._models[key.agent],
+                self._generator(key.agent, self._left[key.agent]),
+                self._dynamics,
+                changing=None if is_first else self.grid.may_be_hazardous,
+            )
+            self._left[key.agent] += 1
+            self._world = made.world
+            self._outcomes[key] = made
 
     def is_over(self, observation: Observation | None) -> bool:
         """Return whether a robot on record is done."""
@@ -225,16 +182,17 @@ class Simulation:
 
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
         """Restore a deployment on record, unless its robot is still to depart."""
-        is_static = self.field.is_static
-        if record.departures.is_refused(key) or (is_static and not record.has_departed(key)):
+        is_at_home = self.is_static and not record.has_departed(key)
+        if record.departures.is_refused(key) or is_at_home:
             return
-        if is_static and self.is_over(record.outcome(key)):
-            self.field.pass_over(key.agent)
+        if self.is_static and self.is_over(record.outcome(key)):
+            self._known[key.agent] += 1
+            self._left[key.agent] += 1
             return
-        self.field.take(key, record.paths[key])
-        self._out |= self.field.leaving()
+        self._add_path(key, record.paths[key])
+        self._traverse_all()
 
-    def generator(self, agent: str, robot: int) -> np.random.Generator:
+    def _generator(self, agent: str, robot: int) -> np.random.Generator:
         """Return the generator of an agent's robot, counted from 0 in departure order."""
         child = robot * len(self.agents) + self.agents.index(agent)
         return np.random.default_rng(
@@ -242,34 +200,23 @@ class Simulation:
         )
 
 
-class AgentPaths:
+# A deployment, the cells of its path, and the start of its mission.
+SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
+
+
+class AgentPaths(RecordedPaths[SentPath]):
     """The paths of one agent, each passed to the simulation."""
 
     def __init__(self, simulation: Simulation, name: str, mission: int | None) -> None:
+        super().__init__(simulation.node, name, self._read_path, self._take_path)
         self.name = name
         self._simulation = simulation
-        self._node = simulation.node
         self._mission = mission
         self._max_steps = value_for(self._node.values, 'max_steps', name)
         self._base = own_base(self._node.values, name, simulation.grid)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
-        self._sent = RecordedPaths(self._node, name, self._read_path, self._take_path)
 
-    def listen(self) -> None:
-        """Subscribe to the paths."""
-        self._sent.listen()
-
-    @property
-    def pending(self) -> int:
-        """Return the number of its robots that have not left yet."""
-        return self._sent.pending
-
-    @property
-    def awaited(self) -> str:
-        """Describe the wait of the agent's robots; empty if there is none."""
-        return self._sent.awaited
-
-    def _read_path(self, message: Path) -> tuple[DeploymentKey, NDArray[np.intp], int] | None:
+    def _read_path(self, message: Path) -> SentPath | None:
         grid = self._simulation.grid
         key, cells = read_path(grid, self.name, message)
         path = grid.at(self._base).check_path(cells, self._max_steps)
@@ -280,10 +227,10 @@ class AgentPaths:
             raise ValueError(f'deployment {key} is known with another path: the first path counts')
         if known is not None:
             return None
-        self._node.diagnostics.accept()
+        self._node.diagnostics.accepted += 1
         return key, path, mission
 
-    def _take_path(self, sent: tuple[DeploymentKey, NDArray[np.intp], int]) -> None:
+    def _take_path(self, sent: SentPath) -> None:
         """Accept a path that is durably recorded."""
         key, path, mission = sent
         check_mission(mission, self._mission)
@@ -314,7 +261,7 @@ class SimulatedAgent(AgentPaths):
         self._at_home: list[DeploymentKey] = []
         # Paths whose robots have departed, by the log.
         self._departed = {key for key in record.orders if record.has_departed(key)}
-        self._hold = HoldListener(self._node, self._depart_all)
+        self._hold = HoldSubscription(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
@@ -347,7 +294,7 @@ class SimulatedAgent(AgentPaths):
         self._say(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
             departure = content_hash(status_message(key, OrderState.DEPARTED, key.stamp))
-            self._sent.when_recorded(key.stamp, departure, partial(self._move, key))
+            self.when_recorded(key.stamp, departure, partial(self._move, key))
         self._depart_all()
 
     def _depart_all(self) -> None:
@@ -373,7 +320,7 @@ class SimulatedAgent(AgentPaths):
         self._statuses.publish(status_message(key, state, key.stamp))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
-        self._simulation.field.out.add(self.name)
+        self._simulation.out.add(self.name)
         period = value_for(self._node.values, 'step_period', self.name)
         if period == 0.0:
             self._return(key, made.observation)
@@ -401,7 +348,7 @@ class SimulatedAgent(AgentPaths):
 
     def _return(self, key: DeploymentKey, observation: Observation) -> None:
         """Report the outcome of a robot after its time away."""
-        self._simulation.field.out.discard(self.name)
+        self._simulation.out.discard(self.name)
         if not observation.survived and self._node.values['silent_loss']:
             return
         stamp = self._node.now()

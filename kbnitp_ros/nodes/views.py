@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from math import isnan, nan
 
-from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.core.inference.record import deployment_order
@@ -15,11 +14,7 @@ from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import MissionState, MissionStatus, NOT_KNOWN, progress_message
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import (
-    MISSION_REASON,
-    MISSION_STATE,
-    TOPIC,
-)
+from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
@@ -69,10 +64,10 @@ class BoundedProgress:
 
     def __init__(self, node: FieldNode) -> None:
         self._publisher = node.create_publisher(Progress, 'progress', qos.LATCHED)
-        self._heard: Progress | None = None
+        self._received: Progress | None = None
         # The stamp of the belief planned on, and the bound.
         self._bound = -1, nan
-        node.hear(Progress, 'progress', self._on_progress, qos.LATCHED)
+        node.subscribe(Progress, 'progress', self._on_progress, qos.LATCHED)
 
     def show(self, stamp: int, upper_bound: float) -> None:
         """Set the bound of paths, in nats, by the belief of a stamp."""
@@ -82,15 +77,15 @@ class BoundedProgress:
     def _on_progress(self, message: Progress) -> None:
         # Progress published here has a bound already.
         if isnan(message.upper_bound):
-            self._heard = message
+            self._received = message
             self._publish()
 
     def _publish(self) -> None:
         stamp, upper_bound = self._bound
-        if self._heard and from_stamp(self._heard.header.stamp) == stamp:
-            self._heard.upper_bound = upper_bound
-            self._publisher.publish(self._heard)
-            self._heard.upper_bound = nan
+        if self._received and from_stamp(self._received.header.stamp) == stamp:
+            self._received.upper_bound = upper_bound
+            self._publisher.publish(self._received)
+            self._received.upper_bound = nan
 
 
 # Seconds between two views: nobody sees more of them, and they take longer than small beliefs.
@@ -121,30 +116,23 @@ class Views:
         self._timer = node.create_timer(PERIOD, self._on_timer, clock=steady, autostart=False)
         for name in ('hazard', 'target'):
             for topic in (f'truth/{name}', f'{agents[0]}/truth/{name}'):
-                node.hear(
-                    OccupancyGrid,
-                    topic,
-                    partial(self._on_truth, topic, name),
-                    qos.LATCHED,
-                )
+                take = partial(self._on_truth, topic, name)
+                node.subscribe(OccupancyGrid, topic, take, qos.LATCHED)
+        node.subscribe_to_diagnostics(self._on_diagnostics)
 
-        node.hear_newest(DiagnosticArray, TOPIC, self._on_diagnostics, qos.DIAGNOSTICS)
-
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+    def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
         """Publish the state of the mission from the planner's diagnostics."""
         own = self._node.get_namespace().rstrip('/')
-        for status in array.status:
-            values = {each.key: each.value for each in status.values}
-            state = MissionState.__members__.get(values.get(MISSION_STATE, ''))
-            if state is None or status.name.rpartition('/')[0] != own:
-                continue
-            standing = MissionStatus(state, values.get(MISSION_REASON, ''))
-            if standing != self._standing:
-                self._standing = standing
-                self._message.state, self._message.reason = standing
-                # There is none before the first belief.
-                self._is_progress_pending = self._newest is not None
-                self._publish_or_wait()
+        state = MissionState.__members__.get(values.get(MISSION_STATE, ''))
+        if state is None or name.rpartition('/')[0] != own:
+            return
+        standing = MissionStatus(state, values.get(MISSION_REASON, ''))
+        if standing != self._standing:
+            self._standing = standing
+            self._message.state, self._message.reason = standing
+            # There is none before the first belief.
+            self._is_progress_pending = self._newest is not None
+            self._publish_or_wait()
 
     def _on_truth(self, topic: str, name: str, message: OccupancyGrid) -> None:
         try:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isfinite, sqrt
 from typing import Any, NamedTuple
 
@@ -17,17 +16,10 @@ from numpy.typing import NDArray
 MAX_FRAMES = 1000
 
 
-class Link(NamedTuple):
-    """The transform of a frame to its parent."""
-
-    # The parent frame.
-    parent: str
-    # Origin of the frame in its parent, in metres, shape (3,).
-    translation: NDArray[np.float64]
-    # Rotation of the frame in its parent, a unit quaternion x, y, z, w, shape (4,).
-    rotation: NDArray[np.float64]
-    # Since when, nanoseconds; None if it is static.
-    stamp: int | None
+# The transform of a frame to its parent: the parent, the origin of the frame in its parent in
+# metres, its rotation there, a unit quaternion x, y, z, w, and since when in nanoseconds (None if
+# it is static).
+Link = tuple[str, NDArray[np.float64], NDArray[np.float64], int | None]
 
 
 class Place(NamedTuple):
@@ -46,9 +38,9 @@ class Place(NamedTuple):
 class Transforms:
     """The newest transform of each frame to its parent."""
 
-    def __init__(self, frame: str, of: str) -> None:
+    def __init__(self, frame: str, robot_frame: str) -> None:
         self._frame = frame
-        self._missions = of
+        self._robot_frame = robot_frame
         self._links: dict[str, Link] = {}
 
     def take(self, message: Any, *, static: bool) -> None:
@@ -68,31 +60,31 @@ class Transforms:
                 raise ValueError(f'frame {child!r} is one more than {MAX_FRAMES}')
             parent = transform.header.frame_id.lstrip('/')
             stamp = None if static else from_stamp(transform.header.stamp)
-            self._links[child] = Link(parent, translation, rotation / length, stamp)
+            self._links[child] = parent, translation, rotation / length, stamp
 
     def place(self, now: int, oldest: float) -> Place:
         """Return the place of the frame by transforms at most `oldest` seconds old."""
         place: NDArray[np.float64] = np.zeros(3)
-        frame, stamp = self._missions, now
+        frame, stamp = self._robot_frame, now
         odometry: int | None = None
         passed = set()
         while frame != self._frame:
-            link = self._links.get(frame)
-            if link is None or frame in passed:
+            if frame not in self._links or frame in passed:
                 raise ValueError(
-                    f'no transform leads from {self._frame!r} to {self._missions!r}: the place of '
-                    f'{frame!r} is unknown'
+                    f'no transform leads from {self._frame!r} to {self._robot_frame!r}: the place '
+                    f'of {frame!r} is unknown'
                 )
             passed.add(frame)
-            changed = now if link.stamp is None else link.stamp
+            parent, translation, rotation, since = self._links[frame]
+            changed = now if since is None else since
             if now - changed > oldest * SECOND:
                 raise ValueError(
-                    f'the last transform from {link.parent!r} to {frame!r} is of more than '
+                    f'the last transform from {parent!r} to {frame!r} is of more than '
                     f'{oldest} s ago (parameter tf_timeout)'
                 )
-            place = link.translation + rotated(place, link.rotation)
-            frame, stamp = link.parent, min(stamp, changed)
-            odometry = link.stamp if odometry is None else odometry
+            place = translation + rotated(place, rotation)
+            frame, stamp = parent, min(stamp, changed)
+            odometry = since if odometry is None else odometry
         return Place(
             float(place[0]), float(place[1]), stamp, now if odometry is None else odometry
         )
@@ -162,15 +154,9 @@ class Fixes:
 NONE = 0
 
 
-@dataclass
-class Span:
-    """A span of time throughout which the robot was seen in one step."""
-
-    # When it was seen there, nanoseconds.
-    first: int
-    last: int
-    # The step of the walk, counted from 1, or `NONE`.
-    step: int
+# A span of time throughout which the robot was in one step: its first and last time, nanoseconds,
+# and the step of the walk, counted from 1, or `NONE`.
+Span = tuple[int, int, int]
 
 
 class Whereabouts:
@@ -185,20 +171,23 @@ class Whereabouts:
     def note(self, time: int, step: int) -> None:
         """Record the step, from 1, or `NONE`, of the robot at a time."""
         spans = self._spans
-        if spans and time < spans[-1].last:
+        if spans and time < spans[-1][1]:
             spans.clear()
-        if spans and spans[-1].step == step and time <= spans[-1].last + self._gap:
-            spans[-1].last = time
-        else:
-            spans.append(Span(time, time, step))
-        while spans[0].last < time - self._kept:
+        first = time
+        if spans:
+            since, last, before = spans[-1]
+            if before == step and time <= last + self._gap:
+                spans.pop()
+                first = since
+        spans.append((first, time, step))
+        while spans[0][1] < time - self._kept:
             spans.popleft()
 
     def step_within(self, since: int, until: int) -> int | None:
         """Return the step of the robot between two times, or `NONE`; None if it is too soon."""
-        if not self._spans or until > self._spans[-1].last:
+        if not self._spans or until > self._spans[-1][1]:
             return None
-        for span in reversed(self._spans):
-            if span.first <= since:
-                return span.step if until <= span.last else NONE
+        for first, last, step in reversed(self._spans):
+            if first <= since:
+                return step if until <= last else NONE
         return NONE

@@ -11,7 +11,6 @@ from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacles import (
     AgentPresence,
     describe_obstacle,
-    FullNames,
     Obstacle,
     PlannerState,
 )
@@ -33,7 +32,6 @@ VALUES = {
     'presume_departure': False, 'return_deadline': 10.0, 'step_period': 1.0,
 }  # fmt: skip
 HERE = AgentPresence(is_present=True, says_status=True, is_left_alone=False)
-NAMES = FullNames(lambda name: f'/a/{name}', lambda name: f'/b/{name}')
 
 
 def in_flight(*keys, kept=2):
@@ -61,13 +59,15 @@ CLEAR = PlannerState(
     unrecorded_action='',
     sent=1,
     newest=1,
-    last_heard=1,
+    last_received=1,
     refusal='',
     estimators=1,
     is_decided=True,
     is_deciding=False,
     why_over=lambda: '',
     missing_listeners=lambda: '',
+    topic=lambda name: f'/a/{name}',
+    service=lambda name: f'/b/{name}',
 )
 
 # Changes that make each obstacle appear, in their order of priority.
@@ -75,12 +75,12 @@ MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
     Obstacle.NO_BELIEF: {'newest': None},
     Obstacle.UNREPORTED: {'in_flight': in_flight(key(1)), 'sent': 2},
-    Obstacle.BELIEF_BEHIND: {'last_heard': 0, 'newest': 0},
+    Obstacle.BELIEF_BEHIND: {'last_received': 0, 'newest': 0},
     Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
     Obstacle.DECIDING: {'is_decided': False, 'is_deciding': True},
     Obstacle.UNDECIDED: {'is_decided': False},
     Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
-    Obstacle.NOT_HEARD: {'missing_listeners': lambda: 'the estimator'},
+    Obstacle.NO_SUBSCRIBER: {'missing_listeners': lambda: 'the estimator'},
     Obstacle.PAUSED: {'operator': operator(Action.PAUSE)},
     Obstacle.NO_FREE_AGENT: {'agents': {'scout_1': HERE._replace(is_present=False)}},
 }
@@ -204,13 +204,13 @@ def test_the_state_of_the_mission(actions, obstacle, state):
 ])  # fmt: skip
 def test_an_obstacle_is_stated_with_its_remedy(obstacle, change, words):
     now = replace(CLEAR, **MADE_BY[obstacle] | change)
-    assert words in describe_obstacle(now, obstacle, NAMES)
+    assert words in describe_obstacle(now, obstacle)
 
 
 def test_proposals_and_searches_are_stated_with_their_agents():
     now = replace(CLEAR, searched=['scout_1'], why_worthless='too far', proposed=[key(1)])
     told = {
-        obstacle: describe_obstacle(now, obstacle, NAMES)
+        obstacle: describe_obstacle(now, obstacle)
         for obstacle in (Obstacle.SEARCHING, Obstacle.WORTHLESS, Obstacle.UNAPPROVED)
     }
     assert told[Obstacle.SEARCHING] == 'the search for the paths of scout_1 to end'

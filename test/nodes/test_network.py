@@ -16,7 +16,7 @@ from kbnitp_ros.log.roles import PATH
 from kbnitp_ros.messages.deployments import path_message, read_path, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import content_hash, from_stamp, SECOND, to_stamp
-from kbnitp_ros.nodes.heard import message_class
+from kbnitp_ros.nodes.recorded_topics import message_class
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import pytest

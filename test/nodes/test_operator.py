@@ -12,6 +12,7 @@ from documented import ROOT
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.cli.replay import lines
+from kbnitp_ros.messages.headers import in_seconds
 from kbnitp_ros.messages.operator_actions import Action, MAX_TIMES
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.runtime.node import MissionNode
@@ -57,7 +58,7 @@ def test_a_paused_mission_sends_no_robot(field):
     assert [each.robots_left for each in report.evidence.actions] == [1, 1]
     told = [line for line in lines(report) if line.startswith('the operator')]
     assert told == [
-        f'the operator {what}, at {each.when}'
+        f'the operator {what}, at {in_seconds(each.stamp)}'
         for what, each in zip(('paused the mission', 'ended the pause'), report.evidence.actions)
     ]
 

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from kbnitp_msgs.msg import DeploymentReport
 from kbnitp_ros.cli.demo_mission import observed
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.nodes.heard import message_class
+from kbnitp_ros.nodes.recorded_topics import message_class
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid
 import numpy as np

@@ -222,7 +222,7 @@ def test_a_starting_node_ends_well_after_any_number_of_signals(field):
 
 def test_a_node_ends_while_it_reads_a_log(monkeypatch):
     monkeypatch.setattr(signals, 'SIGNALS', [])
-    items = MissionNode.tell_progress(None, range(9), 'taking in a log')
+    items = MissionNode.log_progress(None, range(9), 'taking in a log')
     assert next(items) == 0
     signals.SIGNALS.append(signal.SIGINT)
     with pytest.raises(signals.StoppedError):

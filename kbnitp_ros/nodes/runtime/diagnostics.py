@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from enum import auto, Enum
 import time
 from typing import NamedTuple
 
@@ -35,36 +34,17 @@ SHOWN = 1000
 LAST_WORDS = 1.0
 
 
-class Activity(Enum):
+class NodeState(NamedTuple):
     """The activity of a node."""
 
-    WORKING = auto()
-    WAITING = auto()
-    DONE = auto()
-
-
-class NodeState(NamedTuple):
-    """The activity of a node, with a description."""
-
-    # Activity of the node.
-    activity: Activity
     # The description for diagnostics and the console.
     sentence: str
-
-
-def working(sentence: str) -> NodeState:
-    """Return the state of a working node."""
-    return NodeState(Activity.WORKING, sentence)
+    is_waiting: bool = False
 
 
 def waiting_for(what: str) -> NodeState:
     """Return the state of a node that waits, with for what and why."""
-    return NodeState(Activity.WAITING, f'waiting for {what}')
-
-
-def done(how: str) -> NodeState:
-    """Return the state of a node whose work is done."""
-    return NodeState(Activity.DONE, f'done: {how}')
+    return NodeState(f'waiting for {what}', is_waiting=True)
 
 
 class Diagnostics:
@@ -77,7 +57,7 @@ class Diagnostics:
         # Messages held until what they refer to arrives.
         self.waiting = 0
         # The state of the node.
-        self.state = working('running')
+        self.state = NodeState('running')
         # A current problem; empty if there is none.
         self.warning = ''
         # Further values.
@@ -91,10 +71,6 @@ class Diagnostics:
         # Diagnostics go on when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._publish_all, clock=steady)
-
-    def accept(self) -> None:
-        """Count one accepted message."""
-        self.accepted += 1
 
     def refuse(self, what: str, why: object) -> None:
         """Count and report one refused message, unless too many were reported just now."""

@@ -5,15 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.log.roles import BELIEF, PATH, RECORDED, REPORT
-from kbnitp_ros.messages.headers import SHOWN, shown
-from rclpy.exceptions import InvalidTopicNameException
+from kbnitp_ros.messages.headers import SHOWN
 from rclpy.node import Node
-from rclpy.validate_full_topic_name import validate_full_topic_name
 
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
@@ -52,7 +50,8 @@ def deaf_to_server(environment: Mapping[str, str]) -> str:
     )
 
 
-Topics = list[tuple[str, list[str]]]
+# ROS's names of a node whose name is not known yet, and of a participant that is no ROS node.
+NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
 
 
 def full_name(namespace: str, name: str) -> str:
@@ -60,54 +59,19 @@ def full_name(namespace: str, name: str) -> str:
     return f'{namespace.rstrip("/")}/{name}'
 
 
-class GraphNode(Node):
-    """A node that sees an empty graph, and says why, while rclpy cannot decode a name in it."""
+def decodable(look: Callable[..., Iterable[Any]]) -> Callable[..., list[Any]]:
+    """Make a look at the graph find nothing, and warn, while rclpy cannot decode a name in it."""
 
-    def get_topic_names_and_types(self, no_demangle: bool = False) -> Topics:
-        """Return the topics that have valid names, and their types."""
-        topics = self._read(super().get_topic_names_and_types, no_demangle)
-        valid = []
-        for topic, types in topics:
-            try:
-                validate_full_topic_name(topic)
-                valid.append((topic, types))
-            except InvalidTopicNameException:
-                self.refuse_once('the graph', f'{shown(topic)} is not a valid topic name')
-        return valid
-
-    def get_publishers_info_by_topic(self, topic_name: str, no_mangle: bool = False) -> list[Any]:
-        """Return the publishers of a topic."""
-        return self._read(super().get_publishers_info_by_topic, topic_name, no_mangle)
-
-    def get_subscriptions_info_by_topic(
-        self, topic_name: str, no_mangle: bool = False
-    ) -> list[Any]:
-        """Return the subscriptions to a topic."""
-        return self._read(super().get_subscriptions_info_by_topic, topic_name, no_mangle)
-
-    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
-        """Return the names of all nodes."""
-        return self._read(super().get_node_names_and_namespaces)
-
-    def authors(self, topic: str, type_name: str) -> list[str]:
-        """Return the sorted full names of the nodes that publish a type on a topic."""
-        return sorted(
-            full_name(each.node_namespace, each.node_name)
-            for each in self.get_publishers_info_by_topic(topic)
-            if each.topic_type == type_name
-        )
-
-    def refuse_once(self, what: str, why: object) -> None:
-        """Warn once of a name that cannot be decoded."""
-        raise NotImplementedError
-
-    def _read(self, look: Callable[..., Iterable[Any]], *arguments: object) -> list[Any]:
+    @wraps(look)
+    def found(node: Any, *arguments: object) -> list[Any]:
         # DDS allows any bytes in a name, rclpy only UTF-8.
         try:
-            return list(look(*arguments))
+            return list(look(node, *arguments))
         except UnicodeDecodeError as error:
-            self.refuse_once('the graph', f'the name {error.object[:SHOWN]!r} is not UTF-8')
+            node.refuse_once('the graph', f'the name {error.object[:SHOWN]!r} is not UTF-8')
             return []
+
+    return found
 
 
 # The message types by which nodes of each role are found: of AGENT/path, AGENT/report, belief,

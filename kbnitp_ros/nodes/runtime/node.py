@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import wraps
 import os
 import time
 import traceback
 from typing import Any, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Grid
@@ -17,24 +18,33 @@ from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import Roles
 from kbnitp_ros.maps import Map
 from kbnitp_ros.messages.grids import read_map_message
-from kbnitp_ros.messages.headers import LATEST
+from kbnitp_ros.messages.headers import LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
-from kbnitp_ros.nodes.runtime.diagnostics import Activity, Diagnostics, waiting_for
-from kbnitp_ros.nodes.runtime.graph import deaf_to_server, GraphNode, listening_roles
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, TOPIC, waiting_for
+from kbnitp_ros.nodes.runtime.graph import (
+    deaf_to_server,
+    decodable,
+    full_name,
+    listening_roles,
+    NAMELESS,
+)
 from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
 from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 # Seconds: longest delay of a signal, and period of looks at the graph.
 SPIN = 0.2
@@ -44,6 +54,9 @@ POLL = 0.05
 # messages: DDS keeps the order within one topic alone.
 PATIENCE = 2.0
 MAX_EARLY = 20
+
+# Seconds that an author may be in the graph without a name before it is reported without.
+MAX_NAMELESS = 1.0
 
 # Pause after a look at the graph, in multiples of the time that the look took.
 REST = 4.0
@@ -64,10 +77,14 @@ T = TypeVar('T')
 PACKAGE = __name__.partition('.')[0]
 
 
-class MissionNode(GraphNode):
+class MissionNode(Node):
     """A node of the mission, with its parameters and diagnostics."""
 
     make_executor: Callable[[], Executor] = staticmethod(EventsExecutor)
+
+    get_publishers_info_by_topic = decodable(Node.get_publishers_info_by_topic)
+    get_subscriptions_info_by_topic = decodable(Node.get_subscriptions_info_by_topic)
+    get_node_names_and_namespaces = decodable(Node.get_node_names_and_namespaces)
 
     def __init__(self, name: str) -> None:
         # Raised by a callback.
@@ -90,6 +107,8 @@ class MissionNode(GraphNode):
         # Whether the node's work is done, so that the process ends, and the exit code.
         self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
+        # When an author without a name was first seen, by topic.
+        self._nameless_since: dict[str, float] = {}
         self._publisher_counts: dict[str, int] = {}
         self._author_counts: dict[str, int] = {}
         self.deployment_logger = self.get_logger().get_child(DEPLOYMENTS)
@@ -108,28 +127,20 @@ class MissionNode(GraphNode):
         is_simulated = self.get_parameter('use_sim_time').value
         return self.now() if is_simulated else time.monotonic_ns()
 
-    def hear(
-        self,
-        kind: type,
-        topic: str,
-        callback: Callable[[Any], None],
-        profile: QoSProfile,
-    ) -> Subscription:
-        """Subscribe without a limit on the number of unread messages."""
-        return self.hear_newest(kind, topic, callback, qos.unread_kept(profile))
-
-    def hear_newest(
+    def subscribe(
         self,
         kind: type,
         topic: str,
         callback: Callable[..., None],
         profile: QoSProfile,
         *,
+        keeps_all: bool = True,
         is_timed: bool = False,
     ) -> Subscription:
-        """Subscribe, and keep as many unread messages as the profile says."""
+        """Subscribe, and keep all unread messages or as many as the profile says."""
         # A timed callback also takes the time of publication, in nanoseconds of the publisher's
         # system clock.
+        kept = qos.unread_kept(profile) if keeps_all else profile
 
         def read(data: bytes, info: Any) -> None:
             try:
@@ -139,7 +150,16 @@ class MissionNode(GraphNode):
             else:
                 callback(message, *([info['source_timestamp']] if is_timed else ()))
 
-        return self.create_subscription(kind, topic, read, profile, raw=True)
+        return self.create_subscription(kind, topic, read, kept, raw=True)
+
+    def subscribe_to_diagnostics(self, take: Callable[[str, Mapping[str, str]], None]) -> None:
+        """Pass on the full names of nodes, and the values of their diagnostics."""
+
+        def read(array: DiagnosticArray) -> None:
+            for status in array.status:
+                take(status.name, {each.key: each.value for each in status.values})
+
+        self.subscribe(DiagnosticArray, TOPIC, read, qos.DIAGNOSTICS, keeps_all=False)
 
     def refuse_once(self, what: str, why: object) -> None:
         """Warn once of something in the graph, however often it is found."""
@@ -147,6 +167,34 @@ class MissionNode(GraphNode):
         if text not in self._refused_once:
             self._refused_once.add(text)
             self.diagnostics.refuse(what, why)
+
+    def get_topic_names_and_types(self, no_demangle: bool = False) -> list[tuple[str, list[str]]]:
+        """Return the topics that have valid names, and their types."""
+        valid = []
+        for topic, types in decodable(Node.get_topic_names_and_types)(self, no_demangle):
+            try:
+                validate_full_topic_name(topic)
+                valid.append((topic, types))
+            except InvalidTopicNameException:
+                self.refuse_once('the graph', f'{shown(topic)} is not a valid topic name')
+        return valid
+
+    def authors(self, topic: str, type_name: str) -> list[str]:
+        """Return the sorted full names of the nodes that publish a type on a topic."""
+        return sorted(
+            full_name(each.node_namespace, each.node_name)
+            for each in self.get_publishers_info_by_topic(topic)
+            if each.topic_type == type_name
+        )
+
+    def named_authors(self, topic: str, type_name: str) -> list[str]:
+        """Return the authors of a topic once all have names; empty for a moment before."""
+        # DDS knows the publishers of a node a moment before its name, if it has one.
+        authors, now = self.authors(topic, type_name), time.monotonic()
+        if NAMELESS not in authors:
+            self._nameless_since.pop(topic, None)
+            return authors
+        return authors if now > self._nameless_since.setdefault(topic, now) + MAX_NAMELESS else []
 
     def count_authors(self, topic: str, type_name: str) -> int:
         """Return the number of publishers of a type on a topic."""
@@ -171,8 +219,8 @@ class MissionNode(GraphNode):
 
     def _say_what_is_awaited(self) -> None:
         """Log what the node waits for, after a while and then repeatedly."""
-        activity, sentence = self.diagnostics.state
-        awaited = sentence if activity is Activity.WAITING else ''
+        sentence, is_waiting = self.diagnostics.state
+        awaited = sentence if is_waiting else ''
         now = time.monotonic()
         if awaited != self._awaited:
             self._awaited, self._say_at = awaited, now + SAY_FIRST
@@ -180,7 +228,7 @@ class MissionNode(GraphNode):
             self._say_at = now + SAY_AGAIN
             self.get_logger().info(awaited)
 
-    def tell_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
+    def log_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
         """Pass items on, and log their number while it takes long."""
         say_at = time.monotonic() + SAY_FIRST
         for number, item in enumerate(items):
@@ -320,7 +368,7 @@ class FieldNode(MissionNode):
         self._grid: Grid | None = None
         if self.values['map_topic']:
             topic = self._topic = self.resolve_topic_name(self.values['map_topic'])
-            self.hear(OccupancyGrid, topic, self._on_map, qos.LATCHED)
+            self.subscribe(OccupancyGrid, topic, self._on_map, qos.LATCHED)
             self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
             self.spin_until(lambda: self._grid is not None)
         else:
@@ -332,10 +380,12 @@ class FieldNode(MissionNode):
         assert self._grid is not None
         return self._grid
 
-    def hear_agent(self, kind: type, agent: str, callback: Callable[[Any], None]) -> Subscription:
+    def subscribe_to_agent(
+        self, kind: type, agent: str, callback: Callable[[Any], None]
+    ) -> Subscription:
         """Subscribe to a topic of an agent."""
         topic = f'{self.above}/{agent}/{AGENT_TOPICS[kind]}'
-        return self.hear(kind, topic, callback, qos.EVIDENCE)
+        return self.subscribe(kind, topic, callback, qos.EVIDENCE)
 
     def _on_map(self, message: OccupancyGrid) -> None:
         try:

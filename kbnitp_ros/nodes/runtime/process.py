@@ -48,7 +48,10 @@ START_ERRORS = (
 
 
 def run(
-    name: str, make: Callable[[], MissionNode], args: Sequence[str] | None, linger: float = 0.0
+    name: str,
+    make: Callable[[], MissionNode],
+    args: Sequence[str] | None = None,
+    linger: float = 0.0,
 ) -> int:
     """Run a node until SIGINT, SIGTERM or its end; return the exit code."""
     note_signals()

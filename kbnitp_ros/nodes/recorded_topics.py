@@ -15,7 +15,7 @@ from kbnitp_ros.log.roles import Role
 from kbnitp_ros.log.schema import check_installed
 from kbnitp_ros.messages.headers import shown
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.graph import full_name
+from kbnitp_ros.nodes.runtime.graph import full_name, NAMELESS
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.exceptions import NameValidationException
@@ -32,11 +32,11 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 RECENT = 1000
 
 # A topic, a serialized message on it, and its info from rclpy.
-Message = tuple['HeardTopic', bytes, dict[str, Any]]
+Message = tuple['RecordedTopic', bytes, dict[str, Any]]
 
 
 @dataclass
-class HeardTopic:
+class RecordedTopic:
     """A topic with its subscriptions, and the messages of it on record."""
 
     # Full names; a topic has one type.
@@ -106,21 +106,18 @@ ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
 
-# ROS's names of a node whose name is not known yet, and of a participant that is no ROS node.
-NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
-
 # Called with the full name of a node and its parameters, and with refusals.
-Tell = Callable[[str, dict[str, Any]], None]
+Take = Callable[[str, dict[str, Any]], None]
 Refuse = Callable[[str, object], None]
 
 
 class ParameterWatch:
     """Requests for the parameters of all nodes of a namespace; none waits for its answer."""
 
-    def __init__(self, node: Node, namespace: str, tell: Tell, refuse: Refuse) -> None:
+    def __init__(self, node: Node, namespace: str, take: Take, refuse: Refuse) -> None:
         self._node = node
         self._namespace = namespace
-        self._tell = tell
+        self._take = take
         self._refuse = refuse
         self._present: Counter[str] = Counter()
         self._due: set[str] = set()
@@ -145,7 +142,7 @@ class ParameterWatch:
             if not name.startswith(self._namespace):
                 continue
             try:
-                self._inquiries[name] = Inquiry(self._node, name, self._tell, self._refuse)
+                self._inquiries[name] = Inquiry(self._node, name, self._take, self._refuse)
             except NameValidationException as error:
                 self._over.add(name)
                 self._refuse('the name of a node', error)
@@ -183,12 +180,12 @@ class ParameterWatch:
 class Inquiry:
     """A request for all parameters of one node."""
 
-    def __init__(self, node: Node, name: str, tell: Tell, refuse: Refuse) -> None:
+    def __init__(self, node: Node, name: str, take: Take, refuse: Refuse) -> None:
         # Whether the request has an answer, or has been given up.
         self.over = False
         self._node = node
         self._name = name
-        self._tell = tell
+        self._take = take
         self._refuse = refuse
         self._names = node.create_client(ListParameters, f'{name}/list_parameters')
         self._values = node.create_client(GetParameters, f'{name}/get_parameters')
@@ -218,7 +215,7 @@ class Inquiry:
         except (ValueError, RuntimeError) as error:
             self._refuse(f'{self._name}/get_parameters', error)
         else:
-            self._tell(self._name, dict(zip(names, values)))
+            self._take(self._name, dict(zip(names, values)))
 
     def destroy(self) -> None:
         """Accept no more answers."""
