@@ -63,7 +63,7 @@ class ForecastMission(NamedTuple):
     p_free: Floats
     # 1 if the goal was reached at its confidence, else 0, shape (robots + 1,).
     reached: Floats
-    # 1 if what the last decision was about is truly free, else 0; NaN without a goal.
+    # 1 if the cells of the last decision are truly free of hazards, else 0; NaN without a goal.
     free: float
 
 
@@ -93,11 +93,11 @@ class Forecast:
     Attributes
     ----------
     goal : str
-        What it is to make sure of: 'map' without a goal.
+        Name of the goal; 'map' without one.
     confidence : float or None
-        At which it is over.
+        Confidence at which missions end.
     sent : ndarray, shape (worlds,)
-        How many robots each of the missions sent.
+        Number of robots sent by each mission.
     lost, entropy, p_free, reached : ndarray, shape (worlds, robots + 1)
         As of `ForecastMission`.
     free : ndarray, shape (worlds,)
@@ -141,21 +141,21 @@ def forecast(
     """
     Run missions in fields drawn from the belief.
 
-    If what is known is right, a mission in the true field is one more of them.
+    If the belief is right, the real mission is distributed like these.
 
     Parameters
     ----------
     grid, robots, options, before, team, goal, stop
         As of `continue_mission`; at least 1 robot.
     estimator : Estimator
-        What is known: the prior, or what came of the deployments `before`.
+        The prior, or the estimator after the deployments `before`.
     worlds : int
-        How many fields are drawn, at least 1.
+        Number of fields drawn, at least 1.
     rng : int or numpy.random.Generator
         The only source of randomness.
     run : callable
-        Takes a function of one argument and a list, as `map` does, and returns the results in the
-        order of the list; it may call the function in other processes.
+        Applies a function to a list, as `map` does, and returns the results in order; may use
+        other processes.
 
     Raises
     ------

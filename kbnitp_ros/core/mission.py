@@ -38,19 +38,19 @@ class Deployment(Value):
     Attributes
     ----------
     plan : Plan
-        Where it was sent and what was expected.
+        Its path and the expected results.
     observation : Observation
-        What came of it.
+        Its outcome.
     belief : Belief
-        Given this and all earlier deployments.
+        Belief after it.
     model : SensorModel
-        What robots like all others are planned with that know of these.
+        Sensor model to plan with after it, of the common robot type.
     parameters : mapping of str to Learnt
-        What is known by then of each number that was not.
+        Posteriors of the learnt numbers after it.
     world : World
-        The field as it leaves it.
+        Field after it.
     decision : Decision or None
-        What may be relied on by then, if the mission has a goal.
+        Decision on the goal after it; None without a goal.
 
     """
 
@@ -94,11 +94,11 @@ class Truth:
     Attributes
     ----------
     model : SensorModel, optional
-        Of robots like all others and their sensors; None if they are as believed.
+        True sensor model of the common robot type; None: as believed.
     execution : Execution
-        How they depart from their orders; by default they do not.
+        Deviations from orders; none by default.
     dynamics : Dynamics, optional
-        How hazards really change; None if as believed.
+        True dynamics of the hazards; None: as believed.
 
     """
 
@@ -119,9 +119,9 @@ class Learning:
         Which numbers of the sensor model and of the prior are not known. Robots are planned with
         what is known of them by then: with the estimator's model.
     seed : int
-        Of the random numbers that the method draws.
+        Seed of the random numbers that the method draws.
     clustering : Clustering or None
-        How hazards are believed to cluster; None: they are independent.
+        Believed clustering of the hazards; None: independent.
 
     """
 
@@ -163,33 +163,32 @@ def run_mission(
     belief : Belief
         The prior.
     model : SensorModel
-        What robots like all others, and their sensors, are believed to be like.
+        Believed sensor model of the common robot type.
     world : World
         The hidden truth.
     robots : int
-        How many are deployed, at least 0.
+        Number of robots, at least 0.
     rng : int or numpy.random.Generator
         The only source of randomness, as `numpy.random.default_rng` takes it:
         ``rng.spawn(1)`` for each robot.
     method : str or callable
-        The estimator's, one of `METHODS`.
+        Inference method, one of `METHODS`.
     options : SearchOptions
-        Of the search for paths.
+        Options of the search for paths.
     team : Team, optional
         The robots that leave together, by default one; fewer in the last round if `robots` is no
         multiple of them. They are of their types in truth as well.
     truth : Truth, optional
-        What the robots are really like, if not as believed.
+        True behaviour of the robots; by default as believed.
     learning : Learning, optional
-        What is learnt besides the maps; by default nothing.
+        Unknowns to learn besides the maps; none by default.
     dynamics : Dynamics
         How hazards are believed to change. Robot k meets the field that robot k - 1 left; a
         changing one changes in between, by the second child of the generator of robot k.
     goal : Goal, optional
-        What the mission is to make sure of, such as `Lane` or `Area`; by default the field is
-        mapped.
+        Goal of the mission, such as `Lane` or `Area`; by default the field is mapped.
     stop : Stop, optional
-        When the mission is over before; by default when the goal is reached.
+        Conditions that end the mission early; by default a reached goal.
 
     Returns
     -------
@@ -244,13 +243,13 @@ def continue_mission(
     grid, world, rng, options, team, goal, stop
         As of `run_mission`.
     truth : Truth, optional
-        What the robots are really like, if not as the estimator expects them to be.
+        True behaviour of the robots; by default as the estimator believes.
     estimator : Estimator
-        What is known; it stays as it is.
+        Estimator to start from; it is not changed.
     robots : int
-        How many more are deployed, at least 0.
+        Number of further robots, at least 0.
     before : sequence of Observation
-        Of the deployments that the estimator knows.
+        Outcomes of the deployments that the estimator has assimilated.
 
     Returns
     -------

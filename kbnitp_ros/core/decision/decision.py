@@ -116,20 +116,20 @@ def safest_path(
     """
     Return the way with the highest probability to be free of hazards.
 
-    It is the best that was found; its probabilities are exact over the draws.
+    The best path found, with probabilities that are exact over the draws.
 
     Parameters
     ----------
     grid : Grid
         The field.
     draws : HazardDraws
-        What is known of the hazards.
+        Draws of the hazards.
     model : SensorModel
-        What the traveller is believed to be like.
+        Believed sensor model of the traveller.
     start, to : int
         The first and the last cell.
     max_steps : int
-        The most steps of a path, at least 1.
+        Maximum steps of a path, at least 1.
 
     Raises
     ------
@@ -170,25 +170,25 @@ class Decision:
     Attributes
     ----------
     goal : str
-        What is asked: 'lane', 'area', or a name of another package.
+        'lane', 'area', or a goal of another package.
     p_free : float
-        Probability that no cell that is asked for has a hazard, in [0, 1].
+        Probability that none of `cells` has a hazard, in [0, 1].
     cells : ndarray of int, shape (cells,)
-        Those that are asked for.
+        Cells of the goal.
     independent_draws : float
-        So many independent draws of the hazards would tell it as well.
+        Effective number of independent draws of the hazards.
     path : ndarray of int, shape (steps + 1,)
-        Of a lane: one way, from the base to the goal; empty otherwise.
+        Lane, one way, from the base to the goal; empty for other goals.
     survival : float
         Probability that a robot survives that path, in [0, 1]; NaN without one.
     hazards_mean : float
-        How many hazards are expected in what is asked.
+        Expected number of hazards in `cells`.
     hazards_5, hazards_95 : int
-        The least numbers of hazards that are not exceeded with a probability of 5 % and of 95 %.
+        Quantiles of 5 % and 95 % of the number of hazards in `cells`.
     reached : bool
-        Whether the confidence that was asked for is reached; False where none was.
+        Whether the requested confidence is reached; False without one.
     reason : str
-        Why not, in words; empty when it is.
+        Reason why not; empty if it is reached.
 
     """
 

@@ -2,9 +2,9 @@
 """
 Goals: lanes and areas to be certified free of hazards, and the flights for them.
 
-A goal says how probably it is reached, and which flight brings it nearest. A new one is one file
-and one line here, or an entry point of another package. Without one, which is 'map', robots are
-sent where the most is to be learnt.
+A goal computes the probability that it is reached, and the flight that brings it nearest. A new
+one is one file and one line here, or an entry point of another package. Without one ('map') robots
+are sent for information.
 """
 
 from __future__ import annotations
@@ -126,18 +126,17 @@ def information(survival: Floats, outcomes: Floats) -> Floats:
 @dataclass(frozen=True)
 class Area:
     """
-    Cells that are to be free of hazards.
+    An area: cells to be certified free of hazards.
 
-    A robot flies where its return or loss, and what it then reads of targets, is expected to tell
-    most of the hazards of the area, cell by cell.
+    A robot takes the path whose outcome and target readings are expected to lower the entropies of
+    the hazards in the area most, cell by cell.
 
     Parameters
     ----------
     cells : iterable of int
-        Those of the area, at least one.
+        Cells of the area, at least one.
     confidence : float, optional
-        The probability that all are free at which the mission is over, in (0, 1); by default the
-        mission goes on.
+        Probability that all are free at which the mission ends, in (0, 1); by default it goes on.
 
     Raises
     ------
@@ -270,10 +269,10 @@ class Lane:
     Parameters
     ----------
     to : int
-        The cell that it leads to.
+        Cell that it leads to.
     confidence : float, optional
-        The probability that it is free of hazards at which the mission is over, in (0, 1); by
-        default the mission goes on.
+        Probability that it is free of hazards at which the mission ends, in (0, 1); by default it
+        goes on.
 
     Raises
     ------
@@ -452,9 +451,9 @@ class Goal(Protocol):
     Attributes
     ----------
     name : str
-        That of its kind.
+        Name of its kind.
     confidence : float or None
-        The probability at which it is reached and the mission is over; None: the mission goes on.
+        Probability at which it is reached and the mission ends; None: the mission goes on.
 
     """
 

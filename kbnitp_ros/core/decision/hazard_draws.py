@@ -35,17 +35,17 @@ class HazardDraws:
     """
     Weighted joint draws of all hazards.
 
-    What is asked of several cells together is counted in the draws, so it knows that a loss ties
-    the cells of its path together.
+    Probabilities of several cells are counted in the draws, so the dependence of the cells of a
+    lost path is kept.
 
     Parameters
     ----------
     hazardous : ndarray of bool, shape (draws, cells)
-        Where the hazards are in each draw, at least one draw.
+        Hazards in each draw, at least one draw.
     independent : float
-        How many independent draws tell as much, positive; infinity if the draws are all states.
+        Effective number of independent draws, positive; infinity if the draws are all states.
     weight : ndarray, shape (draws,), optional
-        Of each draw, from 0, summing to 1; equal unless given.
+        Weight of each draw, at least 0, with sum 1; equal by default.
 
     """
 
@@ -173,13 +173,13 @@ def targets(
     Parameters
     ----------
     belief : Belief
-        Given all observations.
+        Belief after all observations.
     model : SensorModel
-        What the sensors are believed to be like.
+        Believed sensor model.
     observations : sequence of Observation
-        Those of all deployments.
+        Outcomes of all deployments.
     least : float
-        Cells with a lower probability are left out, in [0, 1].
+        Minimum probability of a target, in [0, 1].
 
     """
     looks, found = np.zeros((2, belief.cells), dtype=np.intp)

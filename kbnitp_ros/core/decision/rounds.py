@@ -123,7 +123,7 @@ def plan_round(
     goal : Goal or None
         None to map the field, as `plan_team` does.
     draws : HazardDraws or None
-        What is known of the hazards, if there is a goal.
+        Draws of the hazards, if there is a goal.
     grid, belief, model, team, options, in_flight, visited, keepout, bound
         As of `plan_team`.
 

@@ -30,7 +30,7 @@ class Belief(Value):
     joint : array_like, shape (cells, 2, 2)
         P(Z = z, X = x), indexed [cell, z, x].
     grid : Grid, optional
-        Whose cells these are, as far as it is known: where hazards move they move on it.
+        Grid of the cells, if known; moving hazards need it.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     probability : ndarray, shape (cells,)
         Believed P(present), e.g. `Belief.hazard`.
     truth : array_like of bool, shape (cells,)
-        What is there.
+        True presence.
 
     Returns
     -------
@@ -249,7 +249,7 @@ def brier_score(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     probability : ndarray, shape (cells,)
         Believed P(present), e.g. `Belief.target`.
     truth : array_like of bool, shape (cells,)
-        What is there.
+        True presence.
 
     Raises
     ------

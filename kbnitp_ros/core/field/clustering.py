@@ -83,10 +83,10 @@ class Clustering:
     Parameters
     ----------
     grid : Grid
-        Whose cells share sides.
+        Grid of the cells.
     coupling : float or str
-        J in [0, 1.7]; 0: hazards are independent. ``'learn'``: it is unknown, and all values are
-        equally likely at first.
+        J in [0, 1.7]; 0 for independent hazards; ``'learn'`` for an unknown coupling with a
+        uniform prior.
 
     Raises
     ------

@@ -44,7 +44,7 @@ class Grid:
     A rectangle of square cells with a base that robots leave from and return to.
 
     Cells are numbered ``row * width + col``, row 0 at the bottom, as in nav_msgs/OccupancyGrid.
-    The rows and columns may be turned in the frame that positions are told in.
+    The rows may be turned in the frame of the positions (`yaw`).
 
     Parameters
     ----------
@@ -55,25 +55,24 @@ class Grid:
     resolution : float
         Side of a cell in metres, positive.
     origin : tuple of float
-        Lower-left corner of cell 0 in metres, so near that coordinates tell its cells apart.
+        Lower-left corner of cell 0 in metres, near enough to 0 for coordinates to resolve a cell.
     blocked : iterable of int
-        Cells no robot can enter, known beforehand. Nothing is looked for there.
+        Cells that no robot can enter, known beforehand; targets are not sought there.
     connectivity : int
-        How many of the cells around one a step may lead to: 8, or the 4 that share a side.
+        Number of neighbours that a step may lead to: 8, or the 4 that share a side.
     through_corners : bool
         Whether a diagonal step may touch a blocked cell, as in arXiv:2305.06929. Without, both
         cells beside the step must be free.
     other_bases : iterable of int
-        The bases of robots that have one of their own (`at`), as free as `base` and as free of
-        hazard.
+        Further bases (`at`): free cells, and free of hazard.
     yaw : float
         The angle from the frame's x axis to the rows, counterclockwise, in rad.
 
     Raises
     ------
     ValueError
-        If a size, a base, the resolution, the origin, a blocked cell, the connectivity or the
-        yaw is not as above.
+        If a size, a base, the resolution, the origin, a blocked cell, the connectivity or the yaw
+        is out of range.
 
     """
 

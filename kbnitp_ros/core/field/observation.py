@@ -38,24 +38,23 @@ class Observation(Value):
     Parameters
     ----------
     path : array_like of int, shape (steps + 1,)
-        The cells in order, the base first and last. The robot starts in the first one; each of
-        the others is the end of a step. Of a robot that returned it is the way it went, of a lost
-        one the way it was sent.
+        Cells in order, the base first and last: the start, and the end of each step. The walk of a
+        robot that returned; the orders of a lost one.
     survived : bool
         Whether the robot came back (the path-based sensor did not trigger, Theta = 0).
     readings : array_like of bool or int, shape (steps,), optional
         The target sensor's reading Y in the cell each step leads to, -1 where it did not look;
         None when the robot was lost.
     steps_survived : int
-        How many of its first steps a lost robot is known to have survived, from a last contact; 0
-        when nothing is known.
+        Number of first steps that a lost robot is known to have survived, by its last contact; 0
+        without one.
     lost_at : array_like, shape (steps,), optional
-        Of a lost robot, how well what was observed fits a loss in each step: P(observed | lost in
-        the step) up to a factor, at least 0 and not all 0. None: all steps alike. It tells when
-        the robot was lost and not by what.
+        Likelihood of a loss in each step of a lost robot: P(observed | lost in the step) up to a
+        factor, at least 0 and not all 0; None if all steps are alike. It says when the robot was
+        lost, not by what.
 
-        What both say is held once: the steps before the first one that fits are counted in
-        `steps_survived`, and are 0 here. The largest is 1; None if all that are left are alike.
+        Stored normalised: the largest value is 1, steps before the first possible one are 0 and
+        counted in `steps_survived`, and None stands for equal values in all remaining steps.
 
     Raises
     ------

@@ -141,15 +141,15 @@ class RobotType:
     Parameters
     ----------
     lethality, malfunction, false_negative, true_positive, false_positive : float, optional
-        As of a `SensorModel`. A number of their own is known, whatever is learnt of the others.
+        As in `SensorModel`; a number of a type is known, even if the common one is learnt.
     max_steps : int, optional
-        The most steps of their paths, at least 1.
+        Maximum steps of a path, at least 1.
     max_distance : float, optional
-        How long their paths may be, metres, at least 0; 0 for no limit.
+        Maximum length of a path, metres, at least 0; 0 for no limit.
     loss_cost : float, optional
-        What a lost one is worth, nats, at least 0.
+        Cost of a lost robot, nats, at least 0.
     base : int, optional
-        The cell that they leave from and return to, one of the grid's bases.
+        Cell of the base, one of the grid's bases.
 
     Raises
     ------

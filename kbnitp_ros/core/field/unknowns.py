@@ -31,7 +31,7 @@ class Beta:
         Its density is proportional to p^(a-1) (1-p)^(b-1); above 0. With a `low` above 0 `a` may
         be 0: with a `b` of 1 the density is then log-uniform.
     low, high : float
-        The interval it is kept to, in [0, 1].
+        Interval of the number, in [0, 1].
 
     Raises
     ------
@@ -102,11 +102,11 @@ class Learnt(Value):
     Attributes
     ----------
     bins : Bins
-        The values it may have.
+        Possible values.
     weights : ndarray, shape (values,)
         The probability of each.
     effective_samples : float
-        As many independent draws from the posterior would tell as much of the mean.
+        Number of independent posterior draws that determine the mean as well.
 
     """
 
@@ -148,17 +148,17 @@ class Unknowns:
     """
     The unknown numbers, each with its prior.
 
-    A number is known, as the sensor model and the prior maps say, if None is given for it. One
-    that is not known has a uniform prior on an interval ``(low, high)``, or a `Beta`.
+    None for a number that the sensor model or the prior maps state; ``(low, high)`` for a uniform
+    prior on an interval; or a `Beta`.
 
     Parameters
     ----------
     lethality, malfunction, true_positive, false_positive : (float, float) or Beta, optional
-        Of the sensor model. A lethality is told from a false negative by nothing, so the latter
-        stays as the model says.
+        Numbers of the sensor model. No evidence separates lethality from false negative, so the
+        latter is always known.
     hazard_density : (float, float) or Beta, optional
-        The prior hazard, averaged over the cells where the prior leaves it open. One offset of
-        the log odds of all these cells takes the prior map to such an average.
+        Mean prior hazard of the cells where the prior is neither 0 nor 1; one offset of their log
+        odds gives the prior map this mean.
     kappa : (float, float) or Beta, optional
         P(X = 1 | Z = 1), likewise.
     target_background : (float, float) or Beta, optional
@@ -228,17 +228,17 @@ class Dynamics:
         each hazard may go to a neighbouring cell that has none and may have one. ``'learn'``: one
         of these, which the evidence tells.
     appear : float
-        Of a changing field, the chance in [0, 1] that a cell without a hazard has one at the next
-        deployment. 0 where `vanish` is unknown stands for the rate that keeps the expected number
+        Chance in [0, 1] that a cell of a changing field without a hazard has one at the next
+        deployment. 0 with an unknown `vanish` stands for the rate that keeps the expected number
         of hazards of the prior.
     vanish : float, (float, float) or Beta
-        Of a changing field, the chance in [0, 1] that a hazard is gone by the next deployment.
-        Two numbers, or a prior, where it is unknown: log-uniform between the two.
+        Chance in [0, 1] that a hazard of a changing field is gone by the next deployment; if
+        unknown, a prior, or two numbers for a log-uniform one between them.
     move : float, (float, float) or Beta
-        Of moving hazards, the chance in [0, 1] that one leaves its cell if it can, likewise.
+        Chance in [0, 1] that a moving hazard leaves its cell if it can, likewise.
 
-    Rates of 0 are static hazards, but with 'learn', where 0 stands for a rate that is unknown,
-    log-uniform from .001 to .1.
+    Rates of 0 mean static hazards; with 'learn' 0 stands for an unknown rate, log-uniform from
+    .001 to .1.
 
     Raises
     ------

@@ -132,7 +132,7 @@ class World(Value):
         path : array_like of int, shape (steps + 1,)
             Cells, the base first and last.
         model : SensorModel
-            What the robot, its sensor and the hazards are really like.
+            True sensor model.
         rng : int or numpy.random.Generator
             The only source of randomness.
 
@@ -198,12 +198,11 @@ class World(Value):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Traverse(Value):
-    """A robot's way through a world."""
+    """A robot's walk through a world."""
 
-    # The cells of its way had it survived, shape (steps + 1,); longer or shorter than its path.
+    # Cells of its walk without a loss, shape (steps + 1,); may be longer or shorter than its path.
     walk: NDArray[np.intp]
-    # Number of steps survived. The base never learns this of a lost robot: it is for those who
-    # watch a simulation.
+    # Number of steps survived; the base does not know it for a lost robot.
     steps_made: int
     # The observation that the base gets.
     observation: Observation
@@ -219,13 +218,15 @@ class Execution:
     Parameters
     ----------
     detour : float
-        That a robot takes the step through a third cell which is next to both of its ends.
+        Probability of a step through a third cell next to both of its ends.
     early_return : float
-        That it turns back before the step and takes a shortest way home; never before its first.
+        Probability of turning back before the step, by a shortest way home; never before the
+        first.
     contact : float
-        That the base hears, once the step is survived, how far along its path the robot is.
+        Probability that the base receives, after a survived step, how far along its path the robot
+        is.
     camera_failure : float
-        That its camera fails in the step, for the rest of the way.
+        Probability that the camera fails in the step, for the rest of the way.
 
     Raises
     ------

@@ -52,34 +52,33 @@ class Estimator:
     belief : Belief
         The prior. A method without kappa starts from its hazard and target maps alone.
     model : SensorModel
-        What the robots and their sensors are believed to be like.
+        Believed sensor model of the robots.
     method : str or callable
-        One of `METHODS`, or what makes an `Inference` as those do, such as a class.
+        One of `METHODS`, or a callable that makes an `Inference`, such as a class.
     unknowns : Unknowns
-        Which numbers of the two are not known: for 'kappa_bnitp', 'relaxed_itp' (all but kappa),
-        and 'kappa_bnitp_sampled' in static fields.
+        Numbers to learn, with 'kappa_bnitp', 'relaxed_itp' (all but kappa), and
+        'kappa_bnitp_sampled' in static fields.
     seed : int
-        Of the random numbers that a method draws, at least 0. The same evidence in the same order
-        gives the same belief, bit for bit.
+        Seed of the random numbers that a method draws, at least 0. The same evidence in the same
+        order gives the same belief, bit for bit.
     dynamics : Dynamics
         How hazards change. The prior is about the first deployment, the belief about the last.
     clustering : Clustering, optional
-        How static hazards cluster; independent unless given. The prior hazard must then be the
-        same in all cells that may have one, and `belief` is what is expected of each at first.
+        Clustering of static hazards; independent by default. All cells that may have a hazard then
+        need the same prior hazard.
 
     Attributes
     ----------
     prior, method, unknowns, seed, dynamics, clustering
-        What it was made with.
+        As given.
     version : int
-        Of the method's arithmetic.
+        Version of the method's arithmetic.
 
     Raises
     ------
     ValueError
-        If the method is unknown, it learns no numbers and there are some to learn, one of these
-        makes no difference, it does not take such hazards, the prior does not go with a
-        clustering, or a method of another package breaks its rules.
+        If the method is unknown, cannot learn the numbers or take such hazards or a clustering, a
+        number to learn has no effect, or a method of another package breaks its rules.
 
     """
 
@@ -158,7 +157,7 @@ class Estimator:
         """
         Return the sensor model to plan with: the given one, or its posterior mean.
 
-        It is that of robots like all others, and `RobotType.model` makes that of a type of it.
+        It is the model of the common robot type; `RobotType.model` derives that of another type.
         """
         return self._inference.model
 
@@ -215,7 +214,7 @@ class Estimator:
         """
         Return the expected KL divergence of the belief due to sampling, nats; 0 if exact.
 
-        It is found from the spread of chains and blind to a bias that they share.
+        It is estimated from the spread of the chains, and misses a bias that they share.
         """
         return self._inference.sampling_error
 
@@ -234,8 +233,8 @@ class Estimator:
         observation : Observation
             Its outcome.
         robot_type : RobotType
-            Of the robot: its sensor model is that of the estimator but for what it has of its own,
-            which is known even where the estimator's is learnt.
+            Type of the robot; its own numbers replace those of the estimator's model, and are
+            known even if the latter are learnt.
 
         Raises
         ------
@@ -289,16 +288,16 @@ class Estimator:
         Parameters
         ----------
         count : int
-            How many draws to make, at least 1.
+            Number of draws, at least 1.
         rng : numpy.random.Generator
             The only source of randomness.
 
         Returns
         -------
         hazardous : ndarray of bool, shape (count, cells)
-            Where the hazards are in each draw.
+            Hazards in each draw.
         independent : float
-            How many independent draws tell as much, at most `count`.
+            Effective number of independent draws, at most `count`.
 
         Raises
         ------
@@ -366,11 +365,11 @@ class Ledger(MissionRecord):
     Attributes
     ----------
     deployments : list of DeploymentKey
-        Those in the belief, in deployment order.
+        Deployments in the belief, in order.
     newest : DeploymentKey or None
-        Whose evidence was assimilated last; None before the first.
+        Deployment assimilated last; None before the first.
     newest_stamp : int
-        Of the report that told of it, nanoseconds of ROS time.
+        Stamp of its report, nanoseconds of ROS time.
     report_contents : dict of DeploymentKey to int
         Hashes of the messages that the reports in the belief came with, 0 where there was none.
     assimilations : int

@@ -148,11 +148,11 @@ def update(
     Parameters
     ----------
     belief : Belief
-        Before the deployment. Methods without kappa take hazard and target for independent.
+        Belief before the deployment. Methods without kappa treat hazard and target as independent.
     model : SensorModel
-        What the robot and its sensor are believed to be like.
+        Believed sensor model of the robot.
     observation : Observation
-        The deployment's outcome.
+        Outcome of the deployment.
     method : str
         A one-pass method.
 

@@ -64,14 +64,13 @@ class Report:
         The cell and the target sensor's reading of each step that the robot made, -1 where it did
         not look; empty when lost.
     stamp : int
-        When the base learnt it, nanoseconds of ROS time. What is learnt again later is the same.
+        When the base received it, nanoseconds of ROS time; comparisons ignore it.
     steps_survived : int
-        Of a lost robot, how many steps of its path it is known to have survived.
+        Number of steps that a lost robot is known to have survived.
     content : int
-        Hash of the message that said so, by which a log names it; 0 if there is none.
+        Hash of its message, by which a log names it; 0 without a message.
     lost_at : tuple of float
-        Of a lost robot, how well what was observed fits a loss in each step of its path; empty if
-        all are alike.
+        Likelihood of a loss in each step of a lost robot's path; empty if all are alike.
 
     """
 
@@ -96,28 +95,28 @@ class MissionRecord:
     Parameters
     ----------
     grid : Grid
-        What the paths are checked against.
+        Field that paths are checked against.
     max_steps : int
-        The most steps a path may have.
+        Maximum steps of a path.
     robot_types : mapping of str to RobotType
-        Of the robots of each agent whose robots are not like all others, with their bases.
+        Robot types, with bases, of agents that differ from the common type.
 
     Attributes
     ----------
     paths : dict of DeploymentKey to ndarray of int, shape (steps + 1,)
-        The known paths, in the order in which they became known.
+        Known paths, in order of arrival.
     outcomes : dict of DeploymentKey to Observation
-        What came of the deployments whose path and report are known.
+        Outcomes of the deployments whose path and report are known.
     path_contents : dict of DeploymentKey to int
-        Hashes of the messages that the known paths came with, 0 where there was none.
+        Hashes of the messages of the known paths; 0 without a message.
     contradicted : dict of DeploymentKey to str
-        Deployments of which several returns differ, and what to say of that.
+        Deployments with contradicting returns, and a sentence about each.
     duplicates : int
-        Paths and reports that said nothing new.
+        Number of duplicate paths and reports.
     lost : int
-        How many deployments are known to have ended with a lost robot.
+        Number of robots known to be lost.
     pending : int
-        How many reports wait for their path.
+        Number of reports whose path is not known yet.
 
     """
 

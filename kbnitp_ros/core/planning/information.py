@@ -47,9 +47,9 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
     Parameters
     ----------
     belief : Belief
-        Before the deployment.
+        Belief before the deployment.
     model : SensorModel
-        What the robot and its sensor are believed to be like.
+        Believed sensor model of the robot.
     path : array_like of int, shape (steps + 1,)
         The cells in order.
 
@@ -86,14 +86,14 @@ def team_information(
     Parameters
     ----------
     belief, model
-        As of `path_information`, before the deployments; of robots like all others.
+        As of `path_information`; the model is that of the common robot type.
     paths : sequence of array_like of int, each of shape (steps + 1,)
         The cells of each robot's path in order.
     outcomes : JointOutcomes, optional
-        Of robots that have left before, to whose information this is added; without it nobody
-        has.
+        Joint outcomes of robots that have left before, whose information is excluded; by default
+        none.
     robot_types : sequence of RobotType
-        Of each robot; empty if all are alike.
+        Type of each robot; empty if all are alike.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def behavioral_information(
     belief, model, path, alpha, interest
         As of `added_information`.
     outcomes : JointOutcomes, optional
-        Of robots sent before, to which this adds; without it there are none.
+        Joint outcomes of robots sent before; by default none.
 
     Returns
     -------

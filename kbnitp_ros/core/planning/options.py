@@ -50,23 +50,23 @@ class SearchOptions:
         field where earlier paths left off, and 'shortest_unvisited' goes to the nearest cell that
         was visited least, and on to the next.
     max_steps : int
-        The most steps of a path, at least 1.
+        Maximum steps of a path, at least 1.
     width : int
-        Of the beam, at least 1.
+        Width of the beam, at least 1.
     max_visits : int
-        How often a path may enter a cell, at least 1.
+        Maximum visits of a path to a cell, at least 1.
     objective : str
-        What is sought: 'information'; 'behavioral', `behavioral_information` in its place; or
-        'information_per_loss', the most information for each robot that is expected to be lost.
+        'information'; 'behavioral', for `behavioral_information`; or 'information_per_loss', for
+        the most information for each robot that is expected to be lost.
     alpha : float
-        Of the Prelec weight of the behavioral objective, from 0.2 to 5; with 1 it is the
+        Parameter of the Prelec weight of the behavioral objective, from 0.2 to 5; 1 gives the
         information.
     loss_cost : float
         The cost of a lost robot, nats of information, at least 0.
     minimum_survival : float
-        Paths that a robot survives with less are refused, in [0, 1].
+        Minimum chance in [0, 1] that a robot survives its path.
     max_distance : float
-        How long a path may be, metres, at least 0; 0 for no limit. A diagonal step is sqrt(2)
+        Maximum length of a path, metres, at least 0; 0 for no limit. A diagonal step is sqrt(2)
         times as long as a straight one, and a stay has no length. Baselines refuse it.
 
     Raises

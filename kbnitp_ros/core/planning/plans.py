@@ -52,10 +52,10 @@ class Plan(Value):
         No path that the search may return has a higher information - loss_cost * (1 - survival),
         nats; None unless a bound was asked for.
     gap : float or None
-        How far the plan is below `upper_bound`, nats, at least 0.
+        Difference between `upper_bound` and the value of the plan, nats, at least 0.
     gain : float or None
-        How much nearer its goal the mission is expected to be, in the unit of the goal; None
-        where there is no goal but information.
+        Expected progress of the mission towards its goal, in the unit of the goal; None without a
+        goal.
 
     """
 
@@ -99,16 +99,16 @@ def plan(
     grid : Grid
         The field.
     belief : Belief
-        What is believed of it.
+        Belief about the field.
     model : SensorModel
-        What the robot and its sensor are believed to be like.
+        Believed sensor model of the robot.
     max_steps, planner, **options
         As of `SearchOptions`.
     visited : array_like of int, shape (cells,), optional
-        How often the paths of earlier deployments entered each cell, for the planners that go by
-        it; never unless given.
+        Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
+        default.
     bound : bool
-        Whether the plan has an `upper_bound` and a `gap`. Of the objective 'information' and the
+        Whether to compute `upper_bound` and `gap`, with the objective 'information' and the
         planners that seek it.
 
     Returns
@@ -317,7 +317,7 @@ class Team:
     Parameters
     ----------
     agents : int
-        How many, at least 1.
+        Number of robots, at least 1.
     allocation : str
         One of `ALLOCATIONS`. 'independent': every robot takes the path it would take alone.
         'voronoi': the field is divided into regions of about equal entropy, one a robot.
@@ -370,11 +370,11 @@ def plan_team(
     grid, belief, visited
         As for `plan`.
     model : SensorModel
-        What robots that have nothing of their own are believed to be like.
+        Believed sensor model of the common robot type.
     team : Team
         The robots.
     options : SearchOptions
-        Of the search for the path of each robot that has nothing of its own.
+        Search options of the common robot type.
     in_flight : sequence of (array_like of int, RobotType)
         The path, shape (steps + 1,), and the type of each robot that has left before and has not
         reported. All allocations but 'independent' plan for what is added to them.
