@@ -52,9 +52,10 @@ PYTHON_PACKAGES = {
     'zstandard': ('mcap-ros2-support', 'zstandard'),
 }
 
-# Hashes of actions and a message as nav2_msgs 1.3.13 of ROS 2 Jazzy defines them.
-NAV2 = {
+# Hashes of types as nav2_msgs 1.3.13 and vision_msgs 4.1.1 of ROS 2 Jazzy define them.
+TYPES = {
     'CostmapFilterInfo': '61ce391bf7690f76a331c01c9d5ce8ca71e6c99273b9fb75e48380f05c6dfdc8',
+    'Detection2DArray': '214274120007f4a683866481336b70310268cfa107aebe9d594a6acf75bda968',
     'FollowPath': '9d95513552fb578cfb933d7e0160273911269cbdf4b348f1acb87d8a903b13cf',
     'FollowWaypoints': '09e36a19e0374ab692e78b877e3345daa223ca4186b8af90f77939b78c6e6d7b',
     'NavigateThroughPoses': '4e680a34fd27772095da6ffdb32ae348adbc3d948248d38cf8d5ca3fc7a3a6c4',
@@ -221,15 +222,16 @@ def test_every_field_of_a_message_is_explained(message):
     assert [line for line in fields if '#' not in line] == []
 
 
-@for_each('name', NAV2)
-def test_robots_and_costmap_filters_use_the_types_of_nav2(name):
-    share = Path(get_package_share_directory('nav2_msgs'))
-    (file,) = share.glob(f'*/{name}.json')
-    hashes = {
-        each['type_name']: each['hash_string']
+@for_each('name', TYPES)
+def test_types_of_other_packages_are_those_of_jazzy(name):
+    shares = map(get_package_share_directory, ('nav2_msgs', 'vision_msgs'))
+    (file,) = (file for share in shares for file in Path(share).glob(f'*/{name}.json'))
+    (own,) = (
+        each['hash_string']
         for each in json.loads(file.read_text())['type_hashes']
-    }
-    assert hashes[f'nav2_msgs/{file.parent.name}/{name}'] == f'RIHS01_{NAV2[name]}'
+        if each['type_name'].endswith(f'/{name}')
+    )
+    assert own == f'RIHS01_{TYPES[name]}'
 
 
 @pytest.mark.processes

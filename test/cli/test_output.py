@@ -154,19 +154,3 @@ def check_words(code, told, said):
 def test_no_command_prints_an_errno(tmp_path, monkeypatch, capsys, command, said):
     monkeypatch.chdir(tmp_path)
     check_words(main(command.split()), capsys.readouterr().err, said)
-
-
-@pytest.mark.processes
-@for_each('command, said', [
-    ('recorder --ros-args -p file:=/proc/here/a.mcap', 'recorder: folder /proc/here cannot be'),
-    ('agent --ros-args -p world.file:=nothere.yaml', 'agent: nothere.yaml: No such file'),
-])  # fmt: skip
-def test_no_node_prints_an_errno(tmp_path, command, said):
-    ended = subprocess.run(
-        [sys.executable, '-m', 'kbnitp_ros', *command.split()],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    check_words(ended.returncode, ended.stderr, said)

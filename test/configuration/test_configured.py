@@ -87,17 +87,6 @@ def test_a_mask_of_another_field_is_refused(occupied, resolution, complaint, tmp
         checked(goal__kind='area', goal__mask=drawn)
 
 
-def test_a_goal_stays_while_a_planner_runs():
-    of_goals = {
-        parameter.name: parameter.read_only
-        for parameter in TABLE
-        if parameter.name.startswith('goal')
-    }
-    assert of_goals == dict.fromkeys(
-        ('goal.kind', 'goal.cells', 'goal.position', 'goal.mask'), True
-    )
-
-
 # The belief before the first deployment: numbers, maps or an earlier mission.
 
 
@@ -162,14 +151,6 @@ def test_a_map_of_hazards_alone_leaves_kappa_and_the_targets_without_hazards(tmp
     # The numbers 0.5, 0.45 and 0.8 leave 0.1 for targets where no hazard is.
     background = prior.joint[free, 0, 1] / prior.joint[free, 0].sum(axis=1)
     assert background == pytest.approx(0.1)
-
-
-def test_an_array_of_another_shape_is_resampled_on_request(tmp_path):
-    given = {
-        'prior.kappa_map': write(tmp_path / 'kappa.npy', np.full((8, 10), 0.7)),
-        'prior.resample': True,
-    }
-    assert make_prior(VALUES | given, GRID).kappa[0] == pytest.approx(0.7)
 
 
 @for_each('name, values, told', [

@@ -7,7 +7,9 @@ from typing import Any
 
 from kbnitp_ros.core import (
     Belief,
+    Clustering,
     DeploymentKey,
+    Dynamics,
     Estimator,
     Grid,
     Learning,
@@ -64,28 +66,22 @@ class Sent:
         return serialize_message(self.message)
 
 
+@dataclass(eq=False)
 class Mission:
     """Publishes like the nodes of a mission, into the list `sent`."""
 
-    def __init__(
-        self,
-        method='kappa_bnitp',
-        namespace='',
-        grid=GRID,
-        unknowns=KNOWN,
-        method_seed=0,
-        dynamics=STATIC,
-        clustering=None,
-    ):
+    method: str = 'kappa_bnitp'
+    namespace: str = ''
+    grid: Grid = GRID
+    unknowns: Unknowns = KNOWN
+    method_seed: int = 0
+    dynamics: Dynamics = STATIC
+    clustering: Clustering | None = None
+
+    def __post_init__(self):
+        """Publish the prior."""
         self.sent = []
-        self.grid = grid
-        self.namespace = namespace
-        self.method = method
-        self.unknowns = unknowns
-        self.method_seed = method_seed
-        self.dynamics = dynamics
-        self.clustering = clustering
-        self.prior = Belief.prior(grid, 0.3, 0.4, 0.7)
+        self.prior = Belief.prior(self.grid, 0.3, 0.4, 0.7)
         self.now = START
         self.start_estimator()
 

@@ -2,8 +2,7 @@
 """Deployments and departures of a log are each counted once, by their final reports."""
 
 from collections import Counter
-from dataclasses import replace
-from itertools import permutations, product
+from itertools import permutations
 
 from kbnitp_msgs.msg import AgentStatus as AgentStatusMessage
 from kbnitp_ros.core import (
@@ -26,12 +25,11 @@ from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
     read_status,
-    report_message,
     status_message,
 )
 from kbnitp_ros.messages.headers import to_stamp
 from laws import for_each
-from mission_log import GRID, MAX_STEPS, Mission, on, record
+from mission_log import GRID, MAX_STEPS, Mission, record
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
@@ -50,107 +48,6 @@ def told(path):
         )
         for observation in read_history(path).observations
     ]
-
-
-def test_deployments_are_in_order_and_a_return_beats_a_loss(tmp_path):
-    whole = Mission()
-    first, second, third = (
-        whole.send_out(path, agent)
-        for path, agent in ((FAR, 'scout_1'), (NEAR, 'scout_2'), (NEAR, 'scout_1'))
-    )
-    whole.assimilate(NEAR, *whole.come_back(third, Observation(NEAR, False)))
-    whole.assimilate(FAR, *whole.come_back(first, Observation(FAR, False)))
-    back = Observation(FAR, True, [True, False, False, True])
-    whole.assimilate(FAR, *whole.come_back(first, back))
-    whole.come_back(first, Observation(FAR, False))
-    whole.assimilate(NEAR, *whole.come_back(second, Observation(NEAR, True, [True, True])))
-    path = record(tmp_path / 'mission.mcap', [*whole.sent, *whole.sent])
-    assert told(path) == [
-        (FAR, True, [True, False, False, True]),
-        (NEAR, True, [True, True]),
-        (NEAR, False, None),
-    ]
-    assert len(read_history(path).beliefs) == 2 * 5
-
-
-def test_reports_of_another_agent_are_refused(tmp_path):
-    whole = Mission(namespace='/north')
-    lost, out = whole.deploy(Observation(NEAR, False), 'scout_2'), whole.send_out(NEAR, 'scout_2')
-    for key in (lost, out):
-        back = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
-        whole.publish('scout_1/report', back)
-    log = record(tmp_path / 'mission.mcap', whole.sent)
-    resumed = read_resumed(MissionLog(log), GRID, MAX_STEPS)
-    assert {*resumed.orders} == {lost, out}
-    assert not resumed.outcome(lost).survived
-    assert resumed.outcome(out) is None
-    report = replay(log)
-    assert report.reproduced
-    assert report.not_yet_held == []
-    assert report.evidence.survived == 0
-    assert all("/scout_1/report: agent is 'scout_2'" in each for each in report.evidence.refused)
-    assert len(report.evidence.refused) == 2
-
-
-def reports_that_do_not_fit(key, whole):
-    """Return messages about a robot on the path NEAR that an estimator refuses."""
-    elsewhere = Observation([2, 10, 2], True, [True, True])
-    unread, spoken = (report_message(key, Observation(NEAR, False), whole.now) for _ in range(2))
-    unread.survived = True
-    few = report_message(key, Observation(NEAR, True, [True, True]), whole.now)
-    few.readings = few.readings[:1]
-    after = report_message(key, Observation(NEAR, False), whole.now)
-    after.steps_survived = 2
-    spoken.readings = report_message(key, elsewhere, whole.now).readings
-    return {
-        'a return without readings': unread,
-        'a return with those of cells out of reach': report_message(key, elsewhere, whole.now),
-        'a return with too few': few,
-        'a loss after more steps than there are': after,
-        'a loss with readings': spoken,
-    }
-
-
-@pytest.mark.slow
-@for_each(
-    'when, what',
-    product(
-        ['before the path', 'before the loss', 'after the loss', 'alone'],
-        reports_that_do_not_fit(DeploymentKey('scout_1', 1), Mission()),
-    ),
-)
-def test_a_refused_report_displaces_no_other(tmp_path, what, when):
-    """All readers of the log validate it as the estimator did."""
-    whole = Mission()
-    whole.deploy(Observation(FAR, True, [True, False, False, True]))
-    key = DeploymentKey('scout_1', whole.now + 1000)
-    refused = reports_that_do_not_fit(key, whole)[what]
-    if when == 'before the path':
-        whole.publish('scout_1/report', refused)
-    else:
-        whole.now += 1000
-    assert whole.send_out(NEAR) == key
-    if when in ('before the loss', 'alone'):
-        whole.publish('scout_1/report', refused)
-    if when != 'alone':
-        whole.assimilate(NEAR, *whole.come_back(key, Observation(NEAR, False)))
-    if when == 'after the loss':
-        whole.publish('scout_1/report', refused)
-    log = record(tmp_path / 'mission.mcap', whole.sent)
-    resumed = read_resumed(MissionLog(log), GRID, MAX_STEPS)
-    assert resumed.paths[key].tolist() == NEAR
-    report = replay(log)
-    assert report.reproduced
-    assert report.evidence.survived == 1
-    assert len(report.evidence.refused) == 1
-    if when == 'alone':
-        assert resumed.outcome(key) is None
-        assert told(log) == [(FAR, True, [True, False, False, True])]
-        assert report.evidence.without_report == [key]
-    else:
-        assert not resumed.outcome(key).survived
-        assert told(log)[1:] == [(NEAR, False, None)]
-        assert len(report.evidence.reports) == 2
 
 
 def test_a_refused_path_displaces_no_other(tmp_path):
@@ -176,13 +73,6 @@ def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
     log = record(tmp_path / 'mission.mcap', whole_mission.sent)
     with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* say Grid\(width=9'):
         read_resumed(MissionLog(log), Grid(9, 9), MAX_STEPS)
-
-
-def test_maps_of_strangers_are_no_truth(whole_mission, tmp_path):
-    other = on(whole_mission.sent, '/belief/hazard')[0]
-    others = [replace(other, topic=f'/camera/truth/{name}') for name in ('floor', 'ceiling')]
-    path = record(tmp_path / 'mission.mcap', [*whole_mission.sent, *others])
-    assert read_history(path).world is None
 
 
 # The mission of a log is stated by its beliefs, whatever paths came before.

@@ -307,31 +307,6 @@ def test_a_full_disk_leaves_no_started_file(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_keeps_an_unfinished_file(tmp_path, whole_mission):
-    log = LogWriter(tmp_path / 'mission.mcap')
-    record_to(log, whole_mission.sent, synced=True)
-    with room_for(log.path.stat().st_size + 10):
-        with pytest.raises(OSError, match=f'File too large: {str(log.path)!r}'):
-            log.close()
-        log.close()
-    assert [each.data for each in read_log(log.path)] == [each.data for each in whole_mission.sent]
-    assert not is_finished(log.path)
-
-
-def test_a_moved_folder_stops_the_log_at_the_next_file(tmp_path, whole_mission):
-    folder = tmp_path / 'runs'
-    folder.mkdir()
-    log = LogWriter(folder / 'mission.mcap', max_file_size=40_000)
-    record_to(log, whole_mission.sent[:5], synced=True)
-    folder.rename(tmp_path / 'moved')
-    with pytest.raises(FileNotFoundError):
-        record_to(log, whole_mission.sent[5:], synced=True)
-    log.close()
-    read = [message.data for message in read_log(tmp_path / 'moved' / 'mission.mcap')]
-    assert read == [each.data for each in whole_mission.sent[: len(read)]]
-    assert len(read) > 5
-
-
 def test_a_corrupt_later_part_is_not_resumed(whole_mission, tmp_path):
     path = tmp_path / 'mission.mcap'
     record(path, whole_mission.sent[:6])
@@ -385,12 +360,6 @@ def test_the_hash_is_that_of_the_definition(type_name):
     assert description.type_hash == store.hash_rihs01(type_name)
 
 
-@for_each('type_name', ['no_such_msgs/msg/Path', 'nav_msgs/msg/NoSuchType'])
-def test_a_topic_of_a_missing_type_is_refused(type_name):
-    with pytest.raises(LookupError):
-        describe(type_name)
-
-
 def test_a_topic_of_a_type_in_idl_only_is_refused(tmp_path, monkeypatch):
     described = Path(get_package_share_directory('std_msgs'), 'msg', 'String.json')
     (tmp_path / 'msg').mkdir()
@@ -401,25 +370,19 @@ def test_a_topic_of_a_type_in_idl_only_is_refused(tmp_path, monkeypatch):
 
 
 def test_all_nine_policies_are_listed_for_every_publisher():
-    profiles = [
-        QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=42,
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-            deadline=Duration(seconds=1, nanoseconds=2),
-            lifespan=Duration(seconds=3, nanoseconds=4),
-            liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
-            liveliness_lease_duration=Duration(seconds=5, nanoseconds=6),
-            avoid_ros_namespace_conventions=True,
-        ),
-        QoSProfile(
-            history=HistoryPolicy.KEEP_ALL,
-            reliability=ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.VOLATILE,
-        ),
-    ]
-    first, second = yaml.safe_load(qos_profiles_yaml(profiles))
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=42,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        deadline=Duration(seconds=1, nanoseconds=2),
+        lifespan=Duration(seconds=3, nanoseconds=4),
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=5, nanoseconds=6),
+        avoid_ros_namespace_conventions=True,
+    )
+    other = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+    first, second = yaml.safe_load(qos_profiles_yaml([profile, other]))
     assert first == {
         'history': 'keep_last',
         'depth': 42,
@@ -431,9 +394,4 @@ def test_all_nine_policies_are_listed_for_every_publisher():
         'liveliness_lease_duration': {'sec': 5, 'nsec': 6},
         'avoid_ros_namespace_conventions': True,
     }
-    assert first.keys() == second.keys()
-    assert (second['history'], second['reliability'], second['durability']) == (
-        'keep_all',
-        'best_effort',
-        'volatile',
-    )
+    assert (second.keys(), second['history']) == (first.keys(), 'keep_all')

@@ -6,17 +6,6 @@ from itertools import pairwise, product
 from extent import FULL
 from hypothesis import given, Phase, settings
 from hypothesis import strategies as st
-from kbnitp_ros.core import (
-    Belief,
-    Execution,
-    plan,
-    run_mission,
-    SearchOptions,
-    SensorModel,
-    Team,
-    Truth,
-    World,
-)
 from kbnitp_ros.maps import Map, MapError, read_map
 from laws import for_each, spoilt
 import numpy as np
@@ -125,11 +114,6 @@ def test_values_are_written_as_map_server_takes_them(tmp_path, changes):
     assert turned.data[-1, 0] == 0
 
 
-def test_the_image_s_last_row_is_the_map_s_first(tmp_path):
-    found = read_map(write(tmp_path, np.array([[0, 0], [255, 0], [255, 255]])))
-    assert found.data.tolist() == [[0, 0], [0, 100], [100, 100]]
-
-
 @for_each('alpha, expected', [(255, 100), (254, -1), (0, -1)])
 def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
     rgba = np.zeros((1, 2, 4), dtype=np.uint8)
@@ -226,11 +210,6 @@ def test_bad_files_are_refused(tmp_path, changes, message):
         read_map(write_yaml(tmp_path, **changes))
 
 
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(MapError, match='nothere.yaml cannot be read: No such file'):
-        read_map(tmp_path / 'nothere.yaml')
-
-
 # The grid of a map keeps robots away from occupied pixels.
 
 
@@ -288,43 +267,6 @@ def test_no_walk_touches_an_occupied_pixel(seed, connectivity):
     touched = touched_pixels(field, free.centers(walk))
     assert not (touched == 100).any()
     assert not (unknown_blocks and (touched == -1).any())
-
-
-@pytest.mark.slow
-@for_each('seed', range(200), every=4)
-def test_no_robot_of_a_mission_touches_an_occupied_pixel(seed):
-    """Neither on its orders nor on detours."""
-    rng = np.random.default_rng(seed)
-    field, grid = random_grid(rng, int(rng.choice([4, 8])), True)
-    world = World.random(grid, rng, 0.1, 0.8, 0.3)
-    made = run_mission(
-        grid,
-        Belief.prior(grid, 0.1, 0.35, 0.8),
-        SensorModel(0.3, malfunction=0.01),
-        world,
-        4,
-        rng,
-        options=SearchOptions('relaxed', max_steps=14),
-        team=Team(min(2, int(grid.free.sum()))),
-        truth=Truth(execution=Execution(detour=0.3, early_return=0.05)),
-    )
-    for deployment in made:
-        for path in (deployment.plan.path, deployment.observation.path):
-            assert (touched_pixels(field, grid.centers(path)) < 100).all()
-            assert (touched_pixels(field, grid.centers(path)) >= 0).all()
-
-
-def test_a_plan_keeps_clear_of_a_wall():
-    # A wall with a gap, and nothing to explore on this side of it.
-    data = np.zeros((6, 6), dtype=np.int8)
-    data[2, 1:] = 100
-    field = Map(data, 0.5, (0.0, 0.0))
-    grid = field.grid(base_position=(0.75, 0.75))
-    target = np.where(np.arange(36) < 12, 0.0, 0.5)
-    belief = Belief.from_maps(np.zeros(36), target, target)
-    path = plan(grid, belief, SensorModel(lethality=0.5), max_steps=12).path
-    assert max(path) > 18
-    assert not (touched_pixels(field, grid.centers(path)) == 100).any()
 
 
 def test_a_cell_is_blocked_by_any_of_its_pixels():

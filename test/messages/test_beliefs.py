@@ -186,14 +186,6 @@ def test_parameters_of_single_agents_are_included():
     assert read_belief_maps(message).rules() != read_belief_maps(belief_maps(plain, 0)).rules()
 
 
-def test_the_views_on_the_wire_are_those_of_the_joint():
-    ledger = new_ledger()
-    message = over_the_wire(belief_maps(ledger, started=0))
-    for name in ('hazard', 'target', 'kappa'):
-        sent = np.asarray(getattr(message, name))
-        assert sent.tobytes() == getattr(read_belief_maps(message).belief, name).tobytes()
-
-
 def test_only_the_joint_counts():
     message = belief_maps(new_ledger(), started=0)
     joint = read_belief_maps(message).belief.joint
@@ -237,11 +229,6 @@ def test_a_bad_belief_is_refused(field, value, error):
     setattr(message, field, value)
     with pytest.raises(ValueError, match=error):
         read_belief_maps(over_the_wire(message))
-
-
-def test_an_empty_belief_message_is_refused():
-    with pytest.raises(ValueError, match='header.frame_id'):
-        read_belief_maps(BeliefMaps())
 
 
 # The message of learnt numbers.

@@ -187,8 +187,11 @@ def test_a_pause_holds_before_it_is_recorded_and_against_strangers(field):
     assert not answer.done()
     # Not on disk, but not over.
     told = base.refused('pause', data=False)
-    assert told.startswith('waiting for the recorder')
     assert told.endswith(': call again after that')
+    base.until_state(
+        'waiting for the recorder to confirm on /operator/recorded that the operator paused the '
+        'mission (parameter recorded)'
+    )
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
     stranger = field.node.create_publisher(Bool, '/hold', qos.LATCHED)

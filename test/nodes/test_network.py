@@ -7,7 +7,7 @@ from apart import apart
 from bare_dds import BareParticipant, HOSTILE, not_utf8
 from base import Base
 from base import GRID as BASE_GRID
-from extent import FULL, some
+from extent import FULL
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.read import is_finished, read_log
@@ -421,53 +421,6 @@ def test_of_two_robots_on_one_path_the_one_with_more_readings_counts(field):
     # A restarted recorder received it again.
     (refused,) = set(report.evidence.refused)
     assert refused == told.replace('scout_1/report refused', '/scout_1/report')
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize('heard, first, second', some(
-    ((heard, *numbers) for heard in ((1, 0), (0, 1)) for numbers in ((5, 5), (5, 6), (6, 5))), 6
-))  # fmt: skip
-def test_the_order_of_the_two_reports_does_not_matter(field, heard, first, second):
-    """Live, replayed and resumed beliefs agree, also if recorder and estimator differ in order."""
-    log = field.folder / 'mission.mcap'
-    field.start('recorder', {'file': str(log)}, '/m')
-    # The test decides what the estimator receives, and when.
-    parameters = {**samples.FIELD, 'await_nodes': ['test', 'recorder']}
-    field.start('estimator', parameters, '/m', {'scout_1/report': '/heard/report'})
-    beliefs = field.listen(BeliefMaps, '/m/belief')
-    paths = field.talk(Path, '/m/scout_1/path')
-    field.until(lambda: beliefs, 'prior')
-    paths.publish(samples.path(1))
-    key = samples.key(1)
-    walks = Observation(samples.HOME, True, [True] * 4), Observation([0, 4, 0], True, [False] * 2)
-    reports = [report_message(key, *each) for each in zip(walks, (first, second))]
-    for node, topic, order in (
-        ('/m/recorder', '/m/scout_1/report', (0, 1)),
-        ('/m/estimator', '/heard/report', heard),
-    ):
-        robots = [field.talk(DeploymentReport, topic) for _ in reports]
-        for number in order:
-            told = field.count(node, 'accepted') + field.count(node, 'refused')
-            robots[number].publish(reports[number])
-            field.until(
-                lambda node=node, told=told: (
-                    field.count(node, 'accepted') + field.count(node, 'refused') > told
-                ),
-                f'report {number} at {node}',
-            )
-    assert field.diagnosed('/m/estimator').message == f'scout_1/report refused: {differing(key)}'
-    # The shorter walk is replaced.
-    field.until(lambda: len(beliefs) == (2 if heard == (0, 1) else 3), 'belief in the longer walk')
-    for name, code in field.processes.stop(60).items():
-        assert code == 0, field.said(name)
-    told = replay(log)
-    assert told.reproduced, (told.mismatches, told.not_yet_held)
-    assert told.evidence.refused
-    resumed = field.listen(BeliefMaps, '/m/belief')
-    field.start('estimator', {**samples.FIELD, 'await_nodes': ['test'], 'resume': str(log)}, '/m')
-    # Repeated reports, in any order.
-    expected = beliefs[-1].joint
-    field.until(lambda: resumed and resumed[-1].joint == expected, 'the same belief', may_end=True)
 
 
 @pytest.mark.processes

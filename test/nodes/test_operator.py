@@ -209,25 +209,6 @@ def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
     node.destroy_node()
 
 
-def test_nothing_is_decided_before_it_is_on_disk(field):
-    base = Base(field)
-    base.until_sent(1)
-    field.kill('/recorder')
-    client = field.node.create_client(SetBool, '/pause')
-    field.until(client.service_is_ready, 'service')
-    answer = client.call_async(SetBool.Request(data=True))
-    base.until_state(
-        'waiting for the recorder to confirm on /operator/recorded that the operator paused the '
-        'mission (parameter recorded)'
-    )
-    assert base.refused('end_mission').endswith('call again after that')
-    assert not answer.done()
-    field.start('recorder', {**base.parameters, 'resume': str(base.log)})
-    field.until(answer.done, 'answer')
-    assert answer.result().success
-    assert [action.action for action in base.replayed().evidence.actions] == [Action.PAUSE]
-
-
 def typed(page):
     """Return the service calls on a page: name, type and request."""
     text = ROOT.joinpath(page).read_text()

@@ -19,9 +19,8 @@ from kbnitp_ros.core import (
     RobotType,
     SensorModel,
 )
-from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.deployments import path_message, read_path, read_report, report_message
+from kbnitp_ros.messages.deployments import read_path, read_report, report_message
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.planner import PlannerNode
 from kbnitp_ros.nodes.runtime import qos
@@ -32,7 +31,6 @@ import pytest
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from samples import changed, in_frame, on_disk
 
@@ -291,21 +289,6 @@ def test_an_agent_that_is_none_of_the_team_is_refused_by_name(field):
     mission.show_belief()
     mission.until_state('done: 2 of 2 robots deployed')
     assert field.count('/planner', 'refused') == 1
-
-
-def test_a_log_of_another_mission_is_not_resumed(field):
-    log = field.folder / 'mission.mcap'
-    with LogWriter(log) as writer:
-        writer.add_topic('/scout_9/path', 'nav_msgs/msg/Path', '[]')
-        home = path_message(Grid(9, 9), [0, 1, 0], 1)
-        writer.write('/scout_9/path', serialize_message(home), 1, 1)
-    for namespace, resumed, told in (
-        ('/', log, 'has deployments of scout_9: the parameter agents'),
-        ('/b', field.folder / 'none.mcap', 'none.mcap cannot be read'),
-    ):
-        planner = field.start('planner', {'resume': str(resumed)}, namespace)
-        assert planner.wait(timeout=60) == 2
-        assert told in field.said(f'{namespace.rstrip("/")}/planner')
 
 
 def test_waiting_for_plans_is_stated_once(field):

@@ -4,16 +4,12 @@
 from array import array
 from collections import defaultdict
 import os
-import pathlib
 import shutil
 import signal
 
-from ament_index_python.packages import get_package_share_directory
 from disk import mounted
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Recorded
 from kbnitp_ros.log.read import is_finished, read_log
-from kbnitp_ros.log.schema import qos_profiles_yaml
-from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.runtime import qos
@@ -23,7 +19,6 @@ import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from rosgraph_msgs.msg import Clock
 from samples import after_loss, key, lost, path, prior
 from std_msgs.msg import Int32, String, UInt8MultiArray
 import yaml
@@ -302,28 +297,6 @@ def test_a_topic_that_comes_back_with_another_type_is_refused_and_the_rest_goes_
         field.node.destroy_publisher(publisher)
 
 
-@pytest.fixture
-def defined_in_idl_alone(tmp_path, monkeypatch):
-    """Install rosgraph_msgs as a package whose types have no .msg files."""
-    described = pathlib.Path(get_package_share_directory('rosgraph_msgs'), 'msg', 'Clock.json')
-    share = tmp_path / 'prefix' / 'share'
-    for folder in ('ament_index/resource_index/packages', 'rosgraph_msgs/msg'):
-        (share / folder).mkdir(parents=True)
-    (share / 'ament_index/resource_index/packages/rosgraph_msgs').touch()
-    shutil.copy(described, share / 'rosgraph_msgs/msg')
-    monkeypatch.setenv('AMENT_PREFIX_PATH', str(share.parent), prepend=os.pathsep)
-
-
-def test_a_type_that_is_defined_in_idl_alone_is_refused_and_the_rest_goes_on(
-    defined_in_idl_alone, field
-):
-    log = record(field)
-    field.node.create_publisher(Clock, '/m/time', qos.LATCHED).publish(Clock())
-    assert 'rosgraph_msgs/msg/Clock is not inst' in field.until_refused('/m/recorder', 1)
-    field.node.create_publisher(String, '/m/latched', qos.LATCHED).publish(String())
-    field.until(lambda: '/m/latched' in recorded(log), 'message')
-
-
 def test_a_signal_under_load_loses_no_received_message(field):
     log = record(field)
     reports = field.talk(DeploymentReport, '/m/scout_1/report')
@@ -359,38 +332,6 @@ def until_failed(field, name, exit_code):
     (complaint,) = complaints(field, name)
     assert complaint == f'recorder: {told}'
     return complaint
-
-
-def refusal(field, parameters):
-    """Return the refusal of a recorder on stderr."""
-    assert field.start('recorder', parameters).wait(60) == 2
-    (complaint,) = complaints(field, '/recorder')
-    assert complaint.startswith('recorder: ')
-    return complaint
-
-
-def test_an_existing_file_is_left_alone(field):
-    log = field.folder / 'mission.mcap'
-    log.write_text('precious')
-    assert 'mission.mcap exists' in refusal(field, {'file': str(log)})
-    assert log.read_text() == 'precious'
-
-
-@pytest.mark.parametrize(
-    'content, told', [(None, 'No such file'), (b'no log', 'no MCAP file'), ('corrupt', 'corrupt')]
-)
-def test_a_log_that_cannot_be_resumed_is_left_alone(field, content, told):
-    log = field.folder / 'mission.mcap'
-    if content == 'corrupt':
-        with LogWriter(log) as writer:
-            writer.add_topic('/topic', 'std_msgs/msg/String', qos_profiles_yaml([RELIABLE]))
-            writer.write('/topic', serialize_message(String(data='x' * 100)), 1, 1)
-        content = log.read_bytes().replace(b'xxx', b'yyy', 1)[:-200]
-    if content:
-        log.write_bytes(content)
-    assert told in refusal(field, {'resume': str(log)})
-    assert [file.name for file in field.folder.glob('*.mcap')] == [log.name][: content is not None]
-    assert not content or log.read_bytes() == content
 
 
 def report_until_it_fails(field, log):

@@ -21,7 +21,6 @@ from kbnitp_ros.files import counted
 from kbnitp_ros.log.read import is_finished, read_parameters
 from kbnitp_ros.messages.deployments import read_path, read_report, report_message
 from kbnitp_ros.messages.progress import MissionState
-from kbnitp_ros.nodes.presence import LOG
 from kbnitp_ros.nodes.runtime import signals
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS, MissionNode
 from laws import for_each
@@ -136,27 +135,6 @@ def test_arguments_that_are_not_for_ros_are_refused(run):
     ((code, said),) = run([['planner', '--robots', '3']])
     assert code == 2
     assert 'unrecognized arguments: --robots 3' in said
-
-
-@pytest.mark.interpreter
-@pytest.mark.parametrize('number', some([signal.SIGTERM, signal.SIGINT], 2), ids=lambda s: s.name)
-def test_a_signal_ends_every_node_well(field, number):
-    log = field.folder / 'mission.mcap'
-    # A robot would publish in place of the agent as well.
-    names = [name for name in NODES if name != 'robot']
-    # A belief ahead of its path would be reported.
-    parameters = {'file': str(log), 'recorded': True}
-    nodes = {name: field.start(name, parameters) for name in names}
-    for name in names:
-        field.until(lambda name=name: field.diagnosed(f'/{name}').values, f'diagnostics of {name}')
-    # It opens its log when no other recorder was discovered.
-    field.until(lambda: field.told('/recorder', LOG), 'log')
-    for process in nodes.values():
-        process.send_signal(number)
-    for name, process in nodes.items():
-        assert process.wait(timeout=60) == 0, name
-        assert complaints(field.said(f'/{name}')) == []
-    assert is_finished(log)
 
 
 @pytest.mark.parametrize('number', some([signal.SIGINT, signal.SIGTERM], 2), ids=lambda s: s.name)

@@ -24,7 +24,6 @@ from laws import for_each
 from mission_log import GRID, Mission, MODEL, on, record, record_to, without
 from missions import sent_by_single, Shown, single, team
 import numpy as np
-from other_readers import write_bag
 from pyarrow import csv, parquet
 import pytest
 
@@ -204,13 +203,6 @@ def test_a_log_with_no_truth(tmp_path):
     assert 'id="true-hazard"' not in html
     assert 'og loss' not in html.partition('<script')[0]
     assert np.isnan(curves.hazard_loss).all()
-
-
-def test_a_bag_by_rosbags(tmp_path):
-    bag = write_bag(tmp_path / 'bag', sent_by_single().sent)
-    mission, _, html, _ = told(bag)
-    assert len(mission.moments) == 7
-    assert 'The log does not say how the run was configured' in html
 
 
 @pytest.mark.full

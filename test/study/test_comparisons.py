@@ -3,13 +3,11 @@
 
 from dataclasses import astuple, replace
 from functools import partial
-import json
 
 from kbnitp_ros.core import continue_mission
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import (
     BY_BASE,
-    BY_LOSS_COST,
     BY_MAP,
     BY_OBJECTIVE,
     BY_PLANNER,
@@ -17,14 +15,12 @@ from kbnitp_ros.study.comparison import (
     COMPARISONS,
     CONTACT,
     differ_in_objective,
-    write_report,
 )
 from kbnitp_ros.study.questions import at_equal_log_loss, compare, differ_in_size, EQUAL
-from kbnitp_ros.study.results import after_rounds, Results, trade
+from kbnitp_ros.study.results import after_rounds, trade
 from kbnitp_ros.study.scenario import differ_only_in, Strategy, team_labels
 from kbnitp_ros.study.scenario_file import parse_scenario
 from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, Trial
-from kbnitp_ros.study.workers import Folder
 from laws import for_each
 import numpy as np
 import pytest
@@ -117,38 +113,10 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
     ]
 
 
-@pytest.mark.slow
-def test_file_names_of_information_trials_are_unchanged(scenario, tmp_path):
-    scenario = replace(
-        scenario, teams=OBJECTIVES, methods=('kappa_bnitp',), trials=1, lethalities=(0.9,)
-    )
-    folder = Folder(tmp_path, scenario)
-    for trial in list_trials(scenario):
-        folder.save(trial, run_trial(scenario, trial))
-    assert sorted(path.name for path in tmp_path.rglob('*.npz')) == [
-        '0.9-kappa_bnitp-1-greedy-0.0-0.npz',
-        '0.9-kappa_bnitp-1-greedy-0.0-objectivebehavioral-alpha2.0-0.npz',
-        '0.9-kappa_bnitp-1-greedy-0.5-0.npz',
-    ]
-
-
-@pytest.mark.slow
-def test_objectives_that_a_planner_lacks_are_refused(scenario):
-    team = Strategy(planner='coverage', objective='behavioral', alpha=2.0)
-    with pytest.raises(ValueError, match='the planner coverage does not seek it'):
-        replace(scenario, teams=(team,)).check_search()
-
-
 # The value of a robot: missions are compared at equal log loss.
 
 
 COSTS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
-
-
-@pytest.fixture(scope='module')
-def costs(scenario):
-    """Return the results of missions at three loss costs, out of order."""
-    return compared_by(scenario, COSTS)
 
 
 def equal(*missions):
@@ -207,40 +175,6 @@ def test_the_difference_is_that_of_the_same_worlds():
     mean, low, high = compared['lost_at_least']
     assert mean == 6
     assert low < 4 < 8 < high
-
-
-@pytest.mark.slow
-def test_each_is_compared_with_the_least(costs):
-    summary = BY_LOSS_COST.summarise(costs)
-    assert summary['least'] == 0
-    assert [row['loss_cost'] for row in summary['rows']] == [0.5, 5]
-
-    def means(team):
-        lost = costs.series(0.9, 'kappa_bnitp', 'robots_lost', team=team)
-        loss = costs.series(0.9, 'kappa_bnitp', 'hazard_log_loss', 'target_log_loss', team=team)
-        return lost.mean(axis=0), loss.mean(axis=0)
-
-    for row, team in zip(summary['rows'], (COSTS[0], COSTS[2])):
-        found = equal(means(Strategy()), means(team))
-        for name in EQUAL[:-1]:
-            assert row[name]['mean'] == pytest.approx(found[name], abs=1e-6), name
-
-
-@pytest.mark.slow
-@for_each('trials', [3, 1], every=2)
-def test_the_report_of_loss_costs_has_their_figure(costs, tmp_path, trials):
-    written = write_report(
-        Results(replace(costs.scenario, trials=trials), costs.outcomes), tmp_path
-    )
-    assert sorted(tmp_path.iterdir()) == sorted(written)
-    assert {path.name for path in written if path.suffix == '.png'} == {
-        f'{name}.png' for name in ('entropy', 'log_loss', 'reliability', 'robots_lost')
-    }
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    assert (summary['loss_cost']['rows'][0]['difference']['low'] is None) == (trials == 1)
-    general, _, compared = (tmp_path / 'summary.md').read_text().partition('At equal log loss')
-    assert compared
-    assert 'ifference' not in general  # there is only one method
 
 
 # Teams are compared by robots sent and by rounds.
@@ -304,21 +238,6 @@ def test_information_by_robot_and_by_round(teams):
     realised = teams.series(0.9, 'kappa_bnitp', 'realised_information', team=SIZES[1])
     gained = summary['rows'][1]['information_a_robot']['mean']
     assert gained == pytest.approx(realised[:, 1:].mean(), abs=1e-6)
-
-
-@pytest.mark.slow
-def test_the_report_of_teams_alone_has_their_figure(teams, results, tmp_path):
-    names = set()
-    for study in (results, teams):
-        folder = tmp_path / str(len(study.scenario.teams))
-        folder.mkdir()
-        written = write_report(study, folder)
-        assert sorted(folder.iterdir()) == sorted(written)
-        assert all(path.stat().st_size for path in written)
-        names ^= {path.name for path in written}
-        as_markdown = (folder / 'summary.md').read_text()
-        assert ('a round' in as_markdown) == (study is teams)
-    assert names == {'by_round.png', 'by_round.svg', 'by_round.pdf'}
 
 
 # The value of a second base, counted from the table by hand.

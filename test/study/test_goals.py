@@ -5,28 +5,26 @@ from dataclasses import replace
 from itertools import product
 import json
 
-from kbnitp_ros.core import Area, Estimator, Grid, HazardDraws, Lane, log_loss
+from kbnitp_ros.core import Estimator, Grid, HazardDraws, Lane, log_loss
 from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import (
     AREAS,
     BY_KIND,
     CERTIFICATES,
-    COMPARISONS,
     LANES,
     OF_HAZARDS,
     write_report,
 )
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import DecisionRequest, Hazards, SafestLane, Strategy, team_labels
-from kbnitp_ros.study.scenario_file import parse_scenario, read_scenario, scenario_file
+from kbnitp_ros.study.scenario import DecisionRequest, Hazards, Strategy, team_labels
+from kbnitp_ros.study.scenario_file import parse_scenario
 from kbnitp_ros.study.trial import (
     blobs,
     DECLARED,
     draw_world,
     list_trials,
     measure_names,
-    OF_GOALS,
     rows,
     run_trial,
     Trial,
@@ -194,26 +192,6 @@ def test_areas_are_measured_by_the_robots_to_declare_most_cells(asked):
 
 
 @pytest.mark.slow
-def test_the_report_has_one_table_and_a_figure_of_it(lanes, certificates, tmp_path):
-    for results, comparison in ((lanes, LANES), (certificates, CERTIFICATES)):
-        folder = tmp_path / comparison.name
-        folder.mkdir()
-        write_report(results, folder)
-        summary = json.loads((folder / 'summary.json').read_text())
-        names = {each.name for each in COMPARISONS} & summary.keys()
-        assert names == {comparison.name}
-        told = comparison.table(summary[comparison.name]).markdown()
-        assert (folder / 'summary.md').read_text().endswith(told)
-        assert (folder / 'decision.png').stat().st_size > 0
-
-
-@pytest.mark.slow
-def test_without_a_decision_there_are_no_measures_of_it(scenario, results):
-    assert not set(OF_GOALS) & set(results.table().column_names)
-    assert results.table().column('goal').unique().to_pylist() == ['map']
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize('changes, named', [
     ({'teams': [{'goal': 'lane'}]}, 'asked: robots are sent for the goal lane: give its cells'),
     (
@@ -230,20 +208,6 @@ def test_without_a_decision_there_are_no_measures_of_it(scenario, results):
 def test_inconsistent_goals_are_refused(changes, named):
     with pytest.raises(ValueError, match=named):
         parse_scenario({**CONTENT, **changes})
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('name, goals', [
-    ('lanes', [type(None), SafestLane, Lane]),
-    ('lanes_learning', [type(None), SafestLane, Lane]),
-    ('certificates', [Lane]),
-    ('certificates_learning', [Lane]),
-    ('certificates_clustered', [Lane]),
-    ('areas', [type(None), Area, type(None), type(None)]),
-])  # fmt: skip
-def test_shipped_scenarios_send_robots_for_goals(name, goals):
-    scenario = read_scenario(scenario_file(name))
-    assert [type(scenario.goal(team)) for team in scenario.teams] == goals
 
 
 # Beliefs in kinds of hazards are compared, in worlds of each kind.

@@ -13,7 +13,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS, study_figures, write_report
+from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS, study_figures
 from kbnitp_ros.study.results import LOG_LOSS
 from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, SAMPLED
 from kbnitp_ros.study.scenario_file import read_scenario
@@ -21,7 +21,6 @@ from kbnitp_ros.study.trial import LEARNT, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
-from pyarrow import parquet
 import pytest
 import small_study
 
@@ -171,20 +170,6 @@ def test_learnt_numbers_can_be_read(request, kind):
     for figure in figures.values():
         check_texts(figure)
         check_lines(figure)
-
-
-@for_each('kind', ['learnt', 'drawn'], every=2)
-def test_a_study_that_learns_has_its_report(request, tmp_path, kind):
-    results = request.getfixturevalue(kind)
-    written = write_report(results, tmp_path)
-    assert sorted(tmp_path.iterdir()) == sorted(written)
-    assert tmp_path / 'numbers.png' in written
-    text = (tmp_path / 'summary.md').read_text()
-    name = '0.2' if kind == 'learnt' else 'drawn'
-    assert f'| {name} | malfunction |' in text
-    assert f'| {name} | `{SAMPLED}` |' in text
-    table = parquet.read_table(tmp_path / 'table.parquet')
-    assert table['lethality'].null_count == (table.num_rows if kind == 'drawn' else 0)
 
 
 @for_each('changes, complaint', [

@@ -70,14 +70,6 @@ def test_final_maps_are_those_of_all_trials(results):
 # Means, their intervals and the paired differences.
 
 
-def test_the_interval_contains_the_true_mean_about_as_often_as_stated():
-    samples = np.random.default_rng(5).exponential(size=(25, 400))
-    mean, low, high = bootstrap_mean(samples)
-    np.testing.assert_allclose(mean, samples.mean(axis=0))
-    covered = ((low < 1.0) & (high > 1.0)).mean()
-    assert 0.86 < covered < 0.97  # 25 skewed samples: a little less than 0.95
-
-
 def test_the_interval_is_that_of_resampled_means():
     samples = np.array([1.0, 2.0, 3.0, 10.0])
     rng = np.random.default_rng(1)
@@ -107,32 +99,6 @@ def test_differences_are_paired(results):
     assert row['robots_lost']['mean'] == results.series(0.9, 'relaxed_bnitp', 'robots_lost')[
         :, -1
     ].mean().round(6)
-
-
-@pytest.mark.slow
-def test_teams_have_rows_of_their_own(scenario):
-    teams = (Strategy(), Strategy(2), Strategy(2, 'independent', 0.25))
-    scenario = replace(scenario, teams=teams, lethalities=(0.9,), trials=2)
-    results = run(scenario)
-    summary = summarise(results)
-    rows = {(row['method'], row['agents'], row['loss_cost']): row for row in summary['rows']}
-    assert len(rows) == len(summary['rows']) == 3 * 3
-    reference, other = (
-        results.series(0.9, method, *LOG_LOSS, team=teams[2])[:, -1]
-        for method in ('kappa_bnitp', 'relaxed_bnitp')
-    )
-    row = rows['relaxed_bnitp', 2, 0.25]
-    assert row['log_loss']['mean'] == pytest.approx(other.mean(), abs=1e-6)
-    assert row['difference']['mean'] == pytest.approx((reference - other).mean(), abs=1e-6)
-    assert (
-        '| `kappa_bnitp_published`, 2 independent, loss cost 0.25 |'
-        in summary_table(summary).markdown()
-    )
-    table = results.table().to_pylist()
-    assert len(table) == 9 * 2 * 5
-    assert {(r['agents'], r['allocation'], r['loss_cost']) for r in table} == {
-        (team.agents, team.allocation, team.loss_cost) for team in teams
-    }
 
 
 def test_a_single_trial_has_no_interval(results):
@@ -174,13 +140,6 @@ def test_reliability_by_hand():
     held, there = reliability(believed, truth)
     np.testing.assert_allclose(held, [0.1, 0.1, 0.15, 0.2, 0.2, 0.9, 0.9, 0.9, 0.9, 0.9])
     assert there[:5].tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
-
-
-@pytest.mark.slow
-def test_few_cells_make_few_classes():
-    held, there = reliability(np.array([[0.7], [0.2]]), np.array([[True], [False]]))
-    assert held.tolist() == [0.2, 0.7]
-    assert there.tolist() == [0.0, 1.0]
 
 
 @pytest.mark.slow
@@ -266,15 +225,6 @@ def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
     assert [[each.team for each in group] for group in groups] == [
         [Strategy(), *(Strategy(agents, how) for agents in (2, 4, 8))]
         for how in ('independent', 'voronoi', 'greedy')
-    ]
-
-
-@pytest.mark.slow
-def test_contenders_without_kinds_are_beside_the_first(scenario):
-    groups = group_contenders(changed(scenario, STUDIES['surveys']).contenders)
-    assert [[each.team for each in group] for group in groups] == [
-        [Strategy(), *SURVEYS[1:4]],
-        [Strategy(), *SURVEYS[4:]],
     ]
 
 
