@@ -16,12 +16,12 @@ from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
 
-# Probabilities of a hazard: up to the first a cell is free, from the second on suspected.
+# Limits of P(hazard): a cell is free up to the first, and suspected from the second.
 FREE, SUSPECTED = 0.05, 0.5
-# Probabilities of a target: from the first on it is found, from the second on listed.
+# Limits of P(target): a target is found from the first, and listed from the second.
 FOUND, LISTED = 0.95, 0.5
 
-# Minimum number of robots, the last quarter of a mission otherwise, that give its pace.
+# Robots that give the pace of a mission: its last quarter, and at least so many.
 LAST, FEWEST = 0.25, 5
 
 
@@ -93,7 +93,7 @@ def list_findings(mission: Mission) -> list[Finding]:
 
 
 def metres(value: float) -> str:
-    """Return metres to the millimetre, as pages and tables name places."""
+    """Round metres to millimetres, as pages and tables show them."""
     return f'{round(value, 3) + 0.0:.12g}'
 
 
@@ -189,7 +189,7 @@ def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float
 
 
 def advice(mission: Mission) -> tuple[str, str]:
-    """Return the next thing to do, in a few words, and the reason."""
+    """Return the recommended action, in a few words, and the reason."""
     out, decision = mission.in_flight, mission.decision
     if decision is not None and decision.reached:
         return 'Stop', f'The goal {decision.goal} is reached.'
@@ -304,7 +304,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
 
 
 def lane(mission: Mission) -> Tile:
-    """Return the text on the lane, or on another goal."""
+    """Describe the lane, or another goal."""
     decision = mission.decision
     if decision is None:
         goals = {str(each.get('goal.kind', 'map')) for each in mission.parameters.values()}
@@ -329,7 +329,7 @@ def lane(mission: Mission) -> Tile:
 
 
 def survived(decision: Decision) -> str:
-    """Return the text on a robot's survival of the lane; empty if there is none."""
+    """Describe a robot's survival of the lane; empty without a lane."""
     if not decision.path.size:
         return ''
     steps = counted(decision.path.size - 1, 'step')
@@ -337,7 +337,7 @@ def survived(decision: Decision) -> str:
 
 
 def risk(mission: Mission) -> str:
-    """Return the text on the lethality of hazards."""
+    """Describe the lethality of hazards."""
     last = mission.moments[-1]
     if 'lethality' not in last.state.numbers:
         return f'Lethality: {100.0 * last.snapshot.model.lethality:.0f} % (given).'
@@ -346,7 +346,7 @@ def risk(mission: Mission) -> str:
 
 
 def fit(mission: Mission) -> Tile:
-    """Return the text on how right the answers are, by the truth if recorded and by the model."""
+    """Describe how far to trust the answers, by the recorded truth and the model check."""
     question, (_, kinds, check) = 'Can I trust it?', mission.moments[-1].state
     right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
@@ -365,7 +365,7 @@ def fit(mission: Mission) -> Tile:
 
 
 def by_truth(mission: Mission, world: World) -> str:
-    """Return how many of the free and the suspected cells are what they are said to be."""
+    """Describe how many of the free and the suspected cells are so in truth."""
     cells, inside = classify_cells(mission), mission.grid.free
     missed = int((world.hazard & cells.free).sum())
     return (

@@ -61,7 +61,7 @@ def check_one_field(first: Mission, second: Mission) -> None:
 
 
 def reservations(first: Mission, second: Mission) -> Iterator[str]:
-    """Yield reasons why two missions in one field are less alike than they look."""
+    """Yield differences of two missions in one field that limit a comparison."""
     if first.grid.bases != second.grid.bases:
         yield 'The bases are different cells.'
     blocked = int((first.grid.free != second.grid.free).sum())
@@ -206,7 +206,7 @@ SIDES = ('A', 'B')
 
 
 def comparison_page(first: Pair, second: Pair) -> str:
-    """Return the page of two missions in one field, as `check_one_field` finds them to be."""
+    """Return the page of two missions that have passed `check_one_field`."""
     missions = first.mission, second.mission
     titles = [mission_title(each.log) for each in missions]
     maps = list(compared_maps(*missions))
@@ -236,7 +236,7 @@ def comparison_page(first: Pair, second: Pair) -> str:
 
 
 def comparison_notes(first: Mission, second: Mission) -> Iterator[str]:
-    """Yield what else is to be known of both, and of each."""
+    """Yield remarks on both missions, and on each."""
     yield from reservations(first, second)
     for side, mission in zip(SIDES, (first, second)):
         yield from (f'{side}: {note}' for note in mission.notes)
@@ -305,7 +305,7 @@ def comparison_data(
 
 
 def compared_panels(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
-    """Yield what each panel of curves is of, and the panel as Plotly's JSON."""
+    """Yield the title of each panel of curves, and the panel in Plotly's JSON."""
     panels: dict[str, dict[str, NDArray[np.float64]]] = {}
     for side, (_, curves) in zip(SIDES, (first, second)):
         for label, values in {

@@ -41,7 +41,7 @@ def recorded_datum(parameters: Parameters) -> Datum | None:
 
 
 def map_site(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
-    """Return the image of the map that a mission took its field from, and why there is none."""
+    """Return the image of the map that gave a mission its field, or why there is none."""
     name = next((each['map'] for each in parameters.values() if each.get('map')), '')
     if not name:
         return None, ''
@@ -134,7 +134,7 @@ class Mission:
         return [each.outcome for each in self.deployments if each.outcome is not None]
 
     def loss_cost(self, agent: str) -> float:
-        """Return the value of a lost robot of an agent, nats, as far as recorded."""
+        """Return the recorded cost of a lost robot of an agent, nats."""
         for values in self.parameters.values():
             if 'loss_cost' in values:
                 return float(values.get(f'team.{agent}.loss_cost') or values['loss_cost'])

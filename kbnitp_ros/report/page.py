@@ -50,7 +50,7 @@ MAX_BYTES = 15_000_000
 
 SECOND = 10**9
 
-# Minimum likelihood, relative to the best step, of steps shown as where a robot was lost.
+# Minimum likelihood of a step, relative to the likeliest, to be shown as the place of a loss.
 LIKELY = 0.5
 
 TEMPLATES = Environment(
@@ -65,7 +65,7 @@ class Column(NamedTuple):
     """A column of a table."""
 
     heading: str
-    # In a row.
+    # Key of the value in a row.
     name: str
     # Decimals; None for metres.
     decimals: int | None = 0
@@ -75,7 +75,7 @@ class Column(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """Return the classes of the column in the style sheet."""
+        """Return the style classes of the column."""
         return ' '.join(['text'] * self.is_text + ['minor'] * self.is_minor)
 
     def shown(self, value: Any) -> str:
@@ -442,7 +442,7 @@ def moment_data(
 
 
 def heard_on(seen: Observation | None) -> tuple[int, int] | None:
-    """Return the likely steps of a loss, first and last; None if nothing was heard."""
+    """Return the first and last likely step of a loss; None if all steps are alike."""
     if seen is None or seen.lost_at is None:
         return None
     (likely,) = np.nonzero(seen.lost_at >= LIKELY)

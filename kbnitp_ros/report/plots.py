@@ -131,7 +131,7 @@ def as_drawn(grid: Grid) -> Grid:
 
 
 def arrow_directions(grid: Grid, north: float | None) -> dict[str, float]:
-    """Return which ways the arrows beside a map point, in rad from the right, by their names."""
+    """Return the directions of the arrows beside a map by name, rad from the right."""
     directions = {'x': 0.0, 'y': pi / 2} if grid.yaw else {}
     if north is not None:
         directions['N'] = north

@@ -65,7 +65,7 @@ class Curves:
 def mission_curves(
     mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> Curves:
-    """Return how a mission went; `progress` passes the numbers of the moments on."""
+    """Return the curves of a mission; `progress` wraps the iteration over its moments."""
     moments, world = mission.moments, mission.world
     beliefs = [each.belief for each in moments]
     joint_entropy = np.array([each.joint_entropy() for each in beliefs])
@@ -104,7 +104,7 @@ def expected_at(mission: Mission, place: int) -> float:
 
 
 def gap_at(mission: Mission, place: int, expected: float) -> float:
-    """Return how much more another path than a moment's may have been worth, in nats."""
+    """Return the gap of a moment's path to the upper bound, in nats."""
     moment = mission.moments[place]
     before = mission.moments[place - 1]
     if isnan(expected) or isnan(before.upper_bound) or moment.deployment is None:
@@ -140,7 +140,7 @@ def out_at(mission: Mission) -> list[NDArray[np.intp]]:
 
 
 # Columns of the table of deployments. Cells and readings are texts of numbers, so that both files
-# hold the same.
+# have the same content.
 COLUMNS = pyarrow.schema(
     [
         ('deployment', pyarrow.int64()),

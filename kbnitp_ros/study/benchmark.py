@@ -67,11 +67,11 @@ PLANNER, METHOD = 'beam', 'kappa_bnitp'
 class FrozenBelief(NamedTuple):
     """A belief of a mission, with a bound on the value of any path."""
 
-    # Of the cells of `field`.
+    # Belief about the cells of `field`.
     belief: Belief
     # The believed sensor model.
     model: SensorModel
-    # Proven, nats.
+    # Proven upper bound of the value of a path, nats.
     bound: float
 
 
@@ -206,7 +206,7 @@ def benchmark_figure(entries: Sequence[Entry]) -> Figure:
 
 
 def draw(axes: Axes, entries: dict[str, Entry]) -> None:
-    """Draw a line with its interval for each."""
+    """Draw a line with its interval for each entry."""
     for place, (name, entry) in enumerate(entries.items()):
         draw_mean(axes, entry.series(*LOG_LOSS), SERIES[place % len(SERIES)], name)
     axes.grid(alpha=0.3)

@@ -72,7 +72,7 @@ from pyarrow import parquet
 Stated = Callable[[Strategy, Scenario], Any]
 Measured = Callable[[Series, Strategy, Strategy], Mean]
 
-# A column of a table: its head, and the format of a value or the decimals of means.
+# Head of a table column, and the format of its values or the decimals of its means.
 Column = tuple[str, 'str | int']
 METHOD: dict[str, Column] = {'method': ('method', '`{}`')}
 
@@ -81,9 +81,9 @@ METHOD: dict[str, Column] = {'method': ('method', '`{}`')}
 class Comparison:
     """A kind of study with its own section in the summary."""
 
-    # Of the section.
+    # Name of the section.
     name: str
-    # Whether a scenario is of this kind.
+    # Returns whether a scenario has this section.
     applies: Callable[[Scenario], bool]
     # Caption of the table; names in braces, here and in the heads, are filled from the section.
     caption: str
@@ -96,7 +96,7 @@ class Comparison:
     head: Callable[[Scenario], Row]
 
     def summarise(self, results: Results) -> Row:
-        """Return the section with its ``rows``, ready for JSON."""
+        """Return the section with its ``rows``, as JSON values."""
         return {**self.head(results.scenario), 'rows': [json_row(r) for r in self.rows(results)]}
 
     def table(self, summary: Row) -> Table:

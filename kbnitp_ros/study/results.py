@@ -193,7 +193,7 @@ SUMMARISED = {
 
 RESAMPLES = 2000
 
-# Decimals of a summary; more would show how sums were rounded.
+# Decimals of a summary; further ones depend on the rounding of sums.
 DECIMALS = 6
 
 
@@ -243,7 +243,7 @@ def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
 
 
 def summarise(results: Results) -> dict[str, Any]:
-    """Return the results of every method after the last robot, ready for JSON."""
+    """Summarize every method after the last robot, as JSON values."""
     scenario = results.scenario
     reference = scenario.methods[-1]
     labels = team_labels(scenario)
@@ -269,7 +269,7 @@ def summarise(results: Results) -> dict[str, Any]:
 
 
 def as_json(mean: Mean) -> dict[str, float | None]:
-    """Return the mean of one value, with its interval if it has one, ready for JSON."""
+    """Return a mean and its interval as JSON values."""
     return {
         name: None if np.isnan(value) else round(float(value), DECIMALS)
         for name, value in mean._asdict().items()
@@ -277,7 +277,7 @@ def as_json(mean: Mean) -> dict[str, float | None]:
 
 
 def json_row(row: Row) -> Row:
-    """Return a row ready for JSON."""
+    """Return a row as JSON values."""
     return {
         name: as_json(value) if isinstance(value, Mean) else value for name, value in row.items()
     }
@@ -308,12 +308,12 @@ def summary_table(summary: dict[str, Any]) -> Table:
 
 
 def lethality_cell(row: Row) -> Cell:
-    """Return the text of a row's lethality."""
+    """Return the table cell of a row's lethality."""
     return Cell(row['lethality'], in_short(row['lethality']))
 
 
 def shown(entry: dict[str, float | None], decimals: int = 1) -> str:
-    """Return the text of a mean, with its interval if it has one."""
+    """Format a mean, with its interval if it has one."""
     mean, *ends = (f'{value:.{decimals}f}' for value in entry.values() if value is not None)
     return f'{mean} [{", ".join(ends)}]' if ends else mean
 

@@ -38,19 +38,19 @@ from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.plans import check_team, team_size
 import numpy as np
 
-# Targets of flights besides `GOALS`, for comparison.
+# Baseline of flights besides `GOALS`.
 SAFEST_LANE = 'safest_lane'
 
 
 @dataclass(frozen=True)
 class DecisionRequest:
-    """The decision that all missions of a study make."""
+    """The decision requested of all missions of a study."""
 
-    # Of `GOALS`, but for 'map'.
+    # Name of a goal in `GOALS`, except 'map'.
     goal: Annotated[str, GOALS]
-    # Of the goal.
+    # Cells of the goal.
     cells: tuple[Annotated[int, (0, 999_999)], ...]
-    # Confidence at which missions for the goal end; 0: they do not.
+    # Confidence at which missions for the goal end; 0 for never.
     confidence: Annotated[float, (0.0, 1.0)] = 0.0
 
     def sought(self) -> Goal:
@@ -88,8 +88,7 @@ class SafestLane(Lane):
         return situation.planned(there_and_back(lane, lane), 0.0)
 
 
-# The methods compared: those that know all numbers, and the sampled one when it learns those of
-# the section learn.
+# The sampled method, and its name if it learns the numbers of the section learn.
 SAMPLED = 'kappa_bnitp_sampled'
 LEARNING = f'{SAMPLED}_learning'
 
@@ -108,8 +107,8 @@ PATHS = ('own', 'static')
 # Keys of the generators of drawn numbers, which no world has.
 DRAWN = 0x4452574E
 
-# A value's type and limits: the lowest and the highest number, or names, as of a registry, and
-# further ones.
+# Type of a value and its limits: lowest and highest number, or a collection of names and further
+# names.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
@@ -142,28 +141,28 @@ class Strategy:
 
     # Number of robots, at least 1.
     agents: Count = 1
-    # Of `ALLOCATIONS`.
+    # Name of an allocation in `ALLOCATIONS`.
     allocation: Annotated[str, ALLOCATIONS] = 'greedy'
     # Cost of a lost robot, nats, 0 to 1000.
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
     # Probability that the base receives a contact after each step, 0 to 1.
     last_contact: Probability = 0.0
-    # Of `PLANNERS`; empty for that of the section planning.
+    # Name of a planner in `PLANNERS`; empty for that of the section planning.
     planner: Annotated[str, PLANNERS, ''] = ''
-    # Share of cells that a map of hazards known beforehand has right, 0 to 1; 0 for no map.
+    # Share of cells that are right in a map of hazards known beforehand, 0 to 1; 0 for no map.
     survey: Probability = 0.0
-    # Share that it is believed to have right, 0 to 1; 0 for the true share.
+    # Believed share of right cells in that map, 0 to 1; 0 for the true share.
     trusted: Probability = 0.0
-    # Of `OBJECTIVES`.
+    # Name of an objective in `OBJECTIVES`.
     objective: Annotated[str, OBJECTIVES] = 'information'
-    # Of the objective 'behavioral', 0.2 to 5.
+    # Alpha of the objective 'behavioral', 0.2 to 5.
     alpha: Annotated[float, ALPHAS] = 1.0
     # Kind of hazards believed, one of `HAZARDS`; empty: the kind in the worlds.
     dynamics: Annotated[str, HAZARDS, ''] = ''
     # 'learn' for hazards believed to cluster, with a learnt coupling; empty for independent ones.
     clustering: Annotated[str, ('learn',), ''] = ''
-    # 'own' for paths planned on the own belief, 'static' for those on the belief of `kappa_bnitp`
-    # in static hazards, so that all strategies with these have the same evidence.
+    # 'own' for paths planned on the own belief, 'static' for paths planned on the belief of
+    # `kappa_bnitp` in static hazards, which give all strategies the same evidence.
     paths: Annotated[str, PATHS] = 'own'
     # Base of every second robot of a round; -1: all leave from the base of the grid.
     second_base: Annotated[int, (-1, 999_999)] = -1
@@ -206,7 +205,7 @@ def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
 
 @dataclass(frozen=True)
 class Densities:
-    """Densities of the worlds, as for `World.random`; None is drawn anew for each world."""
+    """Densities of the worlds, as in `World.random`; None to draw one for each world."""
 
     hazard_density: Probability | None
     kappa: Probability | None
@@ -217,13 +216,13 @@ class Densities:
 class Hazards:
     """Layout and dynamics of the worlds' hazards."""
 
-    # Kind, of `HAZARDS`.
+    # Kind of hazards in `HAZARDS`.
     dynamics: Annotated[str, HAZARDS] = 'static'
     # Rates of changing and of moving hazards, in the worlds and as believed.
     appear: Probability = 0.0
     vanish: Probability = 0.0
     move: Probability = 0.0
-    # Of `LAYOUTS`.
+    # Name of a layout in `LAYOUTS`.
     layout: Annotated[str, LAYOUTS] = 'independent'
 
     def of_kind(self, kind: str) -> Dynamics:
@@ -256,30 +255,30 @@ class Prior:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A study: missions by every method and team, at every lethality, in the same worlds."""
+    """A study: missions of every method and team at every lethality, in the same worlds."""
 
-    # At least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, whatever the
-    # method, the team and the lethality.
+    # Seed, at least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, so
+    # that methods, teams and lethalities share them.
     seed: Annotated[int, (0, 2**63 - 1)]
     # Number of worlds, at least 1.
     trials: Count
     # Number of deployments of a mission, at least 1.
     robots: Count
-    # Of `METHODS`, or `LEARNING`.
+    # Names of methods in `METHODS`, or `LEARNING`.
     methods: tuple[Annotated[str, METHODS, LEARNING], ...]
-    # Of the worlds, in [0, 1]; None is drawn anew for each world.
+    # Lethalities of the worlds, in [0, 1]; None to draw one for each world.
     lethalities: tuple[Probability | None, ...]
-    # Sections. Without a prior it follows from the world's densities.
+    # Sections. Without a prior section the prior follows from the densities of the worlds.
     grid: Extent
     planning: Planning
     world: Densities
     sensor: Sensor
     prior: Prior | None
-    # Lethality that planner and estimator assume, in [0, 1]; None for the world's.
+    # Lethality assumed by planner and estimator, in [0, 1]; None for the true one.
     believed_lethality: Probability | None = None
     # Without teams robots go one by one.
     teams: tuple[Strategy, ...] = (ALONE,)
-    # Priors of numbers that the learning method is not told, and of numbers that are None.
+    # Priors of the numbers that the learning method learns, and of numbers that are None.
     learn: Unknowns = ALL_KNOWN
     # Without this section hazards are static and independent.
     hazards: Hazards = INDEPENDENT
@@ -456,12 +455,12 @@ def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator
 
 
 def in_percent(lethality: float | None) -> str:
-    """Return the text of a lethality, in percent."""
+    """Format a lethality in percent."""
     return 'drawn' if lethality is None else f'{100 * lethality:.4g} %'
 
 
 def in_short(lethality: float | None) -> str:
-    """Return the text of a lethality in a table."""
+    """Format a lethality for a table."""
     return 'drawn' if lethality is None else f'{lethality:.4g}'
 
 

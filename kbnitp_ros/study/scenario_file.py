@@ -15,7 +15,7 @@ from kbnitp_ros.study.scenario import NUMBERS, Probability, Scenario
 KINDS = {int: 'a whole number', float: 'a number'}
 
 
-# Priors of the numbers that the learning method is not told.
+# Types of the priors of learnt numbers.
 PRIORS: dict[type, dict[str, Any]] = {
     Unknowns: dict.fromkeys(NUMBERS, Beta | None),
     Beta: {
@@ -34,7 +34,7 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def parse_scenario(content: Any) -> Scenario:
-    """Return the scenario that YAML, or Python, says."""
+    """Return the scenario of YAML content or a Python mapping."""
     scenario: Scenario = _read(Scenario, content, '')
     for key, check in (
         ('grid', scenario.field),
@@ -53,7 +53,7 @@ def parse_scenario(content: Any) -> Scenario:
 
 
 def _read(annotation: Any, value: Any, key: str) -> Any:
-    """Parse what YAML loaded for `key` by its annotation: a section, a list or a value."""
+    """Parse the YAML content of `key` by its annotation: a section, a list or a value."""
     if is_dataclass(annotation):
         return _read_section(annotation, value, key)
     if get_origin(annotation) in (Union, UnionType):

@@ -90,7 +90,7 @@ def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int)
     return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
 
 
-# Measured before the first robot and after each; nats and squares are sums over the cells.
+# Measures before the first robot and after each; nats and squares are sums over the cells.
 MEASURES = (
     'entropy_hazard',
     'entropy_target',
@@ -113,28 +113,28 @@ LEARNT = ('mean', 'sd', *QUANTILES)
 class Trial(NamedTuple):
     """The key of a mission in a study."""
 
-    # Of the world; None if it is drawn.
+    # Lethality of the world; None if it is drawn.
     lethality: float | None
-    # Of the estimator: of `METHODS`, or `LEARNING`.
+    # Name of the method in `METHODS`, or `LEARNING`.
     method: str
-    # Of the world, from 0.
+    # Number of the world, from 0.
     number: int
-    # Robots that leave together.
+    # Team that leaves together.
     team: Strategy = ALONE
 
 
 class MissionResult(NamedTuple):
     """The saved result of a mission."""
 
-    # As `measure_names` says, before the first robot and after each; once a mission is over they
-    # stay. The information of the row before the first robot is NaN. Shape (robots + 1, measures).
+    # The measures of `measure_names` before the first robot and after each, shape (robots + 1,
+    # measures); constant once a mission is over. The information in the first row is NaN.
     measures: NDArray[np.float64]
     # The hazard and the target map after the last robot, shape (2, cells).
     believed: NDArray[np.float64]
     # The true hazards and targets after the last robot, shape (2, cells).
     truth: NDArray[np.bool_]
-    # Posterior of each of `NUMBERS` by the statistics `LEARNT`, shape (robots + 1, numbers,
-    # learnt); NaN if it was told.
+    # Statistics `LEARNT` of the posterior of each of `NUMBERS`, shape (robots + 1, numbers,
+    # learnt); NaN for known numbers.
     learnt: NDArray[np.float64]
     # The world's `NUMBERS`, shape (numbers,).
     numbers: NDArray[np.float64]
@@ -156,7 +156,7 @@ def list_trials(scenario: Scenario) -> list[Trial]:
 
 
 def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
-    """Run one mission; the same arguments give the same bits."""
+    """Run one mission; equal arguments give equal bits."""
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
@@ -252,7 +252,7 @@ def carried(rows: ArrayLike, robots: int) -> NDArray[np.float64]:
 
 
 def as_learnt(number: Learnt | None) -> tuple[float, ...]:
-    """Return the statistics `LEARNT` of a number; NaN if it was told."""
+    """Return the statistics `LEARNT` of a number; NaN if it is known."""
     if number is None:
         return (np.nan,) * len(LEARNT)
     return number.mean, number.sd, *map(number.quantile, QUANTILES)
@@ -262,8 +262,9 @@ def as_learnt(number: Learnt | None) -> tuple[float, ...]:
 DECLARED = 0.95
 
 
-# Measures of decisions: robots sent; that the goal is free as believed and in truth; independent
-# draws; shares of the goal's cells declared free, and of those that are truly free as well.
+# Measures of decisions: robots sent; probability that the goal is free, and whether it is;
+# independent draws; shares of the goal's cells that are declared free, and that are declared free
+# rightly.
 OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared_free')
 
 

@@ -87,7 +87,7 @@ class Folder:
 
     def _file(self, trial: Trial) -> Path:
         strategy = vars(trial.team).items()
-        # In the name of every file these would rename those of earlier studies.
+        # Other fields in every name would rename the files of earlier studies.
         earlier = ('agents', 'allocation', 'loss_cost')
         unnamed = (*earlier, 'last_contact', 'planner')
         team = '-'.join(
