@@ -27,6 +27,7 @@ from kbnitp_ros.study.results import (
     trade,
 )
 from kbnitp_ros.study.scenario import (
+    differ_only_in,
     LEARNING,
     Scenario,
     Strategy,
@@ -39,8 +40,7 @@ from numpy.typing import NDArray
 def differ_in_size(scenario: Scenario) -> bool:
     """Return whether the teams differ in size, and otherwise only in their allocations."""
     sizes = {team.agents for team in scenario.teams}
-    others = {(team.loss_cost, team.last_contact) for team in scenario.teams}
-    return len(sizes) > 1 and len(others) == 1
+    return len(sizes) > 1 and differ_only_in(scenario, 'agents', 'allocation')
 
 
 def common_rounds(scenario: Scenario) -> int:

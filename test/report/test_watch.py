@@ -51,6 +51,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
     half = len(SENT) // 2
     with LogWriter(path) as log, opened(browser, path) as page:
         says(page, 'Waiting for the first belief')
+        log.add_metadata('parameters/planner', {'robots': '6'})
         record_to(log, SENT[:half], synced=True)
         page.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
         says(page, 'Following the log')
@@ -64,6 +65,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         page.uncheck('[value=free]')
         page.fill('#x', '-1.25')
         page.press('#x', 'Enter')
+        page.locator('summary').first.click()
         page.click('#way-to')
         record_to(log, SENT[half:], synced=True)
         until(page, 'document.getElementById("moment").max === "6"')
@@ -78,6 +80,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         assert page.evaluate('document.activeElement.id') == 'way-to'
         assert page.is_checked('#colour-target')
         assert not page.is_checked('[value=free]')
+        assert page.locator('details[open]').count() == 1
         assert page.inner_text('#way').startswith('The safest way from')
         assert 'of 6 robots lost' in page.inner_text('#answers')
         rows = page.evaluate('document.getElementById("map").data[0].z')

@@ -19,6 +19,8 @@ async function start(signal, kept, main) {
   // Nothing is waited for from here on, so that nobody sees a page half drawn.
   if (main) {
     document.querySelectorAll('.js-plotly-plot').forEach(Plotly.purge);
+    const open = [...document.querySelectorAll('details[open] > summary')].map((each) => each.textContent);
+    main.querySelectorAll('details').forEach((each) => { each.open = open.includes(each.firstChild.textContent); });
     document.querySelector('main').replaceWith(main);
   }
   const CURVES = Object.keys(plots).filter((id) => id.startsWith('curve-'));
