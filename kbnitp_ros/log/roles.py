@@ -140,7 +140,7 @@ class Roles:
     @cached_property
     def by_topic(self) -> dict[str, Role]:
         """Return the role of each topic that has one."""
-        return {topic: role_called(name) for name, topic in self.names.items()}
+        return {topic: role for name, topic in self.names.items() if (role := find_role(name))}
 
     @property
     def record(self) -> dict[str, str]:
@@ -176,12 +176,12 @@ class Roles:
         return ''
 
 
-def role_called(name: str) -> Role:
-    """Return the role of a name such as `belief` or `scout_1/path`."""
+def find_role(name: str) -> Role | None:
+    """Return the role of a name such as `belief` or `scout_1/path`; None if it is unknown."""
     if name in OF_MISSION:
         return Role(name, '', OF_MISSION[name])
     agent, _, own = name.partition('/')
-    return Role(own, agent, OF_AGENT[own])
+    return Role(own, agent, OF_AGENT[own]) if own in OF_AGENT else None
 
 
 def roles_on_record(
@@ -193,8 +193,10 @@ def roles_on_record(
     for item in read_recorded(log, []):
         if isinstance(item, RecordedMessage):
             topics[item.channel.topic] = item.schema.name
-        elif item.name == RECORD and namespace in (None, item.values[NAMESPACE]):
-            return Roles(item.values.pop(NAMESPACE), item.values)
+        elif item.name == RECORD and {NAMESPACE, 'belief'} <= item.values.keys():
+            # Other programs may write a record of this name.
+            if namespace in (None, item.values[NAMESPACE]):
+                return Roles(item.values.pop(NAMESPACE), item.values)
         elif item.name.startswith(f'{PARAMETERS}/'):
             nodes.setdefault(item.name.removeprefix(PARAMETERS), {}).update(item.values)
     return roles_of_old(log, namespace, own, nodes, topics)

@@ -150,7 +150,9 @@ def test_messages_without_a_role_change_nothing(whole, tmp_path):
         # Our recorder never records another type on a topic of the mission.
         log = tmp_path / f'{number}.mcap'
         with LogWriter(log) as writer:
-            writer.add_metadata(RECORD, ROLES.record)
+            # A record of another program, and a role of a later version.
+            writer.add_metadata(RECORD, {'admin': 'root'})
+            writer.add_metadata(RECORD, {**ROLES.record, 'weather': '/m/battery/status'})
             for entry in mixed:
                 try:
                     record_to(writer, [entry])
