@@ -233,11 +233,12 @@ def text(numbers: list[int]) -> str:
 
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
     """Write deployments.parquet and deployments.csv; raises OSError."""
-    table = COLUMNS.empty_table()
     if found := rows(mission, curves):
-        # Columns made from Python lists import pandas, which takes longer than the table.
+        # Tables made from Python lists import pandas, which takes longer than the table.
         lines = '\n'.join(map(json.dumps, found)).encode()
         table = read_json(BytesIO(lines), parse_options=ParseOptions(explicit_schema=COLUMNS))
+    else:
+        table = COLUMNS.empty_table()
     parquet.write_table(table, folder / 'deployments.parquet')
     csv.write_csv(table, folder / 'deployments.csv')
 
