@@ -8,12 +8,10 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-import signal
-import sys
 from threading import Condition, Event, Thread
 import time
 
-from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.cli.study import count
 from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.read import is_finished
@@ -72,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help=f'address to listen on; default {HOST}, which this machine alone can reach',
     )
     options = parser.parse_args(argv)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    end_on_signals()
     try:
         log = options.log or newest_log()
         if not log.exists():
