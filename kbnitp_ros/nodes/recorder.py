@@ -152,15 +152,12 @@ class RecorderNode(MissionNode):
 
     def finish(self) -> None:
         """Record the messages that have arrived."""
-        self._write_arrived()
+        self._write_arrived_on(self._topics.values())
         self._early.try_again(is_last=True)
         self.get_logger().info(f'the log of the mission is {self._log.path}')
 
-    def _write_arrived(self) -> None:
-        """Write the messages that have arrived, in their order."""
-        self._write_arrived_on(self._topics.values())
-
     def _write_arrived_on(self, topics: Iterable[RecordedTopic]) -> None:
+        """Write the messages that have arrived on some topics, in their order."""
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
@@ -342,7 +339,7 @@ class RecorderNode(MissionNode):
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
             # One sync serves all that waits: the paths of a round arrive together, and so does a
             # whole history. All that was published before an acknowledgement is then on disk.
-            self._write_arrived()
+            self._write_arrived_on(self._topics.values())
             self._sync()
             self._acknowledge_all()
 
