@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from kbnitp_ros.log.files import (
@@ -31,19 +31,6 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 MAX_MESSAGE = 63 * 2**20
 
 
-@dataclass
-class Topic:
-    """A topic of the log."""
-
-    definition: Definition
-    # Metadata of the channel.
-    metadata: dict[str, str]
-    # Number of messages written, to all parts.
-    messages: int = 0
-    # Id of the channel in the current part.
-    channel: int = 0
-
-
 class LogWriter:
     """
     Writer of CDR messages to a new log, or with `resume` to a new part of an old one.
@@ -66,7 +53,12 @@ class LogWriter:
         self._compression = compression
         self._max_size = max_file_size or 2**63
         self._max_duration = round(max_file_duration * 1e9) or 2**63
-        self._topics: dict[str, Topic] = {}
+        # Definition of the type, and metadata of the channel, by topic.
+        self._topics: dict[str, tuple[Definition, dict[str, str]]] = {}
+        # Ids of the channels in the current part.
+        self._channels: dict[str, int] = {}
+        # Numbers of messages written, to all parts.
+        self._messages: Counter[str] = Counter()
         self._metadata: dict[str, dict[str, str]] = {}
         self._finished: list[BagFile] = []
         self._number = 0
@@ -103,16 +95,14 @@ class LogWriter:
         description = describe(type_name)
         definition = type_name, SchemaEncoding.ROS2, description.definition.encode()
         metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
-        known = self._topics.get(topic)
-        self._topics[topic] = Topic(definition, metadata, known.messages if known else 0)
+        self._topics[topic] = definition, metadata
         self._add_channel(topic)
 
     def _add_channel(self, topic: str) -> None:
         """Add a topic to the current part."""
-        added = self._topics[topic]
         with self._writing() as part:
-            added.channel = part.add_channel(
-                topic, MessageEncoding.CDR, added.definition, added.metadata
+            self._channels[topic] = part.add_channel(
+                topic, MessageEncoding.CDR, *self._topics[topic]
             )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -132,16 +122,16 @@ class LogWriter:
                 f'a message of topic {topic} has {len(data)} bytes: at most {MAX_MESSAGE} are '
                 'written'
             )
-        entry = self._topics[topic]
         with self._writing() as part:
             contents = part.contents
-            entry.messages += 1
+            self._messages[topic] += 1
             if contents.last and (
                 part.size - part.preamble >= self._max_size
                 or log_time - contents.first >= self._max_duration
             ):
                 part = self._next_part()
-            part.write(entry.channel, data, max(log_time, 0), max(publish_time, 0), entry.messages)
+            channel, number = self._channels[topic], self._messages[topic]
+            part.write(channel, data, max(log_time, 0), max(publish_time, 0), number)
 
     def sync(self) -> None:
         """Put everything written so far onto the disk."""
@@ -151,9 +141,9 @@ class LogWriter:
 
     def check_in_place(self) -> None:
         """Check that the log was not removed or replaced; raises FileNotFoundError."""
-        with self._writing() as part:
-            part.check_in_place()
-            self._lock.check_in_place()
+        if self._part is not None:
+            self._part.check_in_place()
+        self._lock.check_in_place()
 
     def close(self) -> None:
         """Finish the log and put it onto the disk, unless it is closed already."""

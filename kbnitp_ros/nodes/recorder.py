@@ -41,7 +41,7 @@ from kbnitp_ros.nodes.recorded_topics import (
 )
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import TOPICS
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, waiting_for
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode, PendingMessages
@@ -288,7 +288,7 @@ class RecorderNode(MissionNode):
         self.diagnostics.state = self._state()
         return topic
 
-    def _state(self) -> NodeState:
+    def _state(self) -> str:
         """Describe the topics recorded and the nodes awaited."""
         recording = f'recording {len(self._topics)} topics'
         if self._differing:
@@ -302,7 +302,7 @@ class RecorderNode(MissionNode):
         known = {topic.role.name for topic in self._topics.values() if topic.role}
         absent = [who for kind, who in AWAITED.items() if kind not in known]
         if not absent:
-            return NodeState(recording)
+            return recording
         return waiting_for(
             f'{" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
         )
