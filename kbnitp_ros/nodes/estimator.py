@@ -119,7 +119,7 @@ class EstimatorNode(FieldNode):
                 if role.name == 'status':
                     self._departures.take(*logged.said)
                 elif is_of_mission(role, logged, self._mission):
-                    record(self._ledger, role, logged.message)
+                    record(self._ledger, role, logged)
         for key in self._ledger.deployments:
             self._departures.end(key, None)
 

@@ -74,7 +74,7 @@ def folded(log):
     """Return an estimator's belief after all evidence of a log."""
     register = ledger()
     for role, logged in MissionLog(log).read('path', 'report'):
-        record(register, role, logged.message)
+        record(register, role, logged)
     return register.belief.joint.tobytes()
 
 
