@@ -132,12 +132,12 @@ LETTERS = {
 METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
 
 
-def save(figure: Figure, path: Path, *formats: str) -> list[Path]:
+def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path]:
     """Write a figure once for each format."""
     files = [path.with_suffix(f'.{each}') for each in formats]
     with rc_context({**EMBEDDED, **AS_ASKED}):
         for file, each in zip(files, formats):
-            figure.savefig(file, dpi=DPI, metadata=METADATA[each])
+            figure.savefig(file, dpi=dpi, metadata=METADATA[each])
             # Laid out once, so that all formats are alike.
             figure.set_layout_engine(None)
     return files

@@ -153,6 +153,8 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
         number = sum(each.survived == survived for each in ended)
         axes[panel].set_title(f'{counted(number, "robot")} {what}', fontsize='medium')
         hatch(axes[panel], grid, ~visited & grid.free)
+    for panel_axes in axes.values() if world else ():
+        panel_axes.label_outer()
     figure.suptitle(note or caption(mission), fontsize='medium')
     return figure
 

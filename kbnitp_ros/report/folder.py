@@ -38,9 +38,9 @@ def write_report(
         page, left_out = mission_page(mission, curves)
         new.joinpath('report.html').write_text(page, encoding='utf-8')
         done('report.html')
-        save(maps_figure(mission, note), new / 'maps.png', 'png', 'svg')
+        save(maps_figure(mission, note), new / 'maps.png', 'png', 'svg', dpi=DPI)
         done('maps.png')
-        save(progress_figure(mission, curves), new / 'progress.png', 'png', 'svg')
+        save(progress_figure(mission, curves), new / 'progress.png', 'png', 'svg', dpi=DPI)
         done('progress.png')
         write_tables(new, mission, curves)
         done('deployments.parquet')
@@ -55,6 +55,9 @@ def write_comparison(folder: Path, page: str) -> None:
     with whole_folder(folder) as new:
         new.joinpath('comparison.html').write_text(page, encoding='utf-8')
 
+
+# Of PNG files, for screens: SVG files are for print.
+DPI = 150
 
 # The parts that `write_report` counts.
 PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'belief.npz')
