@@ -42,7 +42,6 @@ sys.addaudithook(_refuse_processes)
 
 
 def pytest_addoption(parser):
-    """Add `--case`, which runs one case of a law."""
     parser.addoption(
         '--case', help='run this case of laws alone, as its failure names it, or those of a value'
     )

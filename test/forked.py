@@ -45,13 +45,11 @@ def _run(
 
 
 def run_node(arguments: list[str], depth: int = qos.DEPTH) -> int:
-    """Run a node with this command line."""
     qos.DEPTH = qos.EVIDENCE.depth = depth
     return main(arguments)
 
 
 def run_simulator(file: Path) -> int:
-    """Simulate robots as configured in a file."""
     # Import here: it takes a second, and only the fork server does it earlier.
     from simulator import simulate
 
@@ -77,28 +75,23 @@ class ForkedProcess:
 
     @property
     def returncode(self) -> int | None:
-        """Return the exit code; None while it runs, negative after a signal."""
         return self._process.exitcode
 
     def poll(self) -> int | None:
-        """Return the exit code; None while it runs."""
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int | None:
-        """Wait for the end and return the exit code."""
         self._process.join(timeout)
         if self.returncode is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
         return self.returncode
 
     def send_signal(self, number: int) -> None:
-        """Send a signal, unless it has ended."""
         if self.returncode is None:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
     def kill(self) -> None:
-        """Kill it."""
         self.send_signal(signal.SIGKILL)
 
 

@@ -57,7 +57,6 @@ def interrupt(mission):
 
 
 def node_pids(mission):
-    """Return the process ids of launched nodes, by namespace and name."""
     children = Path(f'/proc/{mission.pid}/task/{mission.pid}/children').read_text().split()
     found = {}
     for child in children:
@@ -68,7 +67,6 @@ def node_pids(mission):
 
 
 def nodes_of_demo(demo):
-    """Return the process ids of a demo's nodes, by name."""
     return {
         name: int(child)
         for child in Path(f'/proc/{demo.pid}/task/{demo.pid}/children').read_text().split()

@@ -75,7 +75,6 @@ def check_lines(figure):
 
 
 def dash_pattern(line):
-    """Return the dash pattern of a line's style."""
     return line._unscaled_dash_pattern
 
 

@@ -25,7 +25,6 @@ HOME = [0, 1, 2, 1, 0]
 
 
 def key(number, agent='scout_1'):
-    """Return the name of a deployment."""
     return DeploymentKey(agent, number * 10**9)
 
 
@@ -41,7 +40,6 @@ def on_disk(message):
 
 
 def prior(mission=0):
-    """Return the first belief of a mission."""
     estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
     return belief_maps(Ledger(GRID, 6, estimator), 1, mission)
 
@@ -67,7 +65,6 @@ def lost(number):
 
 
 def changed(message, **fields):
-    """Return a copy of a message with other values in some fields."""
     copy = deepcopy(message)
     for name, value in fields.items():
         setattr(copy, name, value)
@@ -75,14 +72,12 @@ def changed(message, **fields):
 
 
 def in_frame(message, frame):
-    """Return a copy of a message in another frame."""
     copy = deepcopy(message)
     copy.header.frame_id = frame
     return copy
 
 
 def with_pose(message, index, **fields):
-    """Return a copy of a path with another position in one pose."""
     copy = deepcopy(message)
     for name, value in fields.items():
         setattr(copy.poses[index].pose.position, name, value)

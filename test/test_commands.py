@@ -20,7 +20,6 @@ from kbnitp_ros.starting import EXECUTABLES, EXTRAS
 from laws import for_each
 import pytest
 
-# Options without a default value.
 FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out', '--page')
 
 
@@ -62,7 +61,6 @@ def test_every_command_has_a_version_and_a_help(name):
 
 
 def help_options(told):
-    """Return the text on each option in a command's help, by option."""
     options = re.findall(r'(?m)^  (--[\w-]+) (.*\n(?: {19,}.*\n)*)', told)
     return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
 
@@ -102,9 +100,6 @@ def test_an_unknown_name_is_named(capsys):
 def test_nothing_is_imported_before_its_name_is_known():
     program = 'import sys, kbnitp_ros.__main__; sys.exit("rclpy" in sys.modules)'
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0
-
-
-# A signal ends every executable well, even during its start.
 
 
 # Replaces a library that is slow to import and used by all.

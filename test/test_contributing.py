@@ -65,7 +65,6 @@ BY_LUCK = """
 
 
 def paragraph(beginning):
-    """Return the list of a change."""
     (found,) = (each for each in LISTS.split('\n\n') if each.startswith(beginning))
     return found
 
@@ -77,7 +76,7 @@ def paragraph(beginning):
         {
             'kbnitp_ros/report/tables.py': {
                 "('path', pyarrow": "('first_cell', pyarrow.int64()),\n        ('path', pyarrow",
-                "'path': text(": "'first_cell': deployment.path[0],\n            'path': text(",
+                "'path': text(": "'first_cell': int(deployment.path[0]), 'path': text(",
             },
         },
         COLUMN,
@@ -128,9 +127,6 @@ def test_a_list_names_all_that_a_change_needs(tmp_path, change, edits, script):
     assert told.returncode == 0, told.stderr
 
 
-# Methods, planners and allocations of other packages are held to all laws.
-
-
 NAME = 'newcomer'
 SOURCE = """
 from kbnitp_ros.core import update
@@ -159,7 +155,6 @@ ADDED = {
     'allocations': {NAME: 'allocate'},
 }
 
-# Quick tests that use registered names, and laws of all methods or planners.
 CONCERNED = [
     'test/core',
     'test/messages',
@@ -196,7 +191,9 @@ def check(environment, *runs):
     common = ['-q', '-p', 'no:cacheprovider']
     code = f'import pytest, sys; sys.exit(any(pytest.main({common} + each) for each in {[*runs]}))'
     command = [sys.executable, '-c', code]
-    tested = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    # Options for this run, as of xdist, are none of theirs.
+    alone = {name: value for name, value in environment.items() if name != 'PYTEST_ADDOPTS'}
+    tested = subprocess.run(command, cwd=ROOT, env=alone, capture_output=True, text=True)
     assert tested.returncode == 0, tested.stdout[-5000:]
     return tested.stdout
 
@@ -225,15 +222,11 @@ def test_every_test_holds_with_newcomers(environment):
     check(environment, CONCERNED)
 
 
-# Benchmarks measure what they state, and write it down.
-
-
 FOLDER = Path(__file__).parents[1] / 'benchmarks'
 
 
 @pytest.fixture
 def load(monkeypatch):
-    """Return a function that imports a file of benchmarks/ like the command does."""
     monkeypatch.syspath_prepend(str(FOLDER))
     before = set(sys.modules)
     yield import_module

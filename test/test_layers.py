@@ -61,12 +61,10 @@ MODULES = {
 
 @cache
 def sources():
-    """Return the syntax tree of each module by its path."""
     return {path: ast.parse(path.read_text()) for path in PATHS}
 
 
 def find_layer(path):
-    """Return a module's folder in kbnitp_ros, dotted, or a file that is a layer; or ''."""
     inside = path.relative_to(ROOT / 'kbnitp_ros')
     return '.'.join(inside.parts[:-1]) or (inside.stem if inside.stem in BELOW else '')
 
@@ -85,7 +83,6 @@ def find_module(name):
 
 
 def imports():
-    """Yield (path, layer, absolute dotted name) of all imports."""
     for path, tree in sources().items():
         package = path.parent.relative_to(ROOT).parts
         for node in ast.walk(tree):

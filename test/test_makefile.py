@@ -37,7 +37,6 @@ def tree(tmp_path):
 
 
 def make(tree, pip, npm):
-    """Return the result of installing test dependencies with these shell scripts."""
     for name, does in (('.venv/bin/pip', pip), ('bin/npm', npm)):
         (tree / name).write_text(f'#!/bin/bash\n{does}\n')
         (tree / name).chmod(0o755)
@@ -127,9 +126,6 @@ def test_an_interrupt_ends_running_programs(tree):
     made.communicate(timeout=30)
     assert made.returncode != 0
     assert not Path('/proc', (tree / 'pid').read_text().strip()).exists()
-
-
-# `make build` names missing parts of the machine in one line.
 
 
 SCRIPT = Path(__file__).parents[1] / 'tools' / 'check_machine.sh'

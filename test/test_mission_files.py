@@ -92,7 +92,6 @@ def assert_is_whole(log, reports):
 
 @pytest.fixture
 def configured(tmp_path):
-    """Return a function that changes lines of the configuration, in the file short.yaml."""
     pytest.importorskip('launch_ros', reason='launch comes with an installation of ROS 2 only')
 
     def change(**values):

@@ -269,16 +269,12 @@ def test_colcon_runs_the_tests_with_pytest():
     assert "'test': ['pytest']" in ROOT.joinpath('setup.py').read_text()
 
 
-# The workflows run the commands of the README, with the tests' dependencies.
-
-
 WORKFLOWS = sorted(ROOT.joinpath('.github/workflows').glob('*.yml'))
 README = (ROOT / 'README.md').read_text()
 COMMANDS = (ROOT / 'docs/commands.md').read_text()
 
 
 def steps(name):
-    """Return the commands of a workflow, line by line."""
     workflow = yaml.safe_load((ROOT / f'.github/workflows/{name}.yml').read_text())
     (job,) = workflow['jobs'].values()
     return [line for step in job['steps'] for line in step.get('run', '').splitlines()]

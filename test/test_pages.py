@@ -34,7 +34,6 @@ COMMAND = re.compile(r'^python3 -m kbnitp_ros (\w+) .*$', re.MULTILINE)
 
 
 def run(program, folder, text=''):
-    """Run a program on a text in a folder; return its output."""
     ran = subprocess.run(
         program,
         input=text,
@@ -49,7 +48,6 @@ def run(program, folder, text=''):
 
 
 def lines(text):
-    """Return the lines of a console, without parts that depend on machine or time."""
     domain, stamp, tree = (
         r'(?<=ROS_DOMAIN_ID=)\d+',
         r'(?<=\[)\d+\.\d+(?=\])',
@@ -128,9 +126,6 @@ def test_the_readme_is_short_and_so_are_its_sentences():
     assert [each for each in sentences if len(each.split()) > 30] == []
 
 
-# The files that docs/files.md shows
-
-
 def shown(name):
     """Return the page's example of a kind of file."""
     (text,) = (text for _, text in blocks('docs/files.md') if text.startswith(f'# {name}\n'))
@@ -157,15 +152,11 @@ def test_files_are_read_as_the_page_shows_them(tmp_path):
 
 
 def keys_in(kind):
-    """Yield the keys of a section and of its subsections."""
     for name, hint in get_type_hints(kind).items():
         yield name
         for inner in (hint, *get_args(hint)):
             if is_dataclass(inner):
                 yield from (field.name for field in fields(inner))
-
-
-# Numbers
 
 
 @pytest.mark.slow
@@ -219,9 +210,6 @@ def test_the_glossary_is_short_and_names_existing_code():
     assert [name for name in names if locate(f'kbnitp_ros.{name}') is None] == []
 
 
-# Notebooks
-
-
 def outputs(path):
     """
     Return the cells of a notebook, and the texts and kinds of pictures that stand below each.
@@ -252,8 +240,6 @@ def test_notebooks_show_what_comes_out(tmp_path):
         assert any(streams or kinds for *_, streams, kinds in outputs(path))
 
 
-# Links, to files and to headings; no network is needed
-
 PAGES = [
     *(path for folder in ('', 'msg_defs') for path in sorted((ROOT / folder).glob('*.md'))),
     *sorted(ROOT.joinpath('docs').rglob('*.md')),
@@ -262,7 +248,6 @@ PAGES = [
 
 
 def page_text(path):
-    """Return the text of a page without its code."""
     said = path.read_text()
     if path.suffix == '.ipynb':
         cells = json.loads(said)['cells']
@@ -271,7 +256,6 @@ def page_text(path):
 
 
 def anchors(said):
-    """Yield the anchors of a page's headings, as in GitHub and MyST."""
     count = Counter()
     for heading in re.findall(r'^#+ (.+?)\s*$', said, re.MULTILINE):
         title = re.sub(r'\[(.*?)\]\(.*?\)', r'\1', heading).lower()
@@ -281,7 +265,6 @@ def anchors(said):
 
 
 def dead(path):
-    """Yield the links of a page that lead nowhere."""
     for link in re.findall(r'\]\(<?([^)\s>]+)>?\)', page_text(path)):
         if re.match(r'\w+:', link):
             continue
@@ -307,8 +290,6 @@ def test_a_dead_link_is_found(tmp_path):
     )
     assert list(dead(page)) == ['#again-2', '#three', 'gone.md', 'page.md#four']
 
-
-# Equations
 
 DERIVATIONS = [ROOT / 'docs/mathematics.md', *sorted(ROOT.glob('docs/mathematics/*.md'))]
 TEXT = '\n'.join(page.read_text() for page in DERIVATIONS)

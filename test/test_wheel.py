@@ -40,7 +40,6 @@ def interpreter(version):
 
 @pytest.fixture(scope='module', params=PYTHONS)
 def run(request, tmp_path_factory):
-    """Return a function that runs commands in a new environment with the wheel and its extras."""
     python = interpreter(request.param)
     folder = tmp_path_factory.mktemp('bare')
     # Building an sdist leaves files beside the sources.
@@ -147,9 +146,6 @@ def write_scenario(path):
         assert count == 1, name
     path.write_text(text)
     return path
-
-
-# Users of the package get the types of its results.
 
 
 SCRIPT = """

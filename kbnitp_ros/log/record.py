@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 from kbnitp_ros.core import (
     DeploymentKey,
@@ -30,6 +31,7 @@ from kbnitp_ros.messages.deployments import (
     AgentStatus,
     OrderState,
     read_path,
+    read_report,
 )
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
@@ -122,14 +124,13 @@ class Departures:
             )
 
 
-def record(deployments: MissionRecord, role: Role, logged: LoggedMessage) -> bool:
+def record(deployments: MissionRecord, role: Role, message: Any) -> bool:
     """Record a path or report as an estimator does; return whether an outcome changed."""
-    content = content_hash(logged.message)
+    content = content_hash(message)
     if role.name == 'report':
-        key, report = logged.said
+        key, report = read_report(message, role.agent)
         return deployments.record_report(key, replace(report, content=content))
-    path = read_path(deployments.grid, role.agent, logged.message)
-    return deployments.record_path(*path, content)
+    return deployments.record_path(*read_path(deployments.grid, role.agent, message), content)
 
 
 def first_belief(log: MissionLog) -> Snapshot | None:
@@ -238,8 +239,9 @@ class RecordedMission(MissionRecord):
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
         """Record a path, report, status, action or rules of a belief, or why it is refused."""
+        message = logged.message
         if role.name == 'operator':
-            action = read_operator_action(self.grid, logged.message)
+            action = read_operator_action(self.grid, message)
             if self.operator.apply(action):
                 self.messages[action.stamp] = logged.data
         elif role.name == 'belief':
@@ -251,11 +253,12 @@ class RecordedMission(MissionRecord):
                 self.refused.append(f'{logged.topic}: {error}'[:MAX_SHOWN])
 
     def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
+        message = logged.message
         if role.name == 'status':
             self.departures.take(*logged.said)
         elif role.name == 'path':
             try:
-                record(self, role, logged)
+                record(self, role, message)
             finally:
                 key, _ = logged.said
                 if key in self.paths and key not in self.sent:
@@ -263,7 +266,7 @@ class RecordedMission(MissionRecord):
         else:
             key, report = logged.said
             self.reported.setdefault((key, report.stamp), logged.log_time)
-            record(self, role, logged)
+            self.record_report(key, replace(report, content=content_hash(message)))
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
         """Record a path, also one that is not the first of its deployment."""
@@ -422,5 +425,5 @@ def read_ledger(log: MissionLog) -> Ledger:
         if is_of_mission(role, logged, mission):
             # The estimator refused it as well.
             with suppress(ValueError):
-                record(ledger, role, logged)
+                record(ledger, role, logged.message)
     return ledger

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -22,12 +22,12 @@ ROUNDING = 1e-9
 def hold(
     registry: Registry[Subject],
     given: object,
-    laws: Iterable[Callable[[Subject, Case], None]],
+    laws: Mapping[str, Callable[[Subject, Case], None]],
     draw: Callable[[int], Case],
     cases: int,
     seed: int,
 ) -> None:
-    """Check laws, each stated by its docstring, in `cases` random cases from `seed` on."""
+    """Check laws in `cases` random cases, drawn from `seed` on."""
     name = f'{registry.kind} {given!r}'
     if isinstance(given, str):
         subject = registry.find(given)
@@ -38,11 +38,10 @@ def hold(
             raise AssertionError(f'{name} is invalid: {error}') from error
     for number in range(seed, seed + cases):
         case = draw(number)
-        for check in laws:
+        for law, check in laws.items():
             try:
                 check(subject, case)
             except Exception as error:
-                law = str(check.__doc__).removeprefix('Check that ').removesuffix('.')
                 words = str(error) if type(error) is AssertionError else with_type(error)
                 raise AssertionError(
                     f'{name} breaks a law in the case of seed {number}: {law}. {words}'

@@ -35,7 +35,6 @@ HERE = AgentPresence(is_present=True, says_status=True, is_left_alone=False)
 
 
 def in_flight(*keys, kept=2):
-    """Return the deployments of robots in flight."""
     robots = DeploymentsInFlight(VALUES, kept)
     for content, each in enumerate(keys):
         robots.send(each, HOME, content)
@@ -43,7 +42,6 @@ def in_flight(*keys, kept=2):
 
 
 def operator(*actions):
-    """Return the operator's state after these actions."""
     state = OperatorState()
     for stamp, action in enumerate(actions):
         state.apply(OperatorAction(stamp, action, 0, {}))
@@ -70,7 +68,6 @@ CLEAR = PlannerState(
     service=lambda name: f'/b/{name}',
 )
 
-# Changes that make each obstacle appear, in their order of priority.
 MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
     Obstacle.NO_BELIEF: {'newest': None},
@@ -218,9 +215,6 @@ def test_proposals_and_searches_are_stated_with_their_agents():
     assert 'approve of /a/scout_1/proposal by the service /b/approve' in told[Obstacle.UNAPPROVED]
 
 
-# Changes of a planner's parameters while a mission runs.
-
-
 FIELD = Grid(9, 9)
 GIVEN = {name: each.default for name, each in node_parameters('planner').items()}
 
@@ -245,9 +239,6 @@ def test_a_log_with_more_robots_is_refused():
     check_robots(5, 5)
     with pytest.raises(ValueError, match='5 ends the mission'):
         check_robots(4, 5)
-
-
-# How much of a field paths reach, as the console says it.
 
 
 @for_each('grid, max_steps, told', [
@@ -281,9 +272,6 @@ def test_cells_that_are_cut_off_are_stated():
         cut_off_note(Grid(3, 2, blocked=(1, 4))) == '2 of 4 free cells are cut off from the base'
     )
     assert cut_off_note(Grid(3, 2, blocked=(1,))) == ''
-
-
-# The rest of a round, sent by a planner that resumes a mission.
 
 
 ROUND_GRID = Grid(4, 4)
@@ -321,9 +309,6 @@ def test_the_rest_of_a_round_is_sent_as_planned(planner, recorded, is_refused):
     assert list(missing) == list(plans)[recorded:]
     for sent, plan in missing.items():
         np.testing.assert_array_equal(plan.path, plans[sent].path)
-
-
-# Paths and beliefs that a node accepts as its mission's and its estimator's.
 
 
 INTERVAL = (0.1, 1.0)

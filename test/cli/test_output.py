@@ -38,7 +38,6 @@ KINDS = ['help', 'replayed', 'repaired', *EXECUTABLES]
 # With LANG=C, names of files are printed that cannot be encoded.
 STRICT = {**os.environ, 'PYTHONIOENCODING': 'utf-8:strict'}
 
-# Unbuffered: argparse hides a failed print.
 STRICT.pop('PYTHONUNBUFFERED', None)
 
 
@@ -129,9 +128,6 @@ def test_an_interrupted_command_ends_without_a_traceback():
         raise KeyboardInterrupt
 
     assert interrupted() == 130
-
-
-# Errors of the system are reported with file and reason, without errno.
 
 
 def check_words(code, told, said):

@@ -60,7 +60,6 @@ def run_study(*arguments):
 
 
 def refusal(capsys, scenario, out, *options):
-    """Return the refusal of a study on stderr, run in this process."""
     assert study(parse([str(scenario), '--out', str(out), *map(str, options)])) == 2
     return capsys.readouterr().err
 
@@ -87,7 +86,6 @@ def whole(tmp_path_factory, scenario):
 
 @pytest.fixture
 def start():
-    """Return a function that starts a study and returns its process after some trials."""
     started = []
 
     def start(scenario, out, enough):

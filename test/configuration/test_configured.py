@@ -19,7 +19,6 @@ SMALL = {
 
 
 def checked(**given):
-    """Return the goal of a planner with these parameters, after its check."""
     changed = {name.replace('__', '.'): value for name, value in given.items()}
     values = {parameter.name: parameter.default for parameter in TABLE} | SMALL | changed
     grid = make_grid(values)
@@ -87,9 +86,6 @@ def test_a_mask_of_another_field_is_refused(occupied, resolution, complaint, tmp
         checked(goal__kind='area', goal__mask=drawn)
 
 
-# The belief before the first deployment: numbers, maps or an earlier mission.
-
-
 VALUES = {parameter.name: parameter.default for parameter in TABLE}
 FIELD = {
     'grid.width': 5, 'grid.height': 4, 'grid.base': 2, 'grid.resolution': 0.1,
@@ -98,7 +94,6 @@ FIELD = {
 
 
 def write(path, values):
-    """Write probabilities, bottom row first, and return the file's name."""
     np.save(path, np.asarray(values, dtype=float))
     return str(path)
 
@@ -199,16 +194,11 @@ def test_logs_without_a_belief_are_refused(log, tmp_path):
         make_prior(VALUES | {'prior.log': path, 'prior.kappa_map': 'kappa.npy'}, GRID)
 
 
-# A hidden world, drawn as two images.
-
-
 SMALL_GRID = Grid(3, 2, blocked=[5])
 
 
 @pytest.fixture
 def write_world(tmp_path):
-    """Write a world file and return its path."""
-
     def write_world(text):
         path = tmp_path / 'world.yaml'
         path.write_text(text)

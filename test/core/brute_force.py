@@ -13,8 +13,6 @@ from math import comb, log, prod
 
 import numpy as np
 
-# The sensors
-
 
 def step_survival(model):
     """Probability to survive one step into a cell, for no hazard and for a hazard."""
@@ -25,9 +23,6 @@ def step_survival(model):
 def detection(model):
     """Probability of a positive reading, for no target and for a target."""
     return model.false_positive, model.true_positive
-
-
-# Random cases
 
 
 def random_joint(rng, cells, base):
@@ -116,9 +111,6 @@ def random_case(rng, most_cells, most_steps):
         path = random_path(rng, width, height, base, int(rng.integers(1, most_steps + 1)))
         if len(set(path)) <= most_cells:
             return random_joint(rng, width * height, base), random_sensors(rng), path
-
-
-# Inference by enumeration of all 4^n states of the path's n cells
 
 
 def enumerate_states(joint, cells):
@@ -312,9 +304,6 @@ def published_return(joint, model, path, readings):
     return after
 
 
-# Multi-universe averaging (Otte and Sofge 2021), without kappa
-
-
 # All closed paths of a small grid
 
 
@@ -405,9 +394,6 @@ def information_of_visits(joint, model, visits):
         ]
     )
     return fate + returns * readings[np.arange(len(joint)), visits].sum(axis=1)
-
-
-# Several robots at once
 
 
 def joint_information(joint, models, paths):

@@ -21,7 +21,6 @@ def plan_round(
     keepout=(),
     **options,
 ):
-    """Return the plans of robots that leave together; `options` are of the search."""
     team, search = Team(agents, allocation, types), SearchOptions(planner, max_steps, **options)
     return plan_team(
         grid, belief, model, team, search, in_flight=in_flight, visited=visited, keepout=keepout
@@ -33,9 +32,6 @@ def regions_of_team(grid, belief, model, max_steps, agents, types=()):
     finder = PathFinder(grid, SearchOptions('relaxed', max_steps))
     members = {kind: TeamMember.of(kind, finder, belief, model) for kind in types or (ORDINARY,)}
     return divided([members[each] for each in types or (ORDINARY,) * agents])
-
-
-# Groups of methods that keep further laws.
 
 
 # Methods that condition on losses, and so refuse impossible ones.

@@ -34,7 +34,6 @@ HERE, THERE = RobotType(), RobotType(base=29)
 
 
 def random_problem(seed):
-    """Draw a field of 3x3 or 4x3 cells with three bases, a belief and a robot's sensors."""
     rng = np.random.default_rng(seed)
     width = 3 + seed % 2
     drawn = rng.permutation(width * 3).tolist()
@@ -54,9 +53,6 @@ def test_a_plan_from_any_base_is_that_of_the_grid_at_this_base(seed):
     alone = plan(grid.at(robot_type.base), belief, model, 6)
     assert found.path.tolist() == alone.path.tolist()
     assert (found.information, found.survival) == (alone.information, alone.survival)
-
-
-# The field
 
 
 def test_a_grid_at_another_base_is_the_same_field():
@@ -126,9 +122,6 @@ def test_paths_from_any_base_are_recognised():
     ):
         with pytest.raises(ValueError, match=told):
             CORNERS.check_any_path(np.array(path, dtype=int))
-
-
-# Several robots
 
 
 @for_each('allocation', ALLOCATIONS)
@@ -210,9 +203,6 @@ def test_cells_around_bases_are_never_refused():
     assert len(kept)
 
 
-# Evidence
-
-
 def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
     register = MissionRecord(CORNERS, 6, {'far': THERE})
     near, far = DeploymentKey('near', 1), DeploymentKey('far', 2)
@@ -224,9 +214,6 @@ def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
         register.record_report(far, Report(True, ((28, 1), (22, 0))))
     assert register.record_report(far, Report(True, ((28, 1), (22, 0), (29, 0))))
     assert register.outcomes[far].path.tolist() == [29, 28, 22, 29]
-
-
-# Goals
 
 
 @for_each('goal', [Lane(17), Area((2, 3, 20, 26))])

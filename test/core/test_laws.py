@@ -38,9 +38,6 @@ def test_allocations_keep_their_laws(allocation):
     check_allocation(allocation, cases=250 if FULL else 10)
 
 
-# Laws of every belief, model and path.
-
-
 CELLS = 6
 thorough = settings(max_examples=100 if FULL else 30, deadline=None, derandomize=True)
 
@@ -50,7 +47,6 @@ per_cell = st.lists(probability, min_size=CELLS, max_size=CELLS)
 
 @st.composite
 def beliefs(draw):
-    """Draw any joint per cell, also certain ones, from hazard, P(X=1|Z=0) and kappa."""
     hazard, q, kappa = (np.array(draw(per_cell)) for _ in range(3))
     hazard[0] = 0.0
     return Belief(

@@ -32,9 +32,6 @@ PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 OPTIONS = SearchOptions(max_steps=8)
 
 
-# All planners but the one that takes seconds.
-
-
 def fly(seed, robots=12, **options):
     rng = np.random.default_rng(seed)
     world = World.random(GRID, rng, hazard_density=0.15, kappa=0.8, target_background=0.1)

@@ -46,7 +46,6 @@ LEARNING = Learning(Unknowns(lethality=(0.0, 1.0)))
 
 @pytest.fixture(scope='module')
 def learnt():
-    """Return a mission that learns the lethality."""
     return mission('kappa_bnitp_sampled', learning=LEARNING)
 
 

@@ -67,14 +67,12 @@ class BareParticipant:
         self._writers = []
 
     def announce(self, topic, type_name):
-        """Announce a publisher of a topic, and publish a text on it."""
         text = text_type(type_name)
         writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=LATCHED)
         writer.write(text(data='x'))
         self._writers.append(writer)
 
     def leave(self):
-        """Leave the graph."""
         self._writers.clear()
         self._participant = self._domain = None
         gc.collect()

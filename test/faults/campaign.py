@@ -52,8 +52,6 @@ Run = Callable[[tuple[int, str, Path]], 'Outcome']
 
 @dataclass
 class Outcome:
-    """Result of a mission."""
-
     seed: int
     kind: str
     folder: Path
@@ -112,7 +110,6 @@ def run_mission(
 def run_missions(
     jobs: list[tuple[int, str, Path]], parallel: int = 2, run: Run = run_mission
 ) -> list[Outcome]:
-    """Run missions, some in parallel, and print each failure at once."""
     outcomes = []
     # A new process each: one that joined a ROS domain keeps its state.
     with get_context('spawn').Pool(parallel, maxtasksperchild=1) as pool:
@@ -127,7 +124,6 @@ def run_missions(
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Return the totals, in Markdown."""
     strikes = sum((outcome.strikes for outcome in outcomes), Counter())
     faults = sum((outcome.faults for outcome in outcomes), Counter())
     found = Counter(kind for outcome in outcomes for kind, _ in outcome.findings)

@@ -42,7 +42,6 @@ class DepartingMission(Mission):
         self._robots = {}
 
     def __exit__(self, *exception):
-        """End all nodes and robots."""
         for robot in self._robots.values():
             robot.kill()
         super().__exit__(*exception)
@@ -87,7 +86,6 @@ class DepartingMission(Mission):
         return faults
 
     def _is_taken_in(self, logged):
-        """Return whether all returned robots are in the log and the belief."""
         return not self._unheard(logged) and self._is_believed(logged)
 
     def _is_believed(self, logged):
@@ -95,7 +93,6 @@ class DepartingMission(Mission):
         return np.asarray(self.onlooker.belief.joint).tobytes() == given
 
     def _unheard(self, logged):
-        """Return the deployments that returned but are not yet received."""
         reports = logged.reports
         return [
             key
@@ -105,7 +102,6 @@ class DepartingMission(Mission):
         ]
 
     def journals(self):
-        """Return the robots' journals, by deployment."""
         told = {}
         for agent in self._own['agents']:
             path = self._journal(agent)
@@ -115,7 +111,6 @@ class DepartingMission(Mission):
         return told
 
     def findings(self):
-        """End all nodes and return findings, as `Mission.findings` does."""
         codes = self.processes.stop()
         found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
         found += [('exit', f'{n}: {self.said(n)}') for n in BASE if 'Traceback' in self.said(n)]

@@ -145,7 +145,6 @@ class Robot:
 
 
 def main():
-    """Run the robot until it is ended."""
     agent, namespace, field, journal = sys.argv[1:]
     rclpy.init()
     robot = Robot(agent, namespace, json.loads(Path(field).read_text()), journal)

@@ -36,7 +36,6 @@ END = Time(sec=2**31 - 1, nanosec=999_999_999)
 # Seconds of the flood of bad paths.
 FLOOD = 20.0
 
-# Topics that random bytes are published on.
 TOPICS = {
     f'{AGENT}/path': (Path, qos.EVIDENCE), f'{AGENT}/report': (DeploymentReport, qos.EVIDENCE),
     f'{AGENT}/recorded': (Recorded, qos.EVIDENCE), f'{AGENT}/readings': (Marker, qos.LATCHED),
@@ -257,9 +256,6 @@ class Forger:
         return bytes(data)
 
 
-# Missions under forgeries, and what must hold at their end.
-
-
 # A mission that outlasts the forgeries: a robot takes half a second.
 PARAMETERS = {
     'grid.width': 5, 'grid.height': 5, 'max_steps': 10, 'robots': 12, 'planner': 'relaxed',
@@ -272,8 +268,6 @@ GROWTH = 50.0
 
 @dataclass
 class Forged:
-    """Result of a mission under forgeries."""
-
     kinds: tuple[str, ...]
     findings: list[tuple[str, str]] = field(default_factory=list)
     refused: dict[str, int] = field(default_factory=dict)
@@ -293,7 +287,6 @@ class Forged:
 
 
 def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
-    """Run a mission and forge messages of some kinds, one after another."""
     parameters = PARAMETERS | {'seed': seed}
     outcome = Forged(tuple(kinds))
     with free_domain() as domain:

@@ -89,11 +89,9 @@ class Mission:
             self._stack = stack.pop_all()
 
     def __enter__(self):
-        """Return this mission, with no node started."""
         return self
 
     def __exit__(self, *_):
-        """End all nodes."""
         for name in self._struck:
             self._signal(name, signal.SIGCONT)
         self._stack.close()
@@ -120,7 +118,6 @@ class Mission:
                 )
 
     def said(self, name):
-        """Return the console output of a node over all its restarts."""
         return (self._folder / f'{name}.txt').read_text()
 
     def memory(self):
@@ -136,22 +133,18 @@ class Mission:
         self.processes.started[full_name(name, self._namespace)].send_signal(number)
 
     def halt(self, name):
-        """Stop a node (SIGSTOP); it may still be killed."""
         self._struck.add(name)
         self._signal(name, signal.SIGSTOP)
 
     def kill(self, name):
-        """Kill a node."""
         self._struck.add(name)
         self._signal(name, signal.SIGKILL)
         self.processes.started[full_name(name, self._namespace)].wait()
 
     def forget_remaps(self):
-        """Start nodes with the usual names of topics from now on."""
         self._remaps = {}
 
     def restart(self, name):
-        """Kill a node and start it again."""
         self.kill(name)
         self.start(name)
 
@@ -176,7 +169,6 @@ class Mission:
         self._parameters['robots'] = len(self.onlooker.evidence.reports)
 
     def _ask(self, service, **request):
-        """Call a service of the planner if it exists; return the future answer."""
         kind = {'pause': SetBool, 'end_mission': Trigger}[service]
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, f'{self._namespace}/{service}')
@@ -201,7 +193,6 @@ class Mission:
         self.until(is_done, f'answer of {service}')
 
     def suffer(self, fault):
-        """Wait for a fault's moment, and inject it."""
         reports = self.onlooker.evidence.reports
         self.until(lambda: len(reports) >= fault.reports, f'report {fault.reports}')
         self.wait(fault.delay)
@@ -222,14 +213,12 @@ class Mission:
             self._have_done('pause', data=False)
 
     def wait(self, seconds):
-        """Handle messages for some seconds."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, 0.02))
             self._check_alive()
 
     def until(self, condition, what):
-        """Handle messages until a condition holds."""
         deadline = time.monotonic() + PATIENCE
         while not condition():
             if time.monotonic() > deadline:
@@ -267,7 +256,6 @@ class Mission:
             self.wait(0.2)
 
     def logged(self):
-        """Return the evidence in the log."""
         evidence = Evidence()
         for role, logged in MissionLog(self.log).read('path', 'report'):
             if role.name == 'report':
@@ -278,7 +266,6 @@ class Mission:
         return evidence
 
     def departed(self):
-        """Return the deployments whose departures are in the log."""
         said = (
             read_status(logged.message, role.agent)
             for role, logged in MissionLog(self.log).read('status')
@@ -291,7 +278,6 @@ class Mission:
         return len(self.onlooker.evidence.paths.keys() - self.onlooker.evidence.reports.keys())
 
     def findings(self):
-        """End all nodes and return all violations."""
         robots = self._parameters['robots']
         codes = self.processes.stop()
         found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
@@ -334,12 +320,10 @@ class Mission:
 
 
 def full_name(name, namespace=NAMESPACE):
-    """Return a node's full name."""
     return f'{namespace.rstrip("/")}/{name}'
 
 
 def missing(heard, logged):
-    """Return received deployments that a log lacks, and the missing parts."""
     lacking = []
     for key, reports in heard.reports.items():
         if not heard.paths.get(key, set()) <= logged.paths.get(key, set()):

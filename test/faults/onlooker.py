@@ -13,7 +13,6 @@ from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
 
-# Agent of a mission whose parameters name none.
 AGENT = 'scout_1'
 
 
@@ -30,7 +29,6 @@ class Evidence:
         self.paths.setdefault(key, set()).add(tuple((each.x, each.y) for each in positions))
 
     def take_report(self, message):
-        """Keep the content of a DeploymentReport, without its stamp."""
         key, report = read_report(message)
         self.reports.setdefault(key, set()).add(report)
 
@@ -89,5 +87,4 @@ class Onlooker:
 
     @property
     def held(self):
-        """Return the number of deployments in the newest belief; -1 before the first."""
         return -1 if self.belief is None else self.belief.deployments

@@ -57,9 +57,6 @@ def test_robots_that_stay_are_not_lost_and_departed_ones_not_forgotten(tmp_path)
     assert any(outcome.crashes[CRASHED] for outcome in outcomes)
 
 
-# A part of the campaign: forged messages neither stop a mission nor change it.
-
-
 # Forgeries of the campaign but its flood, which takes 20 s.
 SCALE = 0.1
 
@@ -94,9 +91,6 @@ def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
     assert not outcome.findings, outcome
 
 
-# No robot departs on a path that would be lost in a crash.
-
-
 # The search takes long enough to stop the recorder meanwhile.
 SLOW = {
     'grid.width': 6, 'grid.height': 6, 'max_steps': 14, 'robots': 4, 'beam_width': 40, 'seed': 13,
@@ -125,9 +119,6 @@ def test_a_path_that_only_the_agent_has_is_not_accepted(set_out):
     assert not mission.findings()
 
 
-# A robot that was given up returns: the test plays the agent.
-
-
 PARAMETERS = {
     'grid.width': 5, 'grid.height': 5, 'max_steps': 10, 'robots': 8, 'planner': 'relaxed',
 }  # fmt: skip
@@ -145,7 +136,6 @@ class Agent:
         )
 
     def report(self, number, survived):
-        """Report on a deployment, from 0; wait until the belief includes all reports."""
         mission, evidence = self._mission, self._mission.onlooker.evidence
         mission.until(lambda: len(evidence.paths) > number, f'path {number}')
         key, (positions,) = sorted(evidence.paths.items())[number]
@@ -160,7 +150,6 @@ class Agent:
         self.until_believed()
 
     def until_believed(self):
-        """Wait until the belief includes all reports, a return before a loss."""
         onlooker = self._mission.onlooker
         expected = folded(self._parameters, onlooker.evidence).joint.tobytes()
         self._mission.until(

@@ -26,7 +26,6 @@ SMALL = {
     'agents': ['scout_1', 'scout_2'], 'sensor.lethality': 0.7, 'world.hazard_density': 0.4,
 }  # fmt: skip
 
-# An expensive robot with a good camera, and a cheap blind one with a short range.
 TYPES = {
     'team.scout_1.sensor.true_positive': 0.99,
     'team.scout_1.loss_cost': 0.2,
@@ -262,7 +261,6 @@ def test_no_robot_leaves_while_a_node_has_another_name_for_a_topic(set_out, node
 
 
 def replayed(log):
-    """Return the evidence of a log as far as it is written."""
     with suppress(LogError):
         return replay(log).evidence
     return RecordedMission(Grid(1, 1), 1)

@@ -19,7 +19,6 @@ import numpy as np
 
 
 def draw_parameters(rng):
-    """Draw the parameters of a mission of one or more agents that takes some seconds."""
     side = int(rng.integers(5, 6, endpoint=True))
     method = str(rng.choice(list(METHODS)))
     learn = ['lethality', 'hazard_density'] if method == 'kappa_bnitp_sampled' else []
@@ -66,7 +65,6 @@ def true_values(parameters):
 
 
 def core_mission(parameters):
-    """Return the deployments of the core with these parameters."""
     values = with_defaults(parameters)
     grid = make_grid(values)
     true_dynamics = make_dynamics({**values, **true_values(parameters), 'learn.numbers': ()})
@@ -121,9 +119,6 @@ def folded(parameters, evidence):
         observation = Observation(walk, report.survived, readings, known, lost_at)
         estimator.assimilate(observation, make_robot_types(values, grid)[key.agent])
     return estimator.belief
-
-
-# Faults of nodes and their moments, drawn from a seed.
 
 
 NODES = ('recorder', 'estimator', 'agent', 'planner')

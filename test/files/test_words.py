@@ -65,9 +65,6 @@ def test_a_line_names_some_of_many():
     assert some('abcde', named=4) == 'a, b, c, d and 1 more'
 
 
-# YAML is read like PyYAML, with the numbers of ROS, or refused.
-
-
 ROOT = Path(__file__).parents[2]
 
 # PyYAML writes a text such as 0E0 without quotes, which is a number for ROS.

@@ -55,7 +55,6 @@ class Networks:
         self._multicast = multicast
 
     def make(self):
-        """Make the networks; raise NoNetworksError if that is impossible."""
         bridge = self._bridge
         ip('netns', 'add', bridge)
         ip('-n', bridge, 'link', 'add', 'bridge', 'type', 'bridge')
@@ -86,12 +85,10 @@ class Networks:
         ip('-n', name, 'route', 'add', '224.0.0.0/4', 'dev', 'inner')
 
     def delete(self):
-        """Delete the networks."""
         for name in (self._bridge, self.base, *self.robots):
             subprocess.run(['ip', 'netns', 'delete', name], capture_output=True)
 
     def switch(self, robot, state):
-        """Set the link of a robot, counted from 1, 'up' or 'down'."""
         ip('-n', self._bridge, 'link', 'set', f'outer{robot}', state)
         # The kernel takes up to a second to notify the other end.
         while (' state UP ' in ip('-n', self.robots[robot - 1], 'link', 'show', 'inner')) != (
@@ -100,7 +97,6 @@ class Networks:
             time.sleep(0.02)
 
     def readdress(self):
-        """Change the address of the first robot."""
         ip('-n', self.robots[0], 'address', 'flush', 'dev', 'inner')
         self._address(self.robots[0], 77)
 
@@ -113,16 +109,12 @@ class Networks:
 
 @contextmanager
 def networks(robots, multicast=True):
-    """Provide a network for the base and one for each robot, with multicast or without."""
     made = Networks(robots, multicast)
     try:
         made.make()
         yield made
     finally:
         made.delete()
-
-
-# Base and robots on separate networks, whose links can be cut.
 
 
 ROOT = Path(__file__).parents[2]
@@ -224,7 +216,6 @@ class Apart:
         return [*(each[0] for each in self._simulators), *(robot[0] for robot in self._robots)]
 
     def _simulation(self, number, targets):
-        """Write the configuration of a simulator, and return its file."""
         folder = self._folder / str(number)
         folder.mkdir()
         file = folder / 'simulation.json'
@@ -278,14 +269,12 @@ class Apart:
         return sum(said.read_text().count(words) for said in self._robots_said)
 
     def reports(self):
-        """Return the deployment stamps of all recorded reports."""
         try:
             return [from_stamp(each.message.deployment) for each in read_log(self.log, [REPORT])]
         except LogError:
             return []
 
     def end(self):
-        """End all processes as Ctrl-C does."""
         for process in self._started:
             process.send_signal(signal.SIGINT)
         for process in self._started:
@@ -294,7 +283,6 @@ class Apart:
 
 @contextmanager
 def apart(folder, robots, namesakes=1, discovery=None, **planner):
-    """Run a mission whose base is on another network than its robots; end it on exit."""
     with ExitStack() as stack:
         try:
             made = stack.enter_context(networks(namesakes, multicast=not discovery))

@@ -95,7 +95,6 @@ class Fleet:
         self.field._outputs[f'simulator {self.simulator.pid}'] = output
 
     def start(self, name='scout_1', remapped=None, **parameters):
-        """Start a robot node."""
         given = {
             **self.parameters,
             'agent': name,
@@ -125,7 +124,6 @@ class Fleet:
         return self.field.folder / 'track.jsonl'
 
     def truth(self):
-        """Return the true x and y of each robot over time."""
         places = defaultdict(list)
         if self._track.exists():
             for line in self._track.read_text().splitlines():
@@ -158,20 +156,16 @@ class Fleet:
         assert is_within(self.walked(name, since), moves(cells))
 
     def inject(self, what, name='scout_1'):
-        """Inject a failure into a robot's next goal, or end it."""
         self._talker(String, f'/{name}/inject', 10).publish(String(data=what))
 
     def hold(self, is_held):
-        """Publish whether departures are held."""
         self._hold.publish(Bool(data=is_held))
 
     def wait(self, seconds):
-        """Handle messages for some seconds."""
         end = time.monotonic() + seconds
         self.field.until(lambda: time.monotonic() > end, 'moment', seconds + 60)
 
     def cancel_all(self, action, name='scout_1'):
-        """Cancel the goals of an action, as anybody may."""
         client = self.field.node.create_client(CancelGoal, f'/{name}/{action}/_action/cancel_goal')
         self.field.until(client.service_is_ready, 'service to cancel goals')
         answer = client.call_async(CancelGoal.Request())
@@ -183,7 +177,6 @@ class Fleet:
         return DeploymentKey(name, number * 10**9)
 
     def send(self, number, cells, name='scout_1', mission=5):
-        """Send a path that is on disk to a robot."""
         key = self.key(number, name)
         path = path_message(self.grid, cells, key.stamp, mission)
         self._talker(PathMessage, f'/{name}/path', qos.EVIDENCE).publish(path)

@@ -245,7 +245,6 @@ class Robot:
         return x, y, yaw
 
     def tick(self):
-        """Simulate a tick."""
         x, y, yaw = self.place
         linear = turn = 0.0
         goal = self._goal
@@ -305,7 +304,6 @@ class Robot:
             self._detections.publish(self._pictures.popleft())
 
     def _fix(self, x, y):
-        """Return the fix of an accurate receiver, by the geodesic from the datum."""
         latitude, longitude, heading = self._config['datum']
         azimuth = 90 - degrees(heading + atan2(y, x))
         fix = NavSatFix(position_covariance_type=NavSatFix.COVARIANCE_TYPE_DIAGONAL_KNOWN)
@@ -344,7 +342,6 @@ def hypothesis(name, score):
 
 
 def simulate(path):
-    """Simulate the configuration in a file until a signal comes; return 0."""
     config = json.loads(path.read_text())
     signals = []
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -48,15 +48,12 @@ QOS = QoSProfile(depth=7, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 @dataclass
 class Sent:
-    """A message on its topic."""
-
     topic: str
     message: Any
     time: int
 
     @property
     def type_name(self):
-        """Return the type's name, such as 'nav_msgs/msg/Path'."""
         kind = type(self.message)
         return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'
 
@@ -79,14 +76,12 @@ class Mission:
     clustering: Clustering | None = None
 
     def __post_init__(self):
-        """Publish the prior."""
         self.sent = []
         self.prior = Belief.prior(self.grid, 0.3, 0.4, 0.7)
         self.now = START
         self.start_estimator()
 
     def start_estimator(self):
-        """Publish the prior, like an estimator that starts."""
         self.new = NewEvidence()
         estimator = Estimator(
             self.prior,
@@ -102,12 +97,10 @@ class Mission:
         self.publish_belief()
 
     def publish(self, topic, message):
-        """Publish a message."""
         self.now += 1000
         self.sent.append(Sent(f'{self.namespace}/{topic}', message, self.now))
 
     def publish_belief(self):
-        """Publish the belief and its views."""
         belief = belief_maps(self.ledger, self.started, NO_MISSION, *self.new.take(self.ledger))
         self.publish('belief', belief)
         stamp = from_stamp(belief.header.stamp)
@@ -124,18 +117,15 @@ class Mission:
         return key
 
     def come_back(self, key, observation):
-        """Report the end of a deployment."""
         self.publish(f'{key.agent}/report', report_message(key, observation, self.now))
         key, report = read_report(self.sent[-1].message)
         return key, replace(report, content=content_hash(self.sent[-1].message))
 
     def assimilate(self, path, key, report):
-        """Assimilate a deployment in the estimator."""
         self.hear_path(key, path)
         assert self.hear_report(key, report)
 
     def hear_path(self, key, path):
-        """Record a path in the estimator's ledger."""
         content = content_hash(path_message(self.grid, path, key.stamp))
         self.ledger.record_path(key, path, content)
 
@@ -165,7 +155,6 @@ def observations(
     dynamics=STATIC,
     clustering=None,
 ):
-    """Return the deployments of a mission in the core."""
     rng = np.random.default_rng(seed)
     world = World.random(grid, rng, 0.2, 0.7, 0.2)
     return run_mission(
@@ -184,7 +173,6 @@ def observations(
 
 
 def mission(robots=8, seed=1, conduct=AS_ORDERED, **options):
-    """Return a whole mission, one robot after another."""
     whole = Mission(**options)
     known = ('method', 'grid', 'unknowns', 'method_seed', 'dynamics', 'clustering')
     chosen = {name: options[name] for name in known if name in options}
@@ -214,17 +202,14 @@ def record_to(log, sent, qos=QOS, synced=False):
 
 
 def on(sent, *topics):
-    """Return the messages of these topics."""
     return [message for message in sent if message.topic in topics]
 
 
 def without(sent, *unwanted):
-    """Return all messages except `unwanted`."""
     return [message for message in sent if not any(message is one for one in unwanted)]
 
 
 def instead(sent, old, message):
-    """Return all messages, with one of them replaced."""
     return [replace(each, message=message) if each is old else each for each in sent]
 
 

@@ -101,7 +101,6 @@ def with_node(path):
 
 
 def deserialized(store, data, type_name):
-    """Return the message deserialized by rosbags."""
     definition = store.get_msgdef(type_name)
     message, end = definition.deserialize_cdr_le(data[4:], 0, definition.cls, store)
     assert len(data) - 4 - end < 24

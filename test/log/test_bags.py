@@ -65,7 +65,6 @@ def described(folder, **values):
 
 
 def renamed(folder):
-    """Rename the files so that their names do not give their order."""
     for old, new in (('bag_0', 'night'), ('bag_1', 'day')):
         folder.joinpath(f'{old}.mcap').rename(folder / f'{new}.mcap')
     return described(folder, relative_file_paths=['night.mcap', 'day.mcap'])

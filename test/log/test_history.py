@@ -39,7 +39,6 @@ NEAR, FAR = [2, 7, 2], [2, 7, 12, 7, 2]
 
 
 def told(path):
-    """Return path, outcome and readings of every deployment in a log."""
     return [
         (
             observation.path.tolist(),
@@ -75,15 +74,11 @@ def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
         read_resumed(MissionLog(log), Grid(9, 9), MAX_STEPS)
 
 
-# The mission of a log is stated by its beliefs, whatever paths came before.
-
-
 NARROW = Grid(3, 1)
 OWN, FOREIGN, LATER = 5 * 10**9, 10**9, 9 * 10**9
 
 
 def belief_entry(mission):
-    """Return the first belief that an estimator publishes."""
     estimator = Estimator(Belief.prior(NARROW, 0.5, 0.45, 0.8), SensorModel(0.5))
     return (
         '/belief',
@@ -93,7 +88,6 @@ def belief_entry(mission):
 
 
 def path_entry(mission, stamp=1):
-    """Return a path of a mission."""
     message = path_message(NARROW, [0, 1, 0], mission + stamp, mission)
     return '/scout/path', 'nav_msgs/msg/Path', message
 
@@ -122,9 +116,6 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
     assert read_resumed(MissionLog(log), NARROW, 4).orders == [
         DeploymentKey('scout', path) for path in paths
     ]
-
-
-# The state of orders, from status messages received in any order.
 
 
 KEY = DeploymentKey('scout_1', 70)

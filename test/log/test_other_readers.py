@@ -46,7 +46,6 @@ def sent():
 
 
 def check(log, sent):
-    """Check that all libraries read all messages."""
     assert [message.data for message in read_log(log)] == [each.data for each in sent]
     check_all_read(log)
 

@@ -47,7 +47,6 @@ def messages(path):
 
 
 def is_prefix(read, sent):
-    """Return whether these are the first of the sent messages."""
     return len(read) <= len(sent) and all(
         (one.topic, one.type_name, one.publish_time, one.log_time)
         == (each.topic, each.type_name, each.time, each.time + 500)

@@ -57,7 +57,6 @@ for log in sys.argv[1:]:
         write_report(Path(log).parent / 'report', mission, mission_curves(mission))
 """
 
-# The replay of one log after another; each output ends with the exit code.
 REPLAY = """
 import sys
 from kbnitp_ros.__main__ import main
@@ -72,14 +71,12 @@ def test_there_is_one_of_each_method_and_kind_of_hazards():
 
 
 def log(name, folder):
-    """Return a log as recorded."""
     path = folder / 'mission.mcap'
     path.write_bytes(gzip.decompress((RECORDED / f'{name}.mcap.gz').read_bytes()))
     return path
 
 
 def logs(tmp_path):
-    """Return all logs, each in its own folder."""
     for name in NAMES:
         tmp_path.joinpath(name).mkdir()
     return [log(name, tmp_path / name) for name in NAMES]

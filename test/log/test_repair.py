@@ -142,9 +142,6 @@ def test_an_empty_log_is_not_repaired(whole_mission, tmp_path, cut, capsys):
     assert not (tmp_path / 'repaired.mcap').exists()
 
 
-# Only one process writes a log, and none a log that was moved or deleted.
-
-
 HELD = 'mission.mcap is being written by another recorder: end that one before'
 
 WRITE_UNTIL_KILLED = """
@@ -182,7 +179,6 @@ def elsewhere():
 
 
 def file_contents(folder):
-    """Return the contents of a folder's files."""
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 

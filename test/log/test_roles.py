@@ -51,7 +51,6 @@ ROLES = Roles.of('/m', ['scout_1'])
 
 
 def write(path, sent, roles=ROLES):
-    """Write messages to a log; `roles`, if given, are those of its mission."""
     with LogWriter(path) as log:
         if roles is not None:
             log.add_metadata(RECORD, roles.record)
@@ -60,7 +59,6 @@ def write(path, sent, roles=ROLES):
 
 
 def shown(value):
-    """Return all values of an object as text."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, dict):
@@ -235,9 +233,6 @@ def test_only_the_mission_of_a_log_is_resumed(whole, tmp_path, namespace, agents
             with pytest.raises(ValueError, match='is of another mission: ') as error:
                 resumed_log(str(log), own)
             assert told in str(error.value)
-
-
-# A log contains the configuration of its run.
 
 
 ROOT = Path(__file__).parents[2]

@@ -320,9 +320,6 @@ def test_a_corrupt_later_part_is_not_resumed(whole_mission, tmp_path):
         LogWriter(path, resume=True)
 
 
-# Descriptions of topics in a log.
-
-
 TYPES = [
     'builtin_interfaces/msg/Time',
     'diagnostic_msgs/msg/DiagnosticArray',

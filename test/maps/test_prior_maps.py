@@ -167,9 +167,6 @@ def test_other_files_are_refused(tmp_path):
         read_probabilities(write(tmp_path, [[0]], resolution=0), Grid(2, 2), 0.5)
 
 
-# Positions on the earth equal geodesics.
-
-
 EARTH = Geod(ellps='WGS84')
 
 datums = st.builds(
@@ -220,9 +217,6 @@ def test_a_bad_datum_is_refused(numbers, message):
 def test_a_field_beyond_the_earth_is_refused():
     with pytest.raises(ValueError, match='is 1e.08 m from the datum: at most 1e.07'):
         Datum(0.0, 0.0, 0.0).on_earth([(1e8, 0.0)])
-
-
-# The image of a map on a page.
 
 
 IMAGE_YAML = """

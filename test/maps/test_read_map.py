@@ -210,11 +210,7 @@ def test_bad_files_are_refused(tmp_path, changes, message):
         read_map(write_yaml(tmp_path, **changes))
 
 
-# The grid of a map keeps robots away from occupied pixels.
-
-
 def random_map(rng):
-    """Draw a map of up to 30x30 pixels, a fifth of them unknown or occupied, in clusters."""
     coarse = rng.choice([0, 0, 0, 0, 0, 0, 50, 100, -1], rng.integers(1, 11, 2))
     data = coarse.repeat(rng.integers(1, 4), axis=0).repeat(rng.integers(1, 4), axis=1)
     yaw = rng.choice([0.0, rng.uniform(-np.pi, np.pi)])
@@ -222,7 +218,6 @@ def random_map(rng):
 
 
 def turned(points, angle):
-    """Return points x, y turned about 0."""
     at = np.exp(1j * angle) * (points @ (1, 1j))
     return np.stack([at.real, at.imag], axis=-1)
 
@@ -242,7 +237,6 @@ def touched_pixels(field, points):
 
 
 def random_grid(rng, connectivity, unknown_blocks):
-    """Draw a map and its grid around a free base."""
     side = rng.choice([0.25, 0.5, 0.6, 0.75, 1.0])
     while True:
         field = random_map(rng)

@@ -35,7 +35,6 @@ KEY = DeploymentKey('scout_3', 5_000_000_007)
 
 
 def new_ledger(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KNOWN):
-    """Return a ledger with a random prior."""
     grid = grid or Grid(4, 3, base=1, resolution=0.1, origin=(-3.3, 0.7), blocked=(10, 5))
     joint = np.random.default_rng(seed).dirichlet(np.ones(4), grid.cells)
     estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), model, method, unknowns, seed)
@@ -229,9 +228,6 @@ def test_a_bad_belief_is_refused(field, value, error):
     setattr(message, field, value)
     with pytest.raises(ValueError, match=error):
         read_belief_maps(over_the_wire(message))
-
-
-# The message of learnt numbers.
 
 
 SOME = Unknowns(lethality=(0.2, 1.0), false_positive=(0.0, 0.5))

@@ -152,7 +152,6 @@ def test_a_report_comes_back(steps, survived, stamp, weights):
 
 
 def whole_belief():
-    """Return the first belief of an estimator."""
     estimator = Estimator(Belief.prior(GRID, 0.3, 0.4, 0.8), SensorModel(0.5))
     return belief_maps(Ledger(GRID, 6, estimator), 1)
 
@@ -188,9 +187,6 @@ def test_a_detection_without_a_look_is_refused():
     message.readings[2].detected = True
     with pytest.raises(ValueError, match=r'readings\[2\] has detected and not_looked'):
         read_report(message)
-
-
-# Operator actions on paths from several bases.
 
 
 WITH_BASES = Grid(6, 5, base=0, other_bases=(29,))

@@ -104,9 +104,6 @@ def test_a_long_text_is_cut():
     assert len(shown('x' * 50_000_000)) < 150
 
 
-# The hash covers a message's values: equal for every decoder and any padding.
-
-
 PATH = path_message(Grid(3, 1), [0, 1, 0], stamp=2_000_000_001, mission=1_500_000_000)
 REPORT = DeploymentReport(
     agent='scout',
@@ -172,12 +169,8 @@ def test_the_hash_never_changes():
     assert content_hash(REPORT.readings[0]) == 9597802225463275365
 
 
-# Grid messages.
-
-
 @st.composite
 def grids(draw):
-    """Draw a grid of up to 12 x 12 cells with any base and some blocked cells."""
     width, height = draw(st.integers(1, 12)), draw(st.integers(1, 12))
     base = draw(st.integers(0, width * height - 1))
     blocked = draw(st.sets(st.integers(0, width * height - 1), max_size=5)) - {base}
@@ -207,7 +200,6 @@ def test_rows_go_up_from_the_origin():
 
 
 def map_metadata(grid):
-    """Return the geometry of a map message."""
     return occupancy_grid(grid, np.zeros(grid.cells), 0).info
 
 

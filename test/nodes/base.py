@@ -79,7 +79,6 @@ class Base:
         self.start(resume=str(self.log))
 
     def call(self, service, **request):
-        """Return the answer of a service; repeat a call that was not received."""
         client = self.clients[service]
         self.field.until(client.service_is_ready, f'service {service}')
         decided, calls, called_at = self.decided(), [], -inf
@@ -95,23 +94,19 @@ class Base:
         return next(call.result() for call in calls if call.done())
 
     def decided(self):
-        """Return the times of all received actions."""
         return {(action.header.stamp.sec, action.header.stamp.nanosec) for action in self.actions}
 
     def do(self, service, **request):
-        """Call a service that must succeed; return its message."""
         answer = self.call(service, **request)
         assert answer.success, answer.message
         return answer.message
 
     def refused(self, service, **request):
-        """Return the reason for which a call is refused."""
         answer = self.call(service, **request)
         assert not answer.success
         return answer.message
 
     def proposed(self, agent='scout_1'):
-        """Wait for a proposed path, and return its cells."""
         shown = self.proposals[agent]
         self.field.until(lambda: shown and shown[-1].poses, f'proposal for {agent}')
         return read_path(GRID, agent, shown[-1])[1].tolist()
@@ -137,7 +132,6 @@ class Base:
         )
 
     def come_back(self, agent='scout_1'):
-        """Report that the newest robot of an agent returned."""
         key, cells = read_path(GRID, agent, self.paths[agent][-1])
         home = Observation(cells, True, [False] * (len(cells) - 1))
         self.reports[agent].publish(report_message(key, home, key.stamp + 1))

@@ -79,7 +79,6 @@ class Field:
         self.processes.depth = depth
 
     def kill(self, full_name):
-        """Kill a node, which may be started again, and forget its messages."""
         process = self.processes.started.pop(full_name)
         process.kill()
         process.wait()
@@ -93,7 +92,6 @@ class Field:
         self._outputs[aside] = self._outputs[full_name]
 
     def said(self, full_name):
-        """Return the console output of a node."""
         return self._outputs[full_name].read_text()
 
     def _keep_diagnostics(self, array):
@@ -102,7 +100,6 @@ class Field:
             self._diagnosed_at[status.name] = from_stamp(array.header.stamp)
 
     def diagnosed(self, full_name):
-        """Return the newest diagnostics of a node; an empty one before the first."""
         return self._diagnosed.get(full_name, DiagnosticStatus())
 
     def diagnosed_at(self, full_name):
@@ -152,7 +149,6 @@ class Field:
         return publisher
 
     def record_departures(self, agent):
-        """Confirm departures to an agent, in place of a recorder; return its statuses."""
         told = []
         publisher = self.node.create_publisher(Recorded, f'/{agent}/recorded', qos.EVIDENCE)
 

@@ -21,7 +21,6 @@ PARAMETERS = {**FIELD, 'await_nodes': ['test'], 'seed': 11}
 
 @pytest.fixture(autouse=True)
 def departing(field):
-    """Allow departures."""
     field.let_depart()
 
 

@@ -47,7 +47,6 @@ class StatedBase(Base):
         return message
 
     def until_named(self, message, agent='scout_1'):
-        """Wait until a path or a departure is confirmed to be on disk."""
         content = content_hash(message)
         self.field.until(
             lambda: content in [each.content for each in self.acknowledged[agent]], 'record'

@@ -20,7 +20,6 @@ SAMPLED = {'method': 'kappa_bnitp_sampled', 'seed': 7}
 
 @pytest.fixture
 def estimator(field):
-    """Start an estimator; return it with its topics."""
     field.beliefs = field.listen(BeliefMaps, '/belief')
     field.start('estimator', PARAMETERS)
     field.paths, field.reports = evidence(field)
@@ -29,7 +28,6 @@ def estimator(field):
 
 
 def evidence(field):
-    """Return the publishers of the paths and the reports of an agent."""
     return field.talk(Path, '/scout_1/path'), field.talk(DeploymentReport, '/scout_1/report')
 
 

@@ -17,7 +17,6 @@ import pytest
 from tf2_msgs.msg import TFMessage
 from unbroken import core_mission
 
-# Seen from above, at 0.5 m a pixel: # is occupied, ? unknown.
 PICTURE = (
     '..........??',
     '..........??',
@@ -65,7 +64,6 @@ def file(tmp_path):
 
 
 def served(file):
-    """Return the map as map_server publishes it."""
     read = read_map(file)
     message = OccupancyGrid()
     message.header.frame_id = 'map'
@@ -78,7 +76,6 @@ def served(file):
     return message
 
 
-# Corruptions of a map, and the errors of each node.
 BAD_MAPS = (
     (lambda bad: setattr(bad.header, 'frame_id', 'odom'), "header.frame_id is 'odom': it must be"),
     (lambda bad: setattr(bad.info, 'resolution', math.nan), 'info.resolution is nan'),

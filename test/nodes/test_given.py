@@ -25,7 +25,6 @@ def section(name, **values):
 
 
 def written(folder, content):
-    """Return a file with a value in YAML."""
     path = folder / 'given.yaml'
     path.write_text(
         content if isinstance(content, str) else yaml.safe_dump(content, sort_keys=False)

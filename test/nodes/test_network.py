@@ -30,7 +30,6 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 
 
 def start_all(field, parameters):
-    """Start a mission with a recorder, and return its log."""
     log = field.folder / 'mission.mcap'
     field.start_mission({**FIELD, **parameters}, '/', log)
     return log
@@ -184,9 +183,6 @@ def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
     field.until(lambda: len(list(read_log(log, ['nav_msgs/msg/OccupancyGrid']))) == 1, 'map')
 
 
-# A few messages of a stranger neither stop a mission nor change it.
-
-
 WALKS = (HOME, [0, 4, 8, 4, 0])
 
 
@@ -292,9 +288,6 @@ def test_a_planner_does_not_take_itself_for_the_agent_that_it_awaits(field):
     field.until(lambda: field.state('/planner').startswith(wait), wait)
 
 
-# No type name in the graph makes a node import, open or run anything.
-
-
 PLANTED = 'open({ran!r}, "w").close()\nraise SystemExit(7)\n'
 
 
@@ -376,9 +369,6 @@ def test_a_topic_of_a_refused_type_is_recorded_when_one_of_another_type_comes(fi
     field.node.create_publisher(String, '/m/text', qos.LATCHED).publish(String(data='x'))
     field.until(lambda: list(read_log(log, ['std_msgs/msg/String'])), 'message')
     assert field.count('/m/recorder', 'refused') == 1
-
-
-# Two robots of one name that depart on one path, unaware of each other.
 
 
 def differing(key):

@@ -153,7 +153,6 @@ def test_a_mission_ended_before_its_start_is_over_at_once(field):
 
 
 def megabytes(process):
-    """Return the memory of a process in megabytes."""
     status = Path(f'/proc/{process.pid}/status').read_text()
     return int(re.search(r'VmRSS:\s*(\d+) kB', status)[1]) / 1024
 
@@ -259,7 +258,6 @@ def is_given_up(base):
     base.proposed()
 
 
-# Operator actions: the required state, the call, and its effect.
 GIVE_UP = {'agent': 'scout_1', 'steps_survived': 2}
 STEPS = {
     'PAUSE': (

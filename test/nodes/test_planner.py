@@ -54,7 +54,6 @@ class Mission:
         self.ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
 
     def show_belief(self):
-        """Publish the current belief."""
         self.beliefs.publish(belief_maps(self.ledger, 0))
 
     def lose(self, number):
@@ -66,16 +65,13 @@ class Mission:
         return report
 
     def until_sent(self, number):
-        """Wait for a path, and return its cells."""
         self.field.until(lambda: len(self.paths) == number + 1, f'path {number}')
         return read_path(GRID, 'scout_1', self.paths[number])[1].tolist()
 
     def until_state(self, words):
-        """Wait until the planner's state has these words."""
         self.field.until(lambda: words in self.field.state('/planner'), words)
 
     def planned(self):
-        """Return the path planned on the current belief."""
         return plan(GRID, self.ledger.belief, MODEL, 4).path.tolist()
 
 
@@ -343,9 +339,6 @@ def test_a_planner_that_waits_for_a_belief_states_the_estimator_s_refusal(field)
     assert field.state('/planner').startswith(wait)
     told = field.listen(Progress, '/progress')
     field.until(lambda: told and 'impossible' in told[-1].reason, 'reason on record')
-
-
-# The planner handles messages during a search, and every search ends correctly.
 
 
 AGENTS = [f'scout_{number}' for number in range(1, 9)]

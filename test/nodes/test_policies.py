@@ -100,9 +100,6 @@ def not_used(found, allowed):
     }
 
 
-# The security policies allow exactly the nodes' endpoints in the graph.
-
-
 # All topics that parameters enable; the map gives the field.
 PARAMETERS = {
     'map_topic': '/map', 'max_steps': 6, 'robots': 4, 'planner': 'relaxed', 'publish_pose': True,
@@ -150,7 +147,6 @@ class Watched:
 
 
 def publish_map(field):
-    """Publish the map that the nodes wait for."""
     publisher = field.node.create_publisher(OccupancyGrid, '/map', qos.LATCHED)
     publisher.publish(occupancy_grid(GRID, np.zeros(GRID.cells), 0))
 
@@ -207,7 +203,7 @@ def test_the_policies_allow_exactly_the_endpoints_of_a_team_and_the_demo(field):
     watched = Watched(field.node, ['all_agents', 'observer', 'planner'])
     for name in ('estimator', 'planner', 'agent'):
         field.start(name, team)
-    with observed(int(os.environ['ROS_DOMAIN_ID'])):
+    with observed(int(os.environ['ROS_DOMAIN_ID']), team['agents']):
         watch(field, watched)
 
 
@@ -270,9 +266,6 @@ def middleware_topics(verb, name):
         yield verb, f'rt{name}'
 
 
-# The Foxglove layouts name topics of a running mission only.
-
-
 ROOT = Path(__file__).parents[2]
 LAYOUTS = {1: 'kbnitp.json', 8: 'kbnitp_team.json'}
 PLACE = {'grid.width': 4, 'grid.height': 4, 'max_steps': 4, 'planner': 'relaxed', 'robots': 8}
@@ -286,7 +279,6 @@ SHOWN = {
 
 
 def panels(content):
-    """Yield the panels of a layout."""
     if content['type'] == 'panel':
         yield content
     for item in content.get('items', ()):

@@ -34,7 +34,6 @@ LAST_OF_FIVE = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def record(field, namespace='/m', **parameters):
-    """Start a recorder, and return its file."""
     log = field.folder / 'record' / 'mission.mcap'
     log.parent.mkdir(exist_ok=True)
     field.start('recorder', {'file': str(log), **parameters}, namespace)
@@ -60,13 +59,11 @@ def record_path(field):
 
 
 def channels(log):
-    """Return the channels of a finished log."""
     with log.open('rb') as file:
         return make_reader(file).get_summary().channels.values()
 
 
 def recorded(log):
-    """Return the messages of a log by topic."""
     messages = defaultdict(list)
     for logged in read_log(log):
         messages[logged.topic].append(logged.message)
@@ -74,12 +71,10 @@ def recorded(log):
 
 
 def values(log, topic):
-    """Return the data of a topic's messages in a log."""
     return [message.data for message in recorded(log)[topic]]
 
 
 def deployment_stamps(messages):
-    """Return the deployment stamps of paths or reports."""
     return [
         read_report(message)[0].stamp
         if hasattr(message, 'deployment')

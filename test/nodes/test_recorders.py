@@ -30,7 +30,6 @@ from std_msgs.msg import String, UInt8MultiArray
 
 
 def start(field, log, **parameters):
-    """Start a recorder, and return its process once it has opened its log."""
     process = field.start('recorder', {'file': str(log), **parameters}, '/m')
     field.until(lambda: field.told('/m/recorder', presence.LOG), f'recorder of {log}')
     return process
@@ -95,11 +94,7 @@ def test_a_recorder_with_a_backlog_publishes_diagnostics(monkeypatch):
     assert max(np.diff([0.0, *heard, 50.0])) < SILENT
 
 
-# A recorder that is killed repeatedly loses no deployment.
-
-
 KILLS = 50 if FULL else 2
-
 # Depth that a publisher keeps for a restarted recorder.
 DEPLOYMENTS = qos.DEPTH
 
@@ -133,7 +128,6 @@ class Load:
 
 
 def stamps(log, kind):
-    """Return the deployment stamps of the paths or the reports in a log."""
     messages = [logged.message for logged in read_log(log, {kind})]
     if kind == REPORT:
         return {read_report(message)[0].stamp for message in messages}
@@ -177,12 +171,8 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     assert load.sent <= DEPLOYMENTS
 
 
-# The recorder records the parameters of the mission's nodes.
-
-
 @pytest.fixture
 def log(field):
-    """Start a recorder, and return its file."""
     log = field.folder / 'mission.mcap'
     field.start('recorder', {'file': str(log)}, '/m')
     field.until(lambda: field.told('/m/recorder', 'log'), 'log')

@@ -22,7 +22,6 @@ NODES = ('estimator', 'agent', 'planner')
 
 
 def ledger():
-    """Return an estimator's ledger before the first deployment."""
     prior = Belief.prior(GRID, 0.5, 0.45, 0.8)
     return Ledger(GRID, FIELD['max_steps'], Estimator(prior, SensorModel(0.5)))
 
@@ -44,7 +43,6 @@ def write(log, messages, *, resume=False):
 
 
 def start(field, name, log, robots, *, resumed=True):
-    """Start a node that resumes the mission from a log."""
     awaited = {'estimator': ['planner'], 'agent': ['planner', 'estimator'], 'recorder': []}
     field.start(
         name,
@@ -60,21 +58,18 @@ def start(field, name, log, robots, *, resumed=True):
 
 
 def until_done(field, robots):
-    """Wait until the planner knows that all robots are deployed."""
     done = f'done: {robots} of {robots} robots deployed'
     field.until(lambda: field.state('/m/planner') == done, done, patience=300)
 
 
 def reported(log):
-    """Return the reported deployments of a log."""
     return {from_stamp(each.message.deployment) for _, each in MissionLog(log).read('report')}
 
 
 def folded(log):
-    """Return an estimator's belief after all evidence of a log."""
     register = ledger()
     for role, logged in MissionLog(log).read('path', 'report'):
-        record(register, role, logged)
+        record(register, role, logged.message)
     return register.belief.joint.tobytes()
 
 

@@ -263,8 +263,6 @@ def test_a_robot_waits_for_its_action_servers_and_says_so(field):
     fleet.wait_for_report(reports, key)
 
 
-# Missions of robots driven by Nav2's actions in a third-party simulator
-
 MISSION = '/mission'
 NODES = ('recorder', 'estimator', 'planner')
 # Seconds after a path was sent at which the base dies, and seconds until its restart.
@@ -343,9 +341,6 @@ def test_a_mission_ends_and_its_log_agrees_with_the_simulator(
         assert -1 not in readings
 
 
-# Power loss of a robot in the field or at home, with loss of unsynced data.
-
-
 ORDERS = [0, 1, 2, 3, 16, 15, 14, 13, 0]
 
 # Seconds after departure at which the power is cut: in the field, or at any time.
@@ -354,7 +349,6 @@ CUTS = np.random.default_rng(6).uniform(0, 4.5, 100) if FULL else (0.7,)
 
 @pytest.fixture
 def synced(tmp_path, monkeypatch):
-    """Record, for processes that start, how much of each journal is synced."""
     library = tmp_path / 'keep_synced.so'
     source = Fleet.SOURCES / 'keep_synced.c'
     subprocess.run(['cc', '-shared', '-fPIC', '-o', library, source, '-ldl'], check=True)

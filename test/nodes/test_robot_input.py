@@ -298,8 +298,6 @@ def test_a_full_disk_loses_no_step(field):
     assert kept.deployments[0].cells == [0, 1, 2, 14, 13, 0]
 
 
-# Messages of a robot's target detector, and a missing message type.
-
 ROCK, TARGET_CLASS, DOUBTFUL = ('rock', 0.9), ('target', 0.5), ('target', 0.49)
 NOT_A_NUMBER = ('target', float('nan'))
 

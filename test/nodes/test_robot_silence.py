@@ -13,7 +13,6 @@ pytestmark = pytest.mark.processes
 
 
 def flap(mission, number, times, rng):
-    """Toggle the link while a robot reports its return; end with it down."""
     for ups in range(times):
         if len(mission.reports()) == number:
             return ups

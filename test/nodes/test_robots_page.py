@@ -57,9 +57,6 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     assert len(replayed.evidence.reports) == 3
 
 
-# Costmap filters of Nav2 take the hazard map as mask, set up as in docs/robots.md.
-
-
 PAGE = Path(__file__).parents[2] / 'docs/robots.md'
 
 # Subscribes like nav2_costmap_2d 1.3, and prints the effect of the mask's values.

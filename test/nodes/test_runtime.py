@@ -49,7 +49,6 @@ def fail(*_):
 
 
 def ask(node, until):
-    """Call a service, and return its response."""
     client = node.create_client(Trigger, 'how')
     until(client.service_is_ready)
     return client.call_async(Trigger.Request())
@@ -125,9 +124,6 @@ estimator.main()
     assert ended.returncode == 0, ended.stderr
 
 
-# Private and experimental parts of rclpy are unchanged.
-
-
 def test_rclpy_is_of_jazzy():
     text = Path(get_package_share_directory('rclpy'), 'package.xml').read_text()
     assert '<version>7.1.' in text, 'rclpy.experimental may be another'
@@ -139,9 +135,6 @@ def test_nodes_have_the_expected_private_attributes():
     assert node._parameter_overrides == {}, 'see nodes/runtime/declared.py'
     node.destroy_node()
     rclpy.try_shutdown()
-
-
-# Nodes use no shared memory, which a killed process would leave behind.
 
 
 CONFIG = Path(__file__).parents[2] / 'config'
@@ -176,7 +169,6 @@ def of_user(domain, **variables):
 
 @contextmanager
 def started(program, variables):
-    """Yield a process that is ready; kill it afterwards."""
     process = subprocess.Popen(
         [sys.executable, '-c', program], env=variables, stdout=subprocess.PIPE, text=True
     )

@@ -51,7 +51,6 @@ def complaints(said, told='[INFO]'):
 
 ROBOT = 'agent:=scout_1 journal:=FOLDER'
 
-# Refused parameters, and the reason in the node's only line.
 CANNOT_START = [
     ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
     ('planner', 'planner:=coverage objective:=behavioral', 'the planner coverage seeks'),
@@ -207,9 +206,6 @@ def test_a_node_ends_while_it_reads_a_log(monkeypatch):
         next(items)
 
 
-# Console lines, and the end of a mission.
-
-
 GRID = Grid(3, 3)
 MODEL = SensorModel(0.5)
 ROLES = ('agent', 'estimator', 'recorder', 'planner')
@@ -222,7 +218,6 @@ def ledger():
 
 
 def until_said(field, name, *words):
-    """Wait until a node's console has all these lines."""
     field.until(lambda: all(each in field.said(name) for each in words), f'{words} of {name}')
 
 
@@ -300,9 +295,6 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
             f'{counted(number, "deployment")}, {counted(lost, "robot")} lost'
         )
     assert 0 < lost < 5
-
-
-# The end of a mission on console and in the log.
 
 
 SILENT = {'silent_loss': True, 'step_period': 0.001, 'return_deadline': 2.0}

@@ -53,7 +53,6 @@ ADDED = {
     'allocations': {'theirs': 'in_turn'},
 }
 
-# Every reason for a refusal, and beside it a method that works.
 BAD_SOURCE = """
 from kbnitp_ros.core import Belief, PLANNERS
 from kbnitp_ros.core import KnownModel

@@ -8,7 +8,6 @@ import numpy as np
 
 
 def random_walk(grid, rng, steps):
-    """Return a closed random walk from the base of at most `steps` steps."""
     path = [grid.base]
     while len(path) <= steps // 2:
         path.append(int(rng.choice(grid.neighbors(path[-1]))))

@@ -171,9 +171,6 @@ def test_the_truth_gives_the_number_of_right_answers(told):
     ) in tiles['Can I trust it?'].detail
 
 
-# Two missions side by side: the page shows the two logs.
-
-
 @pytest.fixture(scope='module')
 def logs(tmp_path_factory):
     """Return the logs of two missions in one field: the second has three robots more."""

@@ -44,7 +44,6 @@ NAMES = ('hazard', 'target', 'kappa')
 
 
 def page_file(mission):
-    """Write the page of a mission beside its log."""
     page = mission.log.with_name('report.html')
     page.write_text(mission_page(mission, mission_curves(mission))[0])
     return page
@@ -76,7 +75,6 @@ def tabs(browser):
 
 @pytest.fixture
 def opened(tabs, shown):
-    """Return a function that opens the page offline; its console must stay empty."""
     pages, said = tabs
 
     def open_page(width=1600, height=1000, scheme='light', file=shown[1], is_strict=False):
@@ -124,7 +122,6 @@ def coloured(page, name):
 
 
 def marked(page, name, grid):
-    """Return the cells with a kind of mark, in order."""
     marks = f'document.getElementById("map").data.filter((trace) => trace.name === "{name}")'
     points = page.evaluate(f'{marks}.map((trace) => [trace.x, trace.y])')
     if not points:
@@ -135,7 +132,6 @@ def marked(page, name, grid):
 
 
 def move(page, moment):
-    """Move the slider like a user of keyboard or mouse."""
     page.evaluate(
         """moment => {
             const slider = document.getElementById('moment');
@@ -537,7 +533,6 @@ def test_answers_come_first(opened):
 
 
 def asked_in(page):
-    """Return the questions in a page's table, with the places of their answers."""
     text = (Path(__file__).parents[2] / page).read_text()
     return dict(re.findall(r'^\| (.*\?(?: \(.*\))?) \| (.*) \|$', text, re.MULTILINE))
 
@@ -752,7 +747,6 @@ def test_a_team_shows_robots_in_flight(opened, tmp_path):
 
 @pytest.fixture(scope='module')
 def two(shown, tmp_path_factory):
-    """Return two missions of one field and the file of their page."""
     folder = tmp_path_factory.mktemp('two')
     missions = shown[0], read_mission(single(folder / 'mission.mcap', 12))
     page = folder / 'comparison.html'

@@ -37,7 +37,6 @@ FILES = {
 
 
 def report(log, out):
-    """Run the command; return the names of the files that it made."""
     assert main([str(log), '--out', str(out)]) == 0
     return {file.name for file in out.iterdir()}
 
@@ -53,7 +52,6 @@ def told(log):
 
 @pytest.fixture(scope='module')
 def shown(tmp_path_factory):
-    """Return the log of a single robot's mission and its report."""
     folder = tmp_path_factory.mktemp('single')
     log = single(folder / 'mission.mcap')
     report(log, folder / 'out')

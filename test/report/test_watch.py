@@ -26,7 +26,6 @@ SENT = sent_by_single(6).sent
 
 @contextmanager
 def opened(browser, log):
-    """Yield the page of a log in a tab that may request its own server only."""
     asked = []
     with serving(log, None, watch.HOST, 0) as address:
         page = browser.new_context(bypass_csp=True).new_page()

@@ -16,7 +16,6 @@ import pytest
 GRID = Grid(4, 3, blocked=[5])
 ORDERS = (0, 1, 2, 1, 0)
 
-# A robot's events in order: leave, enter a cell, read it, come home.
 DOINGS = st.lists(st.integers(0, 5), max_size=30)
 
 

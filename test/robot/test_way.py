@@ -24,7 +24,6 @@ GRID = Grid(6, 5, base=7, resolution=0.5, origin=(-1.0, 2.0), blocked=[2, 9, 14,
 
 
 def wander(data, grid, steps, start=None):
-    """Return a random path."""
     way = [grid.base if start is None else start]
     for _ in range(steps):
         way.append(data.draw(st.sampled_from(grid.neighbors(way[-1]).tolist())))
@@ -205,15 +204,11 @@ def test_stays_and_legs_follow_each_other_until_the_robot_goes_home():
     assert itinerary.next_leg(walk) == (0,)
 
 
-# The walk of a robot with impossible positions.
-
-
 WALKED = Grid(20, 20)
 PATIENCE, TICK = 0.35, 0.1
 
 
 def follow(walk, places):
-    """Pass positions to a walk, one after another."""
     for number, (x, y) in enumerate(places):
         with suppress(ValueError):
             walk.follow(x, y, number * TICK)
@@ -268,9 +263,6 @@ def test_a_walk_in_a_turned_field_is_the_same(seed):
         been |= set(ways[0])
         assert walks[0].sees_its_cell(x, y) == walks[1].sees_its_cell(at.real, at.imag)
     assert len(been) > 1
-
-
-# The step in which a robot was, against a record of every moment.
 
 
 times = st.integers(0, 60)

@@ -35,5 +35,4 @@ def scenario(tmp_path_factory):
 
 @pytest.fixture(scope='session')
 def results(scenario):
-    """Return the results of all trials; not to be changed."""
     return small_study.run(scenario)

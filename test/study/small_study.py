@@ -60,7 +60,6 @@ def compared_by(scenario, teams):
 
 
 def written(results, comparison, folder):
-    """Write a report; return its summary, and the rows and cells of a comparison."""
     write_report(results, folder)
     summary = json.loads((folder / 'summary.json').read_text())
     told = comparison.table(summary[comparison.name]).markdown()

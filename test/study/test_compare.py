@@ -117,9 +117,6 @@ def test_functions_that_cannot_be_pickled_are_refused():
         compare(SMALL, planners={'mine': locked(Lock())}, workers=2)
 
 
-# The benchmark is frozen, its bounds hold, and installed methods take part.
-
-
 SCENARIOS = Path(__file__).parents[2] / 'scenarios'
 
 # Of version 2. A change needs another version.

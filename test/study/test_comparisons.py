@@ -113,9 +113,6 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
     ]
 
 
-# The value of a robot: missions are compared at equal log loss.
-
-
 COSTS = (Strategy(loss_cost=0.5), Strategy(), Strategy(loss_cost=5))
 
 
@@ -177,9 +174,6 @@ def test_the_difference_is_that_of_the_same_worlds():
     assert low < 4 < 8 < high
 
 
-# Teams are compared by robots sent and by rounds.
-
-
 SIZES = (Strategy(), Strategy(3, 'independent'), Strategy(2, 'voronoi'))
 
 
@@ -238,9 +232,6 @@ def test_information_by_robot_and_by_round(teams):
     realised = teams.series(0.9, 'kappa_bnitp', 'realised_information', team=SIZES[1])
     gained = summary['rows'][1]['information_a_robot']['mean']
     assert gained == pytest.approx(realised[:, 1:].mean(), abs=1e-6)
-
-
-# The value of a second base, counted from the table by hand.
 
 
 BASES = (Strategy(agents=2), Strategy(agents=2, second_base=11))

@@ -210,9 +210,6 @@ def test_inconsistent_goals_are_refused(changes, named):
         parse_scenario({**CONTENT, **changes})
 
 
-# Beliefs in kinds of hazards are compared, in worlds of each kind.
-
-
 RIGHT, STATIC, SAME = (Strategy(), Strategy(dynamics='static'), Strategy(paths='static'))
 KINDS = {'changing': Hazards('changing', appear=0.1, vanish=0.3), 'used_up': Hazards('used_up')}
 

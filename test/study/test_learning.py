@@ -57,13 +57,11 @@ DRAWN_STUDY = {
 
 
 def study(tmp_path, content):
-    """Return the scenario of a file's content."""
     return read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
 
 
 @pytest.fixture(scope='module')
 def learnt(tmp_path_factory):
-    """Return the results of a study that learns; do not change them."""
     return small_study.run(study(tmp_path_factory.mktemp('learnt'), LEARNT_STUDY))
 
 

@@ -28,7 +28,6 @@ def split_row(line):
 
 
 def table_text(scenario):
-    """Return the text between the marks of a scenario's page of tables."""
     text = (DOCS / f'tables/{scenario}.md').read_text()
     (block,) = re.findall('<!-- table -->\n(.*?)<!-- end -->', text, re.DOTALL)
     return block
@@ -42,7 +41,6 @@ def table_rows(scenario, place=0):
 
 
 def numbers(cell):
-    """Return the numbers in a cell: (mean, low, high), or fewer."""
     return tuple(map(float, re.findall(r'-?\d+\.\d+', cell)))
 
 
@@ -111,9 +109,6 @@ def test_the_log_loss_before_the_first_robot(name, nats):
         losses.append(log_loss(prior.hazard, world.hazard) + log_loss(prior.target, world.target))
     assert round(np.mean(losses)) == nats
     assert f'{nats} nats' in (DOCS / 'results.md').read_text()
-
-
-# The example
 
 
 def survival(lethality=0.9):

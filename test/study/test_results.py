@@ -67,9 +67,6 @@ def test_final_maps_are_those_of_all_trials(results):
     assert np.array_equal(truth[1], outcome.truth)
 
 
-# Means, their intervals and the paired differences.
-
-
 def test_the_interval_is_that_of_resampled_means():
     samples = np.array([1.0, 2.0, 3.0, 10.0])
     rng = np.random.default_rng(1)
@@ -121,9 +118,6 @@ def test_the_printed_table_agrees_with_the_summary(results):
         assert log_loss == f'{entry["mean"]:.1f} [{entry["low"]:.1f}, {entry["high"]:.1f}]'
 
 
-# Figures of any study; reliability is as defined.
-
-
 @pytest.mark.slow
 def test_a_calibrated_belief_is_on_the_diagonal():
     rng = np.random.default_rng(0)
@@ -155,9 +149,6 @@ def test_every_study_has_its_report(results, tmp_path, pictures, lethalities, tr
 def test_a_full_disk_is_reported_by_file(results, tmp_path):
     with room_for(1000), pytest.raises(OSError, match=f'File too large: {str(tmp_path)!r}'):
         write_report(results, tmp_path)
-
-
-# Figures of a study are legible with any number of contenders.
 
 
 ALLOCATED = (

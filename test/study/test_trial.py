@@ -131,9 +131,6 @@ def test_the_trials_are_all_combinations(scenario):
     ]
 
 
-# Prior maps of hazards: their accuracy, and the trust in them.
-
-
 GRID = Grid(40, 40)
 WORLD = World.random(GRID, np.random.default_rng(3), 0.15, 0.8, 0.1)
 PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)

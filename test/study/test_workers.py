@@ -163,9 +163,6 @@ def test_a_number_of_workers_that_no_machine_has_is_refused(count):
         pool.__enter__()
 
 
-# Finished trials are kept, and nothing else counts.
-
-
 TRIAL = Trial(0.9, 'kappa_bnitp', 1)
 
 

@@ -64,7 +64,6 @@ def posterior(rng, width, height, model, deployments):
 
 
 def survivals(states, path, model):
-    """Return the probability to survive a path in each state."""
     chances = np.ones(len(states))
     for cell in path[1:]:
         chances *= np.where(states[:, cell], *reversed(step_survival(model)))
@@ -85,7 +84,6 @@ def ways(width, height, to, most):
 
 
 def entropy(p):
-    """Return the entropy of a coin, nats."""
     return -sum(side * np.log(side) for side in (p, 1.0 - p) if side > 1e-15)
 
 

@@ -148,9 +148,6 @@ def test_entropies(seed):
     assert belief.joint_entropy() == pytest.approx(naive_entropy(joint.ravel()), rel=1e-12)
 
 
-# Scores against the true world; exact beliefs have the best possible.
-
-
 @for_each('seed', range(10))
 def test_scores_by_their_formulas(seed):
     rng = np.random.default_rng(seed)

@@ -34,7 +34,6 @@ print(half(1.0), third(3.0), type(half).__name__)
 
 
 def run(source, file='kernel.py', folder=None, before='', **environment):
-    """Run the kernels in another process; return its output and its warnings."""
     path = folder / file
     # Files without a code change keep their compiled code.
     if not path.exists():

@@ -15,7 +15,6 @@ SIGMAS = 5
 
 
 def assert_share(count, of, probability):
-    """Check a count against its binomial distribution."""
     spread = math.sqrt(of * probability * (1 - probability))
     assert abs(count - of * probability) <= SIGMAS * spread + 1e-9
 
@@ -136,9 +135,6 @@ def test_a_path_outside_the_world_is_refused():
         World(HAZARD, TARGET).traverse([0, 4, 0], SensorModel(0.5), np.random.default_rng(0))
 
 
-# Survival and readings of a robot.
-
-
 FIELDS = ('lethality', 'malfunction', 'false_negative', 'true_positive', 'false_positive')
 
 
@@ -151,9 +147,6 @@ def test_defaults_are_those_of_the_paper():
 def test_bad_probabilities_are_refused_by_name(field, value):
     with pytest.raises(ValueError, match=rf'{field} is {value}.*\[0, 1\]'):
         SensorModel(**{'lethality': 0.5, field: value})
-
-
-# Observation of one deployment.
 
 
 @for_each('path, survived, readings, message', [
@@ -183,9 +176,6 @@ def test_bad_observations_are_refused(path, survived, readings, message):
 def test_survived_is_a_yes_or_no(survived):
     with pytest.raises(ValueError, match='survived'):
         Observation([0, 1, 0], survived, None)
-
-
-# Robots that deviate from their orders still make walks, and tell them correctly.
 
 
 GRID = Grid(5, 4, base=6, blocked=(8, 13), through_corners=False)

@@ -26,7 +26,6 @@ from laws import for_each
 import numpy as np
 import pytest
 
-# Numbers of worlds, of bins for the ranks, of robots, and of draws.
 WORLDS, BINS, ROBOTS, DRAWS = 120, 10, 20, 400
 FIELD = Grid(3, 3)
 CELLS = [1, 2, 4, 6, 8]
@@ -72,12 +71,10 @@ KINDS = {
 
 
 def draw_place(bins, rng):
-    """Draw a value of a prior, by its place."""
     return int(rng.choice(bins.values.size, p=np.exp(bins.log_prior)))
 
 
 def clustered(world, clustering, rng):
-    """Draw a coupling and a world of that prior; return both, the coupling by its place."""
     place = draw_place(clustering.bins, rng)
     coupling = clustering.bins.values[place]
     states, chances = brute_force.clustered_prior(FIELD, coupling, WORLD['hazard_density'])
@@ -87,7 +84,6 @@ def clustered(world, clustering, rng):
 
 
 def ranks(number, kind, believed, as_told):
-    """Draw numbers, a world and a mission; return the rank of the truth in each posterior."""
     rng = np.random.default_rng([24, number])
     bins = {name: prior.bins() for name, prior in kind.unknowns.priors.items()}
     places = {name: draw_place(each, rng) for name, each in bins.items()}
@@ -119,7 +115,6 @@ def ranks(number, kind, believed, as_told):
 
 
 def truth_ranks(estimator, places, world, rng):
-    """Return the ranks of true numbers, by their places among the values, and of hazards."""
     found = {}
     if places.pop('coupling', None) is not None:
         drawn, _ = estimator.draws(DRAWS, rng)
@@ -137,7 +132,6 @@ def truth_ranks(estimator, places, world, rng):
 
 
 def probability_of_more(statistic, bins):
-    """Return P(chi-square > statistic) of an even number of bins."""
     y = statistic / 2
     p = erfc(sqrt(y))
     for twice in range(1, bins - 1, 2):
@@ -167,7 +161,6 @@ def test_ranks_are_uniform(kind):
 
 
 def late(observation):
-    """Report a loss a step late."""
     if observation.lost_at is None:
         return observation
     return replace(observation, steps_survived=0, lost_at=np.roll(observation.lost_at, 1))
@@ -209,9 +202,6 @@ def test_an_error_in_the_draws_is_found(name, monkeypatch):
     assert p < SIGNIFICANT
 
 
-# Sampling against long chains, written by `benchmarks/reference.py`.
-
-
 REFERENCE = np.load(Path(__file__).with_name('reference.npz'))
 GRID = Grid(9, 9)
 LETHALITIES = (0.1, 0.3, 0.5, 0.9)
@@ -226,7 +216,6 @@ def kept(lethality, number, what):
 
 
 def mission(lethality, number):
-    """Return the deployments of a mission."""
     lengths, survived = (kept(lethality, number, what) for what in ('length', 'survived'))
     paths = np.split(kept(lethality, number, 'path'), np.cumsum(lengths)[:-1])
     steps = (lengths - 1)[survived]

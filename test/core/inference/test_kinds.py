@@ -36,7 +36,6 @@ UNKNOWN = {
 
 
 def outcomes(seed, count=4):
-    """Draw outcomes of some robots."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         path = brute_force.random_path(rng, 3, 2, 0, int(rng.integers(1, 8)))
@@ -47,7 +46,6 @@ def outcomes(seed, count=4):
 
 
 def after(observations, **kwargs):
-    """Return an estimator of `PRIOR` after some outcomes."""
     estimator = Estimator(PRIOR, MODEL, **kwargs)
     for observation in observations:
         estimator.assimilate(observation)
@@ -128,7 +126,6 @@ def test_the_ratio_of_each_alternative_is_fair(unknowns, dynamics):
 
 
 def predicted(estimator):
-    """Return the probability that a belief gave its last outcome."""
     inference = estimator._inference
     if not hasattr(inference, 'predicted'):
         assert estimator.check.alternatives
@@ -137,7 +134,6 @@ def predicted(estimator):
 
 
 def flown(believed, seed, true=None):
-    """Return an estimator after a mission in a field with these true dynamics."""
     grid = Grid(9, 9)
     prior, rng = Belief.prior(grid, 0.15, 0.205, 0.8), np.random.default_rng(seed)
     world = World.random(grid, rng, 0.15, 0.8, 0.1)

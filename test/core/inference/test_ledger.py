@@ -256,9 +256,6 @@ def test_pending_reports_are_bounded_by_bytes_and_bad_stamps_dropped_first(ledge
     assert ledger.record_path(real, PATH)
 
 
-# In any order of paths and reports, the belief is that of the evidence in its order.
-
-
 MAX_STEPS = 6
 ADJACENT = brute_force.adjacent(3, 3)
 
@@ -279,13 +276,11 @@ class Evidence:
             self.paths[key] = said
 
     def complete(self):
-        """Return the deployments with path and report, in their order."""
         return sorted(
             (key for key in self.paths if key in self.reports), key=lambda key: key[::-1]
         )
 
     def joint(self):
-        """Return the belief's bits."""
         estimator = Estimator(PRIOR, MODEL, self.method)
         for key in self.complete():
             observation = Observation(self.paths[key], False)
@@ -330,7 +325,6 @@ def arrivals(draw):
 
 
 def tell(ledger, key, said):
-    """Record a path or a report in a ledger; return whether its belief changed."""
     record = ledger.record_report if isinstance(said, Report) else ledger.record_path
     return record(key, said)
 
@@ -359,7 +353,6 @@ def test_every_arrival_leaves_the_belief_of_the_evidence_so_far(method, messages
 
 
 def mission(robots, rng):
-    """Return the deployments of a long mission in their order."""
     for number in range(robots):
         path = tuple(brute_force.random_path(rng, 3, 3, 4, MAX_STEPS))
         survived = rng.random() < 0.5

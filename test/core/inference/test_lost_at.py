@@ -44,7 +44,6 @@ def draw_lost_at(rng, steps):
 
 
 def draw_path(rng, width, height, base):
-    """Draw a path with stays and repeats over at most MAX_CELLS cells."""
     while True:
         steps = int(rng.integers(1, 10))
         path = brute_force.random_path(rng, width, height, base, steps)
@@ -103,7 +102,6 @@ def test_the_published_methods_weigh_each_step_by_it(seed):
 
 
 def mission(seed):
-    """Draw a prior, sensors and three deployments in one small field, the first one lost."""
     rng = np.random.default_rng([seed, 24])
     while True:
         width, height = SIZES[rng.integers(len(SIZES))]
@@ -130,7 +128,6 @@ def mission(seed):
 
 
 def observed(path, readings, steps_survived=0, lost_at=None):
-    """Return the observation of a brute-force deployment."""
     return Observation(path, readings is not None, readings, steps_survived, lost_at)
 
 
@@ -149,7 +146,6 @@ def test_sampling_comes_to_the_exact_posterior_with_sweeps(seed, monkeypatch):
 
 
 def divergence_of_sampling(joint, model, deployments):
-    """Return the error of sampling against the exact posterior, nats."""
     estimator = Estimator(Belief(joint), model, 'kappa_bnitp_sampled')
     for deployment in deployments:
         estimator.assimilate(observed(*deployment))
@@ -157,9 +153,6 @@ def divergence_of_sampling(joint, model, deployments):
     found = estimator.belief.joint
     seen = expected > 0
     return float((expected[seen] * np.log(expected[seen] / found[seen])).sum())
-
-
-# Refused and equivalent values
 
 
 def test_uniform_lost_at_is_no_information():
@@ -260,6 +253,3 @@ def test_the_most_informative_report_counts():
     assert ledger.belief.joint.tobytes() == expected.joint.tobytes()
     with pytest.raises(ValueError, match=r'deployment scout_1 at .*lost_at\[2\] is nan'):
         ledger.record_report(key, Report(False, lost_at=(1.0, 1.0, float('nan'), 1.0)))
-
-
-# Hazards that change or are used up

@@ -23,7 +23,6 @@ ONE_PASS = [name for name, each in METHODS.items() if isinstance(each, OnePass)]
 
 
 def deployments(seed, most_cells, most_steps):
-    """Draw a belief, a model and a return, or every second time a loss if possible."""
     rng = np.random.default_rng(seed)
     joint, sensors, path = brute_force.random_case(rng, most_cells, most_steps)
     model = SensorModel(**sensors)
@@ -61,7 +60,6 @@ def test_published_update_is_the_paper_equations_summed_out(seed):
 
 
 def without_kappa(joint):
-    """Return the belief with kappa := target."""
     hazard, target = joint.sum(axis=2), joint.sum(axis=1)
     return hazard[:, :, None] * target[:, None, :]
 
@@ -163,9 +161,6 @@ def test_a_removed_method_is_refused_with_the_one_to_use():
         METHODS.find('kappa_bnitp_smoothed')
 
 
-# Losses as a Bayesian network in pyAgrum, compared with the methods.
-
-
 NETWORKS = 50
 MAX_CELLS = 12
 
@@ -226,12 +221,8 @@ def test_several_losses_are_correlated_in_the_network_and_by_sampling():
     assert max(off['kappa_bnitp_sampled']) < 0.05
 
 
-# The methods without kappa.
-
-
 @for_each('seed', range(300))
 def test_averaging_universes_gives_the_exact_marginals(seed):
-    """On long paths over many cells, with stays and repeats."""
     rng = np.random.default_rng(seed)
     width, height = (int(size) for size in rng.integers(2, 10, 2))
     belief = Belief(brute_force.random_joint(rng, width * height, 0)).independent()

@@ -22,7 +22,6 @@ def random_robot_type(rng):
 
 
 def random_robots(seed, robots, most_steps=6, independent=False):
-    """Draw a joint of four cells, a model, and robots: type, path, readings, steps survived."""
     rng = np.random.default_rng(seed)
     joint = brute_force.random_joint(rng, 4, 0)
     if independent:
@@ -49,7 +48,6 @@ def random_robots(seed, robots, most_steps=6, independent=False):
 
 
 def assimilated(joint, model, seen, method, **options):
-    """Return an estimator after the outcomes of robots of several types."""
     estimator = Estimator(Belief(joint), model, method, **options)
     for robot_type, path, readings, known in seen:
         estimator.assimilate(Observation(path, readings is not None, readings, known), robot_type)
@@ -57,7 +55,6 @@ def assimilated(joint, model, seen, method, **options):
 
 
 def enumerated(joint, model, seen):
-    """Return the posterior by enumeration, each robot with its own model."""
     return brute_force.weighed(joint, [(kind.model(model), *each) for kind, *each in seen])[1]
 
 
@@ -83,8 +80,6 @@ def test_robots_of_several_types_are_sampled_closely(seed):
     assert apart < 5e-3
     np.testing.assert_allclose(found, exact, rtol=0, atol=0.05)
 
-
-# Learning from robots that differ
 
 LETHALITIES = (np.arange(200) + 0.5) / 200
 

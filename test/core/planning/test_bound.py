@@ -25,7 +25,6 @@ CHUNKS = 250
 
 @cache
 def every_path(grid, most_steps, max_visits):
-    """Count visits per cell of all paths that a search may return, without duplicates."""
     ends, closed = {(grid.base, (0,) * grid.cells)}, set()
     for _ in range(most_steps):
         ends = {
@@ -53,7 +52,6 @@ GRIDS = [
 
 
 def random_problem(seed):
-    """Draw a grid with its limits, a belief, sensors and a loss cost, some of them extreme."""
     rng = np.random.default_rng(seed)
     grid, most_steps, max_visits = GRIDS[seed % len(GRIDS)]
     joint = brute_force.random_joint(rng, grid.cells, grid.base)
@@ -75,7 +73,6 @@ def random_problem(seed):
 
 
 def values(belief, model, visits, loss_cost):
-    """Return the values of paths from their visits per cell, shape (paths,)."""
     returns = brute_force.survival_of_visits(belief.joint, model, visits)
     with np.errstate(invalid='ignore'):
         information = brute_force.information_of_visits(belief.joint, model, visits)

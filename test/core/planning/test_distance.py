@@ -28,7 +28,6 @@ from laws import for_each
 import numpy as np
 import pytest
 
-# Grids, most steps and most visits for which all paths are enumerated.
 FIELDS = [
     (Grid(3, 3), 5, 2),
     (Grid(3, 3, base=4, resolution=0.1), 4, 3),
@@ -107,7 +106,6 @@ def path_length(grid, path):
 
 
 def found_by(grid, belief, model, options, **more):
-    """Return a plan that keeps the limits, and its value."""
     given = {name: value for name, value in vars(options).items() if name != 'max_steps'}
     found = plan(grid, belief, model, options.max_steps, **given, **more)
     assert path_length(grid, grid.check_path(found.path, options.max_steps)) <= (
@@ -151,7 +149,6 @@ def test_robots_of_a_team_keep_their_own_lengths(seed):
 
 
 def distances(grid):
-    """Return each cell's distance from the base, by Dijkstra's algorithm."""
     distance, queue = np.full(grid.cells, inf), [(0.0, grid.base)]
     while queue:
         length, cell = heappop(queue)

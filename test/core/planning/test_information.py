@@ -64,9 +64,6 @@ def test_bad_paths_are_refused(path, message):
         path_information(belief, SensorModel(0.5), path)
 
 
-# The behavioral objective, against the sum over all states and outcomes, and its laws.
-
-
 LOW, HIGH = options.ALPHAS
 ALPHAS = (LOW, 0.5, 0.8, 1.25, 2.0, HIGH)
 SEEKING = ('beam', 'relaxed')
@@ -124,14 +121,12 @@ def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
 
 @cache
 def every_path():
-    """Return a path for each way to visit cells of 3x3 in at most 6 steps, in some order."""
     visits = brute_force.all_visit_counts(3, 3, 0, 6)
     return [np.append(0, np.repeat(np.arange(9), each)) for each in visits]
 
 
 @cache
 def best_of_all(seed, alpha):
-    """Return a belief, a sensor model and the maximum value of a path."""
     rng = np.random.default_rng(seed)
     belief = Belief(brute_force.random_joint(rng, 9, 0))
     model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])))

@@ -147,7 +147,6 @@ def ranks(search):
 
 
 def valued(search, paths):
-    """Return the values of paths of cells."""
     rank = ranks(search)
     rows = np.zeros((len(paths), search.reach.within.size), dtype=np.intp)
     for row, path in zip(rows, paths):
@@ -156,8 +155,6 @@ def valued(search, paths):
 
 
 def walks(grid, steps):
-    """Yield all walks from the base."""
-
     def extended(walk):
         yield walk
         if len(walk) <= steps:
@@ -307,9 +304,6 @@ def test_the_best_of_a_wide_search_is_found():
         belief, model = Belief.from_maps(hazard, target, target), SensorModel(0.3)
         found, best = (plan(grid, belief, model, 18, width=w).information for w in (16, 128))
         assert found >= 0.99 * best
-
-
-# The sum of powers that approximates the surprisal of a loss.
 
 
 # Dense where the powers and the surprisal change fastest, near 0 and near 1.

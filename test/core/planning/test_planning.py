@@ -38,7 +38,6 @@ def every_path(base, most_steps=7):
 
 
 def random_problem(seed):
-    """Draw a belief; the sensors are the paper's, with one of its six lethalities."""
     rng = np.random.default_rng(seed)
     grid = Grid(4, 4, base=BASES[seed % len(BASES)])
     belief = Belief(brute_force.random_joint(rng, 16, grid.base))

@@ -42,7 +42,6 @@ def count_visits(path, cells):
 
 
 def few_paths(seed):
-    """Draw a belief of four cells, sensors and two or three short paths."""
     rng = np.random.default_rng(seed)
     joint, sensors = brute_force.random_joint(rng, 4, 0), brute_force.random_sensors(rng)
     robots = 2 + seed % 2
@@ -55,7 +54,6 @@ def few_paths(seed):
 
 
 def random_problem(seed):
-    """Draw a belief; the sensors are the paper's, with one of its six lethalities."""
     rng = np.random.default_rng(seed)
     grid = Grid(4, 4, base=BASES[seed % len(BASES)])
     belief = Belief(brute_force.random_joint(rng, 16, grid.base))
@@ -66,9 +64,6 @@ def random_belief(seed, grid=GRID):
     joint = brute_force.random_joint(np.random.default_rng(seed), grid.cells, grid.base)
     joint[~grid.free] = [[1, 0], [0, 0]]
     return Belief(joint)
-
-
-# Joint value of several paths
 
 
 @for_each('seed', range(60))
@@ -126,9 +121,6 @@ def test_merging_the_least_probable_fates_changes_little(seed, monkeypatch):
     merged = team_information(belief, MODEL, paths)
     monkeypatch.setattr(joint_outcomes, 'MAX_OUTCOMES', 256)
     assert merged == pytest.approx(team_information(belief, MODEL, paths), rel=0.03)
-
-
-# The allocations
 
 
 def shares_of_the_best(grid, belief, model, steps):
@@ -210,9 +202,6 @@ def test_independent_robots_take_the_same_path():
     assert [planned.path.tolist() for planned in team] == [alone] * 3
 
 
-# Regions
-
-
 @for_each('agents, base', product([1, 2, 3, 8], [0, 40]))
 def test_regions_divide_the_free_cells_evenly(base, agents):
     grid = Grid(9, 9, base=base, blocked=(13, 14, 22))
@@ -251,9 +240,6 @@ def test_robots_prefer_their_regions():
         assert inside.mean() > 0.6
 
 
-# Refusals
-
-
 BAD_TEAMS = [
     ({'agents': 0}, 'agents is 0.*at least 1'),
     ({'agents': -2}, 'agents is -2.*at least 1'),
@@ -282,16 +268,12 @@ def test_a_belief_of_another_grid_is_refused(allocation):
         plan_round(Grid(4, 4), PRIOR, MODEL, 4, 2, allocation)
 
 
-# Robots of several types: each is planned for with its own parameters.
-
-
 # A cheap blind robot and an expensive one with a good camera.
 BLIND = RobotType(true_positive=0.5, false_positive=0.5, max_steps=6)
 KEEN = RobotType(true_positive=0.99, false_positive=0.01, loss_cost=1.0)
 
 
 def few_robots(seed):
-    """Draw a belief of four cells, a model, and types and short paths of two or three robots."""
     rng = np.random.default_rng(seed)
     joint, model = brute_force.random_joint(rng, 4, 0), brute_force.random_sensors(rng)
     robots = 2 + seed % 2
@@ -308,9 +290,6 @@ def few_robots(seed):
 
 def sensor_models(kinds, model):
     return [kind.model(model) for kind in kinds]
-
-
-# Joint value of paths of robots that differ
 
 
 @pytest.mark.slow
@@ -349,9 +328,6 @@ def test_readings_of_different_cameras_count_up_to_a_limit(monkeypatch):
     assert after.readings.sum(axis=(2, 3)) == pytest.approx(1)
     some_counted = team_information(belief, MODEL, paths, robot_types=kinds)
     assert some_counted == pytest.approx(all_counted, rel=1e-3)
-
-
-# The allocations
 
 
 @for_each('allocation', ALLOCATIONS)
@@ -406,9 +382,6 @@ def test_targets_of_robots_in_flight_are_left_to_them():
         assert (team[0].path.min() < 5) == goes_west
 
 
-# Whole missions
-
-
 def test_robots_of_types_meet_the_world_with_their_own_sensors():
     grid, rng = Grid(5, 5, base=12), np.random.default_rng(2)
     world = World.random(grid, rng, 0.2, 0.8, 0.1)
@@ -419,9 +392,6 @@ def test_robots_of_types_meet_the_world_with_their_own_sensors():
     survived = [deployment.observation.survived for deployment in made]
     assert survived == [True, False, True, False, True, False, True]
     assert all(each.observation.steps <= 4 for each in made[::2])
-
-
-# Refusals
 
 
 @for_each('arguments, message', [

@@ -33,7 +33,6 @@ UNEVENTFUL = SensorModel(0.0, malfunction=0.0), [0, 0], [-1], None
 
 
 def drawn(seed, kind, size=None):
-    """Draw a field, dynamics of its hazards, and some deployments."""
     rng = np.random.default_rng([seed, len(kind)])
     width, height = size or SIZES[seed % len(SIZES)]
     base = int(rng.integers(width * height))
@@ -161,9 +160,6 @@ def test_worlds_change_by_the_stated_dynamics():
                 times = of[1:-1, may].sum()
                 spread = np.sqrt(times * rate * (1 - rate))
                 assert abs(share[1:, may].sum() - times * rate) < 5 * spread
-
-
-# Moving hazards: the filter's prediction against drawn worlds, and its invariants.
 
 
 GRID = Grid(3, 3, blocked=(5,))

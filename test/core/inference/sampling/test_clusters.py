@@ -30,7 +30,6 @@ def uniform_prior(grid, density):
 
 
 def likelihood(states, model, observations):
-    """Return the probability of all outcomes and readings, given each state of the hazards."""
     survival = np.array(brute_force.step_survival(model))
     positive = np.array(brute_force.detection(model))
     looks = np.ones((2, states.shape[1]))
@@ -47,7 +46,6 @@ def likelihood(states, model, observations):
 
 
 def posterior(grid, couplings, density, model, observations):
-    """Return P(hazard) of each cell, and the weight of each coupling."""
     by_coupling = []
     for coupling in couplings:
         states, weight = brute_force.clustered_prior(grid, coupling, density)
@@ -57,7 +55,6 @@ def posterior(grid, couplings, density, model, observations):
 
 
 def random_mission(seed, malfunction=0.05):
-    """Draw a field, a world, and the observations of robots on random walks."""
     rng = np.random.default_rng([2024, seed])
     width, height = GRIDS[seed % 3]
     blocked = (5,) if seed % 5 == 0 else ()
@@ -85,14 +82,12 @@ def new_estimator(grid, clustering, density, model, seed=0):
 
 
 def divergence(exact, hazard):
-    """Return the KL divergence of cells from the exact posterior, nats."""
     p, q = np.stack([exact, 1 - exact]), np.stack([hazard, 1 - hazard])
     inside = p > 1e-12
     return float((p[inside] * np.log(p[inside] / q[inside])).sum())
 
 
 def divergences(seeds):
-    """Return the KL divergences of beliefs, and the errors of mean couplings, of some missions."""
     of_beliefs, of_couplings = [], []
     for seed in seeds:
         grid, clustering, density, model, observations = random_mission(seed)
@@ -117,7 +112,6 @@ def test_beliefs_are_those_of_enumeration(record_property):
 
 
 def converge_at(monkeypatch, error, most):
-    """Set the error at which sampling stops, and its maximum number of sweeps."""
     monkeypatch.setattr(sampler, 'CONVERGED', error)
     monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', error)
     monkeypatch.setattr(sampler, 'MAX_SWEEPS', most)

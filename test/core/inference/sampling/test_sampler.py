@@ -37,12 +37,10 @@ EVERYTHING = {
 
 
 def observed(path, readings=None, steps_survived=0):
-    """Return the observation of a brute-force deployment."""
     return Observation(path, readings is not None, readings, steps_survived)
 
 
 def assimilated(prior, model, observations, unknowns=Unknowns(), seed=0):  # noqa: B008
-    """Return an estimator after these deployments."""
     estimator = Estimator(prior, model, METHOD, unknowns, seed)
     for observation in observations:
         estimator.assimilate(observation)
@@ -50,7 +48,6 @@ def assimilated(prior, model, observations, unknowns=Unknowns(), seed=0):  # noq
 
 
 def random_mission(rng, width, height, robots, joint, model):
-    """Draw observations of robots on random walks, some without readings or steps survived."""
     world = np.array([rng.choice(4, p=cell.ravel()) for cell in joint])
     s, on = brute_force.step_survival(model), brute_force.detection(model)
     seen = []
@@ -68,12 +65,8 @@ def random_mission(rng, width, height, robots, joint, model):
 
 
 def divergence(exact, belief):
-    """KL divergence of a belief from the exact one, nats, summed over the cells."""
     possible = exact > 0
     return (exact[possible] * np.log(exact[possible] / belief[possible])).sum()
-
-
-# Against enumeration
 
 
 def log_odds(p):
@@ -99,7 +92,6 @@ def moved(probabilities, average):
 
 
 def with_value(joint, model, name, value):
-    """Return a prior and a sensor model with one number set."""
     if name in ('lethality', 'malfunction', 'true_positive', 'false_positive'):
         return joint, SensorModel(**{**vars(model), name: value})
     hazard = joint[:, 1].sum(axis=1)
@@ -190,7 +182,6 @@ def weight_of_hazards(joint, model, observations):
 
 
 def marginals(weight, local):
-    """Return the cells' joints, from the weight of each state of the hazards."""
     hazard = weight @ HAZARDS / weight.sum()
     of_hazard = local.sum(axis=2)
     given = local / np.where(of_hazard > 0, of_hazard, 1)[:, :, None]
@@ -202,7 +193,6 @@ ENTROPIC = Belief.prior(FIELD, 0.5, 0.45, 0.8)
 
 
 def mission_of_25(seed, model):
-    """Draw observations of 25 robots on random walks on 4x4 cells."""
     rng = np.random.default_rng(seed)
     world = World.random(FIELD, rng, 0.5, 0.8, 0.1)
     paths = [brute_force.random_path(rng, 4, 4, 0, rng.integers(1, 11)) for _ in range(25)]
@@ -253,9 +243,6 @@ def test_certain_cells_are_sampled(malfunction, lethality, seed):
     exact = brute_force.posterior(joint, model, *seen)
     found = assimilated(Belief(joint), model, [observed(*deployment) for deployment in seen])
     np.testing.assert_allclose(found.belief.joint, exact, rtol=0, atol=0.02)
-
-
-# Exact properties
 
 
 def test_without_losses_the_posterior_is_exact():
@@ -374,9 +361,6 @@ def test_the_numbers_drawn_are_not_those_of_a_world_of_that_seed():
         drawn = np.random.default_rng(others).random(4)
         for deployments in (0, 3):
             assert not np.isin(sampler.generator(5, deployments).random(4), drawn).any()
-
-
-# Bad input
 
 
 @for_each('given, message', [
