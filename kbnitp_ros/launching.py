@@ -62,40 +62,35 @@ def transport(context: LaunchContext) -> list[SetEnvironmentVariable]:
 TRANSPORT = OpaqueFunction(function=transport)
 
 
+# Arguments that all launch files of missions take: name, default, choices and description.
+ARGUMENTS = (
+    ('namespace', '', None, 'Namespace of all nodes and topics.'),
+    (
+        'params_file',
+        PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
+        None,
+        'YAML file with the parameters of the nodes.',
+    ),
+    ('record', 'true', SWITCH, 'Whether to record the mission.'),
+    (
+        'file',
+        '',
+        None,
+        'The log to write; empty for the one that the parameters name, or if they name none, '
+        'runs/TIME/mission.mcap.',
+    ),
+    ('resume', '', None, 'Log of a dead mission to go on with; empty for a new mission.'),
+    ('rviz', 'false', SWITCH, 'Whether to show the mission in RViz.'),
+)
+
+
 def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
-    """Return the arguments that all launch files of missions take."""
+    """Return the arguments that all launch files of missions take, with these defaults."""
     known = node_parameters('estimator') | node_parameters('planner')
     return [
-        DeclareLaunchArgument(
-            'namespace', default_value='', description='Namespace of all nodes and topics.'
-        ),
-        DeclareLaunchArgument(
-            'params_file',
-            default_value=PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
-            description='YAML file with the parameters of the nodes.',
-        ),
-        DeclareLaunchArgument(
-            'record',
-            default_value='true',
-            choices=SWITCH,
-            description='Whether to record the mission.',
-        ),
-        DeclareLaunchArgument(
-            'file',
-            default_value='',
-            description='The log to write; empty for the one that the parameters name, or if they '
-            'name none, runs/TIME/mission.mcap.',
-        ),
-        DeclareLaunchArgument(
-            'resume',
-            default_value='',
-            description='Log of a dead mission to go on with; empty for a new mission.',
-        ),
-        DeclareLaunchArgument(
-            'rviz',
-            default_value='false',
-            choices=SWITCH,
-            description='Whether to show the mission in RViz.',
+        *(
+            DeclareLaunchArgument(name, default_value=default, choices=choices, description=what)
+            for name, default, choices, what in ARGUMENTS
         ),
         *(launch_argument(known[name], defaults.get(name, '')) for name in OPTIONS),
     ]

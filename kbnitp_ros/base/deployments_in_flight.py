@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -46,13 +46,13 @@ class DeploymentInFlight:
     is_overdue: bool = False
 
 
-class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
-    """The deployments in flight, by key."""
+class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
+    """The deployments in flight, by key in their order."""
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
+        super().__init__()
         self._values = values
         self.kept = kept
-        self._in_flight: dict[DeploymentKey, DeploymentInFlight] = {}
         self._sent: set[DeploymentKey] = set()
         # The state of all orders.
         self.departures = Departures()
@@ -65,27 +65,15 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         self._sent_by_agent: Counter[str] = Counter()
         self._time = 0
 
-    def __getitem__(self, key: DeploymentKey) -> DeploymentInFlight:
-        """Return a deployment in flight."""
-        return self._in_flight[key]
-
-    def __iter__(self) -> Iterator[DeploymentKey]:
-        """Iterate over the deployments in flight, in their order."""
-        return iter(self._in_flight)
-
-    def __len__(self) -> int:
-        """Return the number of deployments in flight."""
-        return len(self._in_flight)
-
     @property
     def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
         """Return the paths in flight, by deployment."""
-        return {key: robot.path for key, robot in self._in_flight.items()}
+        return {key: robot.path for key, robot in self.items()}
 
     @property
     def agents(self) -> set[str]:
         """Return the agents that have a robot in flight."""
-        return {key.agent for key in self._in_flight}
+        return {key.agent for key in self}
 
     @property
     def sent(self) -> int:
@@ -97,11 +85,11 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         """Return the deployments whose agents have not reported a departure."""
         if self._values['presume_departure']:
             return []
-        return [key for key in self._in_flight if not self.has_departed(key)]
+        return [key for key in self if not self.has_departed(key)]
 
     def has_departed(self, key: DeploymentKey) -> bool:
         """Return whether a robot in flight is known to have departed."""
-        robot = self._in_flight[key]
+        robot = self[key]
         is_on_record = robot.is_recorded or not self._values['recorded']
         return robot.has_departed or (self._values['presume_departure'] and is_on_record)
 
@@ -116,7 +104,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
         """Add a robot sent on a path by a message with this hash."""
-        self._in_flight[key] = DeploymentInFlight(path, content)
+        self[key] = DeploymentInFlight(path, content)
         self._sent.add(key)
         self._others.pop(key, None)
         self._sent_by_agent[key.agent] += 1
@@ -128,7 +116,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     ) -> bool:
         """Add a path; return whether it replaces the one that the robot was sent on."""
         if key in self._sent:
-            robot = self._in_flight.get(key)
+            robot = self.get(key)
             if robot is None or content != robot.recorded_content:
                 return False
             robot.path, robot.content, robot.is_recorded, robot.recorded_content = (
@@ -147,7 +135,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
 
     def record(self, key: DeploymentKey, content: int) -> bool:
         """Record an acknowledgement; return whether the robot's path changes by it."""
-        robot = self._in_flight.get(key)
+        robot = self.get(key)
         if robot is None or content != robot.content:
             # It may be a departure, reported before the path arrives.
             remember(self._recorded, (key, content), None)
@@ -171,11 +159,11 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
             )
         if not self.departures.take(key, status):
             return False
-        robot = self._in_flight.get(key)
+        robot = self.get(key)
         if robot is None:
             return True
         if status.state is OrderState.REFUSED:
-            del self._in_flight[key]
+            del self[key]
             self._sent.discard(key)
         elif status.state is OrderState.DEPARTED:
             robot.departure = status.content
@@ -190,15 +178,15 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
     def restore(self, key: DeploymentKey, status: AgentStatus) -> None:
         """Restore a recorded status."""
         self.take(key, status)
-        if status.state is OrderState.DEPARTED and key in self._in_flight:
-            self._in_flight[key].has_departed = True
+        if status.state is OrderState.DEPARTED and key in self:
+            self[key].has_departed = True
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
         """Remove a robot that its agent reported, or that was given up."""
         if self.departures.is_refused(key):
             # A returned robot must have departed.
             self._sent.add(key)
-        self._in_flight.pop(key, None)
+        self.pop(key, None)
         self.departures.end(key, reported)
 
     def overdue(self, now: int) -> list[DeploymentKey]:
@@ -207,7 +195,7 @@ class DeploymentsInFlight(Mapping[DeploymentKey, DeploymentInFlight]):
         if now <= 0:
             return []
         overdue = []
-        for key, robot in list(self._in_flight.items()):
+        for key, robot in list(self.items()):
             if not self.has_departed(key):
                 continue
             # A clock that was set back does not delay timeouts.

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import pairwise
@@ -14,14 +14,12 @@ from pathlib import Path
 import re
 import shlex
 import shutil
-import signal
-import sys
 import time
 from typing import Any
 
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, Progress
+from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.checks import check_reach, reach_note
-from kbnitp_ros.cli.output import complain, say
+from kbnitp_ros.cli.output import complain, end_on_signals, say
 from kbnitp_ros.cli.parameters import (
     asked_on_record,
     DEFAULTS,
@@ -58,15 +56,13 @@ from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
-from kbnitp_ros.core import Belief, DeploymentKey, METHODS
+from kbnitp_ros.core import METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
 from kbnitp_ros.log.read import log_size, read_parameters
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.messages.beliefs import read_belief_maps
-from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
@@ -78,10 +74,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from tqdm import tqdm
 
-# Nothing is published for good before all of these hear it.
+# Nothing is published for good before all of these subscribe to it.
 AWAITED = {
-    'estimator': ['planner', 'recorder', 'observer'],
-    'agent': ['planner', 'estimator', 'recorder', 'observer'],
+    'estimator': ['planner', 'recorder'],
+    'agent': ['planner', 'estimator', 'recorder'],
     'planner': ['agent', 'estimator', 'recorder'],
 }
 
@@ -131,9 +127,7 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
     elif planner['map']:
         joined = int((grid.steps_to_base < grid.cells).sum())
         say(f'{most} steps reach all {joined} cells that the base is joined to.')
-    # Shells start background jobs deaf to SIGINT; and SIGTERM, too, must end the nodes.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    end_on_signals()
     try:
         with serving(log, None, HOST, 0) if has_page else nullcontext():
             deploy(parameters)
@@ -264,7 +258,7 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
             # The progress bar says it.
             levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
             processes.start(node, {**parameters[node], **awaited}, levels=levels)
-        with observed(domain, parameters['planner']['agents']) as observer:
+        with observed(domain) as observer:
             observer.watch(parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
@@ -272,14 +266,14 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 @contextmanager
-def observed(domain: int, agents: Sequence[str]) -> Iterator[Observer]:
-    """Yield an observer of these agents on the domain."""
+def observed(domain: int) -> Iterator[Observer]:
+    """Yield an observer of the mission on the domain."""
     os.environ.update(environment(domain))
     rclpy.init(
         args=['--ros-args', '--enclave', '/observer'],
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    observer = Observer(agents)
+    observer = Observer('observer')
     try:
         yield observer
     finally:
@@ -290,44 +284,29 @@ def observed(domain: int, agents: Sequence[str]) -> Iterator[Observer]:
 class Observer(Node):
     """Show a mission's progress."""
 
-    def __init__(self, agents: Sequence[str]) -> None:
-        super().__init__('observer')
-        self._held = 0
-        self._survived: dict[DeploymentKey, bool] = {}
-        self._belief: Belief | None = None
-        self._progress = Progress()
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        # None until the first belief.
+        self._progress: Progress | None = None
         self.create_subscription(Progress, 'progress', self._on_progress, qos.LATCHED)
-        self.create_subscription(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
-        for agent in agents:
-            self.create_subscription(
-                DeploymentReport, f'{agent}/report', self._on_report, qos.EVIDENCE
-            )
-
-    def _on_belief(self, message: BeliefMaps) -> None:
-        snapshot = read_belief_maps(message)
-        self._held, self._belief = snapshot.deployments, snapshot.belief
 
     def _on_progress(self, message: Progress) -> None:
         self._progress = message
 
-    def _on_report(self, message: DeploymentReport) -> None:
-        key, report = read_report(message)
-        self._survived[key] = report.survived or self._survived.get(key, False)
-
     def _most_left(self, robots: int) -> float:
         """Return the longest wait for the next change, in seconds."""
-        now = self._progress
+        now = self._progress or Progress()
         # The reason is empty unless the estimator refuses evidence.
         if now.reason.startswith(BELIEF_AWAITED):
             return OPERATOR_WAIT
-        if self._belief is None or now.out:
+        if now.out:
             return inf
         if now.state in (MissionState.DONE, MissionState.ENDED):
             return 0.0
         # Nobody can call the services of the planner, which may be about to search again.
         if now.reason.startswith(OPERATOR_AWAITED):
             return OPERATOR_WAIT
-        return END_WAIT if self._held >= robots else inf
+        return END_WAIT if self._progress and now.deployments >= robots else inf
 
     def watch(self, robots: int, processes: Processes) -> None:
         """Wait until the mission is over, or only an operator could go on with it."""
@@ -339,20 +318,20 @@ class Observer(Node):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
-                if self._belief is None:
+                now = self._progress
+                if now is None:
                     present = self.get_node_names()
                     absent = [name for name in NODES if name not in present]
                     bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
-                else:
-                    bar.set_description('deploying', refresh=False)
-                    entropy = f'{self._belief.entropy():.1f} nats'
-                    lost = len(self._survived) - sum(self._survived.values())
-                    bar.set_postfix(entropy=entropy, lost=lost, refresh=False)
-                bar.update(self._held - bar.n)
-                if known != (known := (self._held, self._progress.reason)):
+                    continue
+                bar.set_description('deploying', refresh=False)
+                entropy = f'{now.hazard_entropy + now.target_entropy:.1f} nats'
+                bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
+                bar.update(now.deployments - bar.n)
+                if known != (known := (now.deployments, now.reason)):
                     since = time.monotonic()
-        if self._held < robots:
-            say(self._progress.reason)
+        if now is not None and now.deployments < robots:
+            say(now.reason)
 
 
 def conclude(log: Path, note: str) -> int:

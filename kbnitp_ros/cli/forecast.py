@@ -9,11 +9,9 @@ import csv
 from functools import partial
 from itertools import chain
 from pathlib import Path
-import signal
-import sys
 from typing import Any
 
-from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.cli.parameters import node_values, recorded_planner, set_parameter
 from kbnitp_ros.cli.study import count
 from kbnitp_ros.configuration import agent_names, make_estimator, make_goal, make_grid
@@ -60,8 +58,7 @@ SPREAD = ('5 %', 'median', '95 %')
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = parse(argv)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    end_on_signals()
     try:
         if options.out:
             check_is_free(options.out)

@@ -28,6 +28,13 @@ def say(*lines: str) -> None:
         print(*lines, sep='\n', flush=True)
 
 
+def end_on_signals() -> None:
+    """Let SIGINT and SIGTERM end a command with the processes that it has started."""
+    # Shells start background jobs with SIGINT ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+
+
 def complain(name: str, error: object) -> None:
     """Print an error of a command on standard error, if that is open."""
     words = in_words(error) if isinstance(error, BaseException) else error

@@ -9,10 +9,8 @@ from contextlib import ExitStack
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-import signal
-import sys
 
-from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from tqdm import tqdm
@@ -39,9 +37,7 @@ EXAMPLES = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = parse(argv)
-    # Shells start background jobs with SIGINT ignored; SIGTERM must end the workers, too.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    end_on_signals()
     is_benchmark = options.scenario == BENCHMARK
     try:
         # Pandas takes a second to import, and the help does not need it.

@@ -8,12 +8,10 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-import signal
-import sys
 from threading import Condition, Event, Thread
 import time
 
-from kbnitp_ros.cli.output import command, complain, say
+from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.cli.study import count
 from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.read import is_finished
@@ -72,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help=f'address to listen on; default {HOST}, which this machine alone can reach',
     )
     options = parser.parse_args(argv)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    end_on_signals()
     try:
         log = options.log or newest_log()
         if not log.exists():
@@ -152,9 +150,9 @@ class Follower:
             try:
                 self._look()
             except FileNotFoundError:
-                self._tell('Waiting for the recorder to begin the log.')
+                self._describe('Waiting for the recorder to begin the log.')
             except (LogError, ValueError, OSError) as error:
-                self._tell(f'The page is of an earlier moment: {error}')
+                self._describe(f'The page is of an earlier moment: {error}')
             # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)
 
@@ -164,9 +162,9 @@ class Follower:
         now = time.monotonic()
         if state == self._state:
             if is_finished(self.log):
-                self._tell('The log is finished. If the mission is resumed, the page goes on.')
+                self._describe('The log is finished. If the mission is resumed, the page goes on.')
             elif now > self._grown_at + STILL:
-                self._tell(
+                self._describe(
                     f'The log has not grown for {now - self._grown_at:.0f} s: its recorder has '
                     'ended or was killed. If the mission is resumed, the page goes on.'
                 )
@@ -176,11 +174,11 @@ class Follower:
         if is_replaced:
             self._show(self._waiting())
         if first_belief(MissionLog(self.log, self._namespace)) is None:
-            self._tell('Waiting for the first belief: the nodes of the mission are starting.')
+            self._describe('Waiting for the first belief: the nodes of the mission are starting.')
             return
         mission = read_mission(self.log, namespace=self._namespace)
         page, _ = mission_page(mission, mission_curves(mission), is_live=True)
-        self._tell(
+        self._describe(
             f'Following the log: {len(mission.ended)} robots reported, {mission.in_flight} out.'
         )
         if page != self._bare:
@@ -193,7 +191,7 @@ class Follower:
             self._bare, self.page = page, page.replace('<html lang="en">', named, 1)
             self.changed.notify_all()
 
-    def _tell(self, sentence: str) -> None:
+    def _describe(self, sentence: str) -> None:
         if sentence != self.sentence:
             with self.changed:
                 self.sentence = sentence
@@ -218,7 +216,7 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path == '/update':
             self._answer(without_library(self._follower.page))
         elif self.path == '/events':
-            self._tell_changes()
+            self._send_changes()
         else:
             self.send_error(404)
 
@@ -231,7 +229,7 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(body)
 
-    def _tell_changes(self) -> None:
+    def _send_changes(self) -> None:
         """Send server-sent events until the browser or the server ends."""
         self.send_response(200)
         self.send_header('Content-Type', 'text/event-stream')

@@ -77,14 +77,11 @@ class Parameter:
     def allowed(self) -> str:
         """Describe the further limits of its values; empty if there are none."""
         if self.limits is not None:
-            return f'{self._off_or}from {self.limits[0]} to {self.limits[1]}'
+            off_or = '' if self.off is None else f'{self.off} or '
+            return f'{off_or}from {self.limits[0]} to {self.limits[1]}'
         if self.choices != ():
             return f'one of {", ".join(self.choices)}'
         return f'of the form {self.pattern}' if self.pattern else ''
-
-    @property
-    def _off_or(self) -> str:
-        return '' if self.off is None else f'{self.off} or '
 
     @property
     def must_be(self) -> str:

@@ -40,6 +40,51 @@ LEARN = {
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
 }
 
+# The sensors of robots: the defaults, and their meanings.
+SENSOR = {
+    'lethality': (
+        0.5,
+        'Probability that a hazard strikes a robot that steps into its cell. The sensor '
+        'parameters of the agent are the truth, those of the estimator what estimator and planner '
+        'believe.',
+    ),
+    'malfunction': (0.05, 'Probability that a robot is lost in a step without any hazard.'),
+    'false_negative': (0.05, 'Probability that a robot survives a hazard that strikes it.'),
+    'true_positive': (0.95, 'Probability that a target is reported where there is one.'),
+    'false_positive': (0.05, 'Probability that a target is reported where there is none.'),
+}
+
+# Rates of hazards: events per deployment.
+RATES = {
+    'appear': 'a free cell gets a hazard, for changing hazards; 0 with a learnt hazards.vanish '
+    'stands for the rate that keeps the expected number of hazards',
+    'vanish': 'a hazard disappears, for changing hazards',
+    'move': 'a hazard goes to a free neighbouring cell, for moving hazards',
+}
+
+# Probabilities before the first deployment, and in a drawn world: the defaults and the events.
+PRIOR = {
+    'hazard': (0.5, 'a hazard in each cell'),
+    'target': (0.45, 'a target in each cell'),
+    'kappa': (0.8, 'a target where there is a hazard,'),
+}
+DRAWN = {
+    'hazard_density': (0.15, 'a hazard in each cell of a drawn world but the bases'),
+    'kappa': (0.8, 'a target in a cell of a drawn world that has a hazard'),
+    'target_background': (0.1, 'a target in a cell of a drawn world that has no hazard'),
+}
+
+# Nodes that wait, those that they wait for, and what these must subscribe to.
+AWAITED = (
+    (('planner',), ('agent', 'estimator'), 'the paths to await before the first is sent'),
+    (('estimator',), ('planner',), 'the belief to await before the first is published'),
+    (
+        ('agent', 'robot'),
+        ('planner', 'estimator'),
+        'the reports to await before the first robot leaves',
+    ),
+)
+
 TABLE = (
     Parameter(
         'map',
@@ -135,47 +180,9 @@ TABLE = (
         read_only=False,
         per_agent=True,
     ),
-    Parameter(
-        'sensor.lethality',
-        0.5,
-        'Probability that a hazard strikes a robot that steps into its cell. The sensor '
-        'parameters of the agent are the truth, those of the estimator what estimator and planner '
-        'believe.',
-        SENSING,
-        limits=PROBABILITY,
-        per_agent=True,
-    ),
-    Parameter(
-        'sensor.malfunction',
-        0.05,
-        'Probability that a robot is lost in a step without any hazard.',
-        SENSING,
-        limits=PROBABILITY,
-        per_agent=True,
-    ),
-    Parameter(
-        'sensor.false_negative',
-        0.05,
-        'Probability that a robot survives a hazard that strikes it.',
-        SENSING,
-        limits=PROBABILITY,
-        per_agent=True,
-    ),
-    Parameter(
-        'sensor.true_positive',
-        0.95,
-        'Probability that a target is reported where there is one.',
-        SENSING,
-        limits=PROBABILITY,
-        per_agent=True,
-    ),
-    Parameter(
-        'sensor.false_positive',
-        0.05,
-        'Probability that a target is reported where there is none.',
-        SENSING,
-        limits=PROBABILITY,
-        per_agent=True,
+    *(
+        Parameter(f'sensor.{name}', default, meaning, SENSING, limits=PROBABILITY, per_agent=True)
+        for name, (default, meaning) in SENSOR.items()
     ),
     Parameter(
         'hazards.dynamics',
@@ -187,49 +194,25 @@ TABLE = (
         SENSING,
         choices=HAZARDS,
     ),
-    Parameter(
-        'hazards.appear',
-        0.0,
-        'Probability per deployment that a free cell gets a hazard, for changing hazards; 0 with '
-        'a learnt hazards.vanish stands for the rate that keeps the expected number of hazards.',
-        SENSING,
-        limits=PROBABILITY,
+    *(
+        Parameter(
+            f'hazards.{name}',
+            0.0,
+            f'Probability per deployment that {event}.',
+            SENSING,
+            limits=PROBABILITY,
+        )
+        for name, event in RATES.items()
     ),
-    Parameter(
-        'hazards.vanish',
-        0.0,
-        'Probability per deployment that a hazard disappears, for changing hazards.',
-        SENSING,
-        limits=PROBABILITY,
-    ),
-    Parameter(
-        'hazards.move',
-        0.0,
-        'Probability per deployment that a hazard goes to a free neighbouring cell, for moving '
-        'hazards.',
-        SENSING,
-        limits=PROBABILITY,
-    ),
-    Parameter(
-        'prior.hazard',
-        0.5,
-        'Probability of a hazard in each cell before the first deployment.',
-        ('estimator',),
-        limits=PROBABILITY,
-    ),
-    Parameter(
-        'prior.target',
-        0.45,
-        'Probability of a target in each cell before the first deployment.',
-        ('estimator',),
-        limits=PROBABILITY,
-    ),
-    Parameter(
-        'prior.kappa',
-        0.8,
-        'Probability of a target where there is a hazard, before the first deployment.',
-        ('estimator',),
-        limits=PROBABILITY,
+    *(
+        Parameter(
+            f'prior.{name}',
+            default,
+            f'Probability of {event} before the first deployment.',
+            ('estimator',),
+            limits=PROBABILITY,
+        )
+        for name, (default, event) in PRIOR.items()
     ),
     *(
         Parameter(
@@ -239,7 +222,7 @@ TABLE = (
             'columns in .npy; empty for the number, which also holds where the map has nothing.',
             ('estimator',),
         )
-        for name in ('hazard', 'target', 'kappa')
+        for name in PRIOR
     ),
     Parameter(
         'prior.resample',
@@ -558,32 +541,17 @@ TABLE = (
         'Whether robots that are out are shown on /tf, as AGENT/base_link in the frame map.',
         ('agent',),
     ),
-    Parameter(
-        'await_nodes',
-        ('agent', 'estimator'),
-        'Subscribers of the paths to await before the first is sent: '
-        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
-        ('planner',),
-        element=str,
-        pattern=NAME,
-    ),
-    Parameter(
-        'await_nodes',
-        ('planner',),
-        'Subscribers of the belief to await before the first is published: '
-        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
-        ('estimator',),
-        element=str,
-        pattern=NAME,
-    ),
-    Parameter(
-        'await_nodes',
-        ('planner', 'estimator'),
-        'Subscribers of the reports to await before the first robot leaves: '
-        'planner, agent, estimator, recorder, whatever their nodes are called, or names of nodes.',
-        ('agent', 'robot'),
-        element=str,
-        pattern=NAME,
+    *(
+        Parameter(
+            'await_nodes',
+            default,
+            f'Subscribers of {awaited}: planner, agent, estimator, recorder, whatever their nodes '
+            'are called, or names of nodes.',
+            nodes,
+            element=str,
+            pattern=NAME,
+        )
+        for nodes, default, awaited in AWAITED
     ),
     Parameter(
         'seed',
@@ -605,26 +573,11 @@ TABLE = (
         'YAML file with the hidden world; empty to draw one from the seed.',
         ('agent',),
     ),
-    Parameter(
-        'world.hazard_density',
-        0.15,
-        'Probability of a hazard in each cell of a drawn world but the bases.',
-        ('agent',),
-        limits=PROBABILITY,
-    ),
-    Parameter(
-        'world.kappa',
-        0.8,
-        'Probability of a target in a cell of a drawn world that has a hazard.',
-        ('agent',),
-        limits=PROBABILITY,
-    ),
-    Parameter(
-        'world.target_background',
-        0.1,
-        'Probability of a target in a cell of a drawn world that has no hazard.',
-        ('agent',),
-        limits=PROBABILITY,
+    *(
+        Parameter(
+            f'world.{name}', default, f'Probability of {event}.', ('agent',), limits=PROBABILITY
+        )
+        for name, (default, event) in DRAWN.items()
     ),
     Parameter(
         'publish_truth',

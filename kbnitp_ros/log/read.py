@@ -141,34 +141,26 @@ def read_metadata(
     records: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}
-        for item in metadata_of_part(part, corrupt):
-            own[item.name] = {**own.get(item.name, {}), **item.values}
+        for item in read_part(part, corrupt):
+            if isinstance(item, RecordedMetadata):
+                own[item.name] = {**own.get(item.name, {}), **item.values}
         records |= own
     return records
-
-
-def metadata_of_part(
-    part: Path, corrupt: list[LogError] | None = None
-) -> Iterator[RecordedMetadata]:
-    """Return the metadata records of a file; `corrupt` as for `read_log`."""
-    return (item for item in read_part(part, corrupt) if isinstance(item, RecordedMetadata))
 
 
 def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
     """Yield the changed parameters of some nodes, with old and new values, in words."""
     known: dict[str, dict[str, str]] = {}
-    for part in log_parts(path):
-        for record in metadata_of_part(part, []):
-            if not record.name.startswith(f'{PARAMETERS}/'):
-                continue
-            node = record.name.removeprefix(PARAMETERS)
-            if not is_meant(node):
-                continue
+    for item in read_recorded(path, []):
+        if not (isinstance(item, RecordedMetadata) and item.name.startswith(f'{PARAMETERS}/')):
+            continue
+        node = item.name.removeprefix(PARAMETERS)
+        if is_meant(node):
             before = known.setdefault(node, {})
-            for name, value in record.values.items():
+            for name, value in item.values.items():
                 if before.get(name, value) != value:
                     yield f'parameter {name} of {node} changed from {before[name]} to {value}'
-            before |= record.values
+            before |= item.values
 
 
 def read_parameters(

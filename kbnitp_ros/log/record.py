@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
 
 from kbnitp_ros.core import (
     DeploymentKey,
@@ -31,7 +30,6 @@ from kbnitp_ros.messages.deployments import (
     AgentStatus,
     OrderState,
     read_path,
-    read_report,
 )
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
@@ -124,13 +122,14 @@ class Departures:
             )
 
 
-def record(deployments: MissionRecord, role: Role, message: Any) -> bool:
+def record(deployments: MissionRecord, role: Role, logged: LoggedMessage) -> bool:
     """Record a path or report as an estimator does; return whether an outcome changed."""
-    content = content_hash(message)
+    content = content_hash(logged.message)
     if role.name == 'report':
-        key, report = read_report(message, role.agent)
+        key, report = logged.said
         return deployments.record_report(key, replace(report, content=content))
-    return deployments.record_path(*read_path(deployments.grid, role.agent, message), content)
+    path = read_path(deployments.grid, role.agent, logged.message)
+    return deployments.record_path(*path, content)
 
 
 def first_belief(log: MissionLog) -> Snapshot | None:
@@ -239,9 +238,8 @@ class RecordedMission(MissionRecord):
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
         """Record a path, report, status, action or rules of a belief, or why it is refused."""
-        message = logged.message
         if role.name == 'operator':
-            action = read_operator_action(self.grid, message)
+            action = read_operator_action(self.grid, logged.message)
             if self.operator.apply(action):
                 self.messages[action.stamp] = logged.data
         elif role.name == 'belief':
@@ -253,12 +251,11 @@ class RecordedMission(MissionRecord):
                 self.refused.append(f'{logged.topic}: {error}'[:MAX_SHOWN])
 
     def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
-        message = logged.message
         if role.name == 'status':
             self.departures.take(*logged.said)
         elif role.name == 'path':
             try:
-                record(self, role, message)
+                record(self, role, logged)
             finally:
                 key, _ = logged.said
                 if key in self.paths and key not in self.sent:
@@ -266,7 +263,7 @@ class RecordedMission(MissionRecord):
         else:
             key, report = logged.said
             self.reported.setdefault((key, report.stamp), logged.log_time)
-            self.record_report(key, replace(report, content=content_hash(message)))
+            record(self, role, logged)
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
         """Record a path, also one that is not the first of its deployment."""
@@ -425,5 +422,5 @@ def read_ledger(log: MissionLog) -> Ledger:
         if is_of_mission(role, logged, mission):
             # The estimator refused it as well.
             with suppress(ValueError):
-                record(ledger, role, logged.message)
+                record(ledger, role, logged)
     return ledger

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from kbnitp_ros.log.files import (
@@ -30,19 +31,6 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 MAX_MESSAGE = 63 * 2**20
 
 
-@dataclass
-class Topic:
-    """A topic of the log."""
-
-    definition: Definition
-    # Metadata of the channel.
-    metadata: dict[str, str]
-    # Number of messages written, to all parts.
-    messages: int = 0
-    # Id of the channel in the current part.
-    channel: int = 0
-
-
 class LogWriter:
     """
     Writer of CDR messages to a new log, or with `resume` to a new part of an old one.
@@ -65,7 +53,12 @@ class LogWriter:
         self._compression = compression
         self._max_size = max_file_size or 2**63
         self._max_duration = round(max_file_duration * 1e9) or 2**63
-        self._topics: dict[str, Topic] = {}
+        # Definition of the type, and metadata of the channel, by topic.
+        self._topics: dict[str, tuple[Definition, dict[str, str]]] = {}
+        # Ids of the channels in the current part.
+        self._channels: dict[str, int] = {}
+        # Numbers of messages written, to all parts.
+        self._messages: Counter[str] = Counter()
         self._metadata: dict[str, dict[str, str]] = {}
         self._finished: list[BagFile] = []
         self._number = 0
@@ -102,16 +95,15 @@ class LogWriter:
         description = describe(type_name)
         definition = type_name, SchemaEncoding.ROS2, description.definition.encode()
         metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
-        known = self._topics.get(topic)
-        self._topics[topic] = Topic(definition, metadata, known.messages if known else 0)
+        self._topics[topic] = definition, metadata
         self._add_channel(topic)
 
     def _add_channel(self, topic: str) -> None:
         """Add a topic to the current part."""
-        added = self._topics[topic]
-        added.channel = self._open_part().add_channel(
-            topic, MessageEncoding.CDR, added.definition, added.metadata
-        )
+        with self._writing() as part:
+            self._channels[topic] = part.add_channel(
+                topic, MessageEncoding.CDR, *self._topics[topic]
+            )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add or change a metadata record, in this file and all later ones."""
@@ -120,11 +112,8 @@ class LogWriter:
         if name in self._metadata and not new:
             return
         self._metadata[name] = {**known, **values}
-        try:
-            self._open_part().add_metadata(name, new)
-        except OSError:
-            self._abandon()
-            raise
+        with self._writing() as part:
+            part.add_metadata(name, new)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Write a message."""
@@ -133,44 +122,34 @@ class LogWriter:
                 f'a message of topic {topic} has {len(data)} bytes: at most {MAX_MESSAGE} are '
                 'written'
             )
-        part = self._open_part()
-        contents = part.contents
-        entry = self._topics[topic]
-        entry.messages += 1
-        try:
+        with self._writing() as part:
+            contents = part.contents
+            self._messages[topic] += 1
             if contents.last and (
                 part.size - part.preamble >= self._max_size
                 or log_time - contents.first >= self._max_duration
             ):
                 part = self._next_part()
-            part.write(entry.channel, data, max(log_time, 0), max(publish_time, 0), entry.messages)
-        except OSError:
-            self._abandon()
-            raise
+            channel, number = self._channels[topic], self._messages[topic]
+            part.write(channel, data, max(log_time, 0), max(publish_time, 0), number)
 
     def sync(self) -> None:
         """Put everything written so far onto the disk."""
-        try:
-            self._open_part().sync()
+        with self._writing() as part:
+            part.sync()
             self._lock.check_in_place()
-        except OSError:
-            self._abandon()
-            raise
 
     def check_in_place(self) -> None:
         """Check that the log was not removed or replaced; raises FileNotFoundError."""
-        self._open_part().check_in_place()
+        if self._part is not None:
+            self._part.check_in_place()
         self._lock.check_in_place()
 
     def close(self) -> None:
         """Finish the log and put it onto the disk, unless it is closed already."""
         if self._part is None:
             return
-        try:
-            self._finish_part()
-        except OSError:
-            self._abandon()
-            raise
+        self._finish_part()
         self._part = None
         self._lock.release()
 
@@ -182,10 +161,19 @@ class LogWriter:
         """Close the log, also after an error: its content is worth keeping."""
         self.close()
 
-    def _open_part(self) -> FileWriter:
+    @contextmanager
+    def _writing(self) -> Iterator[FileWriter]:
+        """Yield the current part; after an OSError give up, and what reached the disk stays."""
         if self._part is None:
             raise ValueError(f'{self.path} is closed')
-        return self._part
+        try:
+            yield self._part
+        except OSError:
+            if self._part is not None:
+                self._part.abandon()
+                self._part = None
+                self._lock.release()
+            raise
 
     def _next_part(self) -> FileWriter:
         """Start another file, which can be read without those before."""
@@ -200,17 +188,10 @@ class LogWriter:
         return self._part
 
     def _finish_part(self) -> None:
-        part = self._open_part()
-        part.finish()
-        self._finished.append(part.contents)
-        self.shares_folder = not write_metadata(self.path.parent, self._finished)
-
-    def _abandon(self) -> None:
-        """Give up after an error; what reached the disk stays."""
-        if self._part is not None:
-            self._part.abandon()
-            self._part = None
-            self._lock.release()
+        with self._writing() as part:
+            part.finish()
+            self._finished.append(part.contents)
+            self.shares_folder = not write_metadata(self.path.parent, self._finished)
 
 
 def check_goes_on(first: Path) -> None:

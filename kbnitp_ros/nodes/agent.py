@@ -8,7 +8,7 @@ from functools import partial
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.simulation import AgentPaths, PATIENCE, SimulatedAgent, Simulation
@@ -55,9 +55,7 @@ class AgentNode(FieldNode):
             )
         names = ', '.join(agent.name for agent in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
-        self.diagnostics.state = (
-            waiting_for(awaited[0]) if awaited else NodeState(f'taking paths of {names}')
-        )
+        self.diagnostics.state = waiting_for(awaited[0]) if awaited else f'taking paths of {names}'
 
 
 main = partial(run, 'agent', AgentNode, linger=0.15)

@@ -31,7 +31,7 @@ from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp,
 from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import NewEvidence, Views
@@ -119,7 +119,7 @@ class EstimatorNode(FieldNode):
                 if role.name == 'status':
                     self._departures.take(*logged.said)
                 elif is_of_mission(role, logged, self._mission):
-                    record(self._ledger, role, logged.message)
+                    record(self._ledger, role, logged)
         for key in self._ledger.deployments:
             self._departures.end(key, None)
 
@@ -304,7 +304,7 @@ class EstimatorNode(FieldNode):
         )
 
     def _say_what_is_held(self) -> None:
-        self.diagnostics.state = NodeState(
+        self.diagnostics.state = (
             f'{counted(len(self._ledger.deployments), "deployment")} in the belief, '
             f'{counted(self._ledger.duplicates, "duplicate message")}'
         )

@@ -11,7 +11,7 @@ from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.rounds import describe_plan, Plans, SearchRequest
-from kbnitp_ros.core import DeploymentKey, Grid, Observation
+from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import content_hash, header, next_name, shown
@@ -25,8 +25,6 @@ from kbnitp_ros.messages.operator_actions import (
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
@@ -47,11 +45,6 @@ class Proposals:
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
         }
-
-    @property
-    def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
-        """Return the proposed paths."""
-        return {key: plan.path for key, plan in self.plans.items()}
 
     def show(self, plans: Plans, request: SearchRequest) -> None:
         """Propose the plans found for a request."""
@@ -123,7 +116,7 @@ class Operator:
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)
 
     def _on_approve(self, request: SetBool.Request, response: Response) -> Response | Future:
-        paths = self._proposals.paths
+        paths = {key: plan.path for key, plan in self._proposals.plans.items()}
         if not paths:
             why = '' if self._node.values['approval'] else ': the parameter approval is false'
             if self.state.is_paused:

@@ -40,7 +40,6 @@ from kbnitp_ros.nodes.presence import HoldPublisher, Peers
 from kbnitp_ros.nodes.runtime.diagnostics import (
     MISSION_REASON,
     MISSION_STATE,
-    NodeState,
     waiting_for,
 )
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -243,8 +242,8 @@ class PlannerNode(FieldNode):
         """Show what blocks the next deployment, and publish a new state of the mission at once."""
         what = describe_obstacle(now, obstacle)
         is_end = obstacle.is_end
-        self.diagnostics.state = NodeState(f'done: {what}') if is_end else waiting_for(what)
-        sentence = self.diagnostics.state.sentence
+        self.diagnostics.state = f'done: {what}' if is_end else waiting_for(what)
+        sentence = self.diagnostics.state
         state = now.mission_state(obstacle).name
         before = self.diagnostics.values.get(MISSION_STATE)
         self.diagnostics.values |= {
@@ -315,7 +314,7 @@ class PlannerNode(FieldNode):
         if self._search and self._search.found.done():
             self.get_logger().info(
                 f'the plan for {some(self._search.request.agents)} is ready, and kept: '
-                f'{self.diagnostics.state.sentence}'
+                f'{self.diagnostics.state}'
             )
 
     def _are_approved(self, plans: Plans) -> bool:

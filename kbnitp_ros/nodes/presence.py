@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from math import inf
 import time
-from typing import NamedTuple
 from uuid import uuid4
 
 from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
@@ -41,17 +40,6 @@ SILENT = 3.0
 MAX_RECORDERS = 10
 
 
-class Instance(NamedTuple):
-    """Another process that records."""
-
-    # The full name of its node.
-    name: str
-    # The values of its last diagnostics.
-    values: Mapping[str, str]
-    # When they came, by `time.monotonic`.
-    received_at: float
-
-
 class Recorders:
     """The recorders of a namespace; this process is one of them."""
 
@@ -63,8 +51,8 @@ class Recorders:
         self._own = {INSTANCE: uuid4().hex, LOG: str(log), BEGUN: str(time.time_ns())}
         node.diagnostics.values |= self._own
         self._looks_until = time.monotonic() + LOOK
-        # The others by identifier.
-        self._others: dict[str, Instance] = {}
+        # The nodes of the others, their last diagnostics and when these came, by identifier.
+        self._others: dict[str, tuple[str, Mapping[str, str], float]] = {}
         node.subscribe_to_diagnostics(self._on_diagnostics)
 
     def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
@@ -76,7 +64,7 @@ class Recorders:
         if is_own or not (is_here and is_time and len(values.get(LOG, '')) <= MAX_PATH):
             return
         self._others.pop(instance, None)
-        self._others[instance] = Instance(name, values, time.monotonic())
+        self._others[instance] = name, values, time.monotonic()
         if len(self._others) > MAX_RECORDERS:
             del self._others[next(iter(self._others))]
 
@@ -89,31 +77,25 @@ class Recorders:
         return Counter(known) - Counter({self._node.get_fully_qualified_name(): own})
 
     @property
-    def alive(self) -> list[Instance]:
-        """Return the other active recorders, at most as many of a name as publish."""
-        since = time.monotonic() - SILENT
-        alive = []
-        if recent := [each for each in self._others.values() if each.received_at >= since]:
-            publishers = self._publishers()
-            for recorder in recent:
-                if publishers[recorder.name]:
-                    publishers[recorder.name] -= 1
-                    alive.append(recorder)
-        return alive
-
-    @property
     def why_silent(self) -> str:
         """Return why acknowledgements of this recorder do not count: the first one's do."""
-        if time.monotonic() < self._looks_until:
+        now = time.monotonic()
+        if now < self._looks_until:
             return 'diagnostics of another recorder'
-        own = rank(self._own)
-        earlier = ' and '.join(
-            f'node {each.name} records to {each.values[LOG]}'
-            for each in self.alive
-            if rank(each.values) < own
-        )
-        return earlier and (
-            f'the end of an earlier recorder, whose acknowledgements count: {earlier}'
+        alive = [each for each in self._others.values() if each[2] >= now - SILENT]
+        publishers = self._publishers() if alive else Counter()
+        earlier = []
+        for name, values, _ in alive:
+            # At most as many of a name as publish.
+            if publishers[name]:
+                publishers[name] -= 1
+                if rank(values) < rank(self._own):
+                    earlier.append(f'node {name} records to {values[LOG]}')
+        if not earlier:
+            return ''
+        return (
+            'the end of an earlier recorder, whose acknowledgements count: '
+            f'{" and ".join(earlier)}'
         )
 
 

@@ -41,7 +41,7 @@ from kbnitp_ros.nodes.recorded_topics import (
 )
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import TOPICS
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, PERIOD, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, waiting_for
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode, PendingMessages
@@ -152,15 +152,12 @@ class RecorderNode(MissionNode):
 
     def finish(self) -> None:
         """Record the messages that have arrived."""
-        self._write_arrived()
+        self._write_arrived_on(self._topics.values())
         self._early.try_again(is_last=True)
         self.get_logger().info(f'the log of the mission is {self._log.path}')
 
-    def _write_arrived(self) -> None:
-        """Write the messages that have arrived, in their order."""
-        self._write_arrived_on(self._topics.values())
-
     def _write_arrived_on(self, topics: Iterable[RecordedTopic]) -> None:
+        """Write the messages that have arrived on some topics, in their order."""
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
@@ -291,7 +288,7 @@ class RecorderNode(MissionNode):
         self.diagnostics.state = self._state()
         return topic
 
-    def _state(self) -> NodeState:
+    def _state(self) -> str:
         """Describe the topics recorded and the nodes awaited."""
         recording = f'recording {len(self._topics)} topics'
         if self._differing:
@@ -305,7 +302,7 @@ class RecorderNode(MissionNode):
         known = {topic.role.name for topic in self._topics.values() if topic.role}
         absent = [who for kind, who in AWAITED.items() if kind not in known]
         if not absent:
-            return NodeState(recording)
+            return recording
         return waiting_for(
             f'{" and ".join(absent)} in namespace {self.get_namespace()}; {recording}'
         )
@@ -342,7 +339,7 @@ class RecorderNode(MissionNode):
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
             # One sync serves all that waits: the paths of a round arrive together, and so does a
             # whole history. All that was published before an acknowledgement is then on disk.
-            self._write_arrived()
+            self._write_arrived_on(self._topics.values())
             self._sync()
             self._acknowledge_all()
 

@@ -25,7 +25,7 @@ from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_det
 from kbnitp_ros.nodes.presence import HoldSubscription
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import NodeState, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot.journal import Deployment, Journal, Step
@@ -308,7 +308,7 @@ class RobotNode(FieldNode):
             self._wait() if self._deployment is None else self._go_on(self._deployment)
         )
 
-    def _wait(self) -> NodeState:
+    def _wait(self) -> str:
         """Let the robot leave when it can; return its state."""
         if not self._pending.is_listening:
             if missing := self.missing_listeners([self._reports]):
@@ -317,7 +317,7 @@ class RobotNode(FieldNode):
         if awaited := self._pending.awaited:
             return waiting_for(awaited)
         if (deployment := self._pending.newest) is None:
-            return NodeState(f'taking paths of {self._agent}')
+            return f'taking paths of {self._agent}'
         if not self._keep(partial(self._journal.begin, deployment.mission)):
             return self._no_room
         for superseded in self._pending.superseded():
@@ -361,7 +361,7 @@ class RobotNode(FieldNode):
             self.get_logger().info(f'leaving on {self._key(deployment)}: {steps} steps')
 
     @property
-    def _no_room(self) -> NodeState:
+    def _no_room(self) -> str:
         return waiting_for(f'room on the disk: {self._troubles["journal"]}')
 
     @property
@@ -384,7 +384,7 @@ class RobotNode(FieldNode):
             )
         return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
-    def _go_on(self, deployment: Deployment) -> NodeState:
+    def _go_on(self, deployment: Deployment) -> str:
         """Take the next action of the robot; return its state."""
         if self._is_at_gate:
             return self._wait_at_gate(deployment)
@@ -404,7 +404,7 @@ class RobotNode(FieldNode):
             itinerary.go_home()
         goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
         if self._driver.is_busy:
-            return NodeState(f'driving {goal}')
+            return f'driving {goal}'
         if self._place is None:
             return waiting_for(self._unplaced)
         if self._is_driving:
@@ -417,7 +417,7 @@ class RobotNode(FieldNode):
             self._end_leg(self._place)
         if itinerary.heads_home and self._is_at_base(self._place):
             self._come_home(deployment)
-            return NodeState(f'home from {self._key(deployment)}')
+            return f'home from {self._key(deployment)}'
         if itinerary.is_stay and self._walk.cell == itinerary.destination:
             return self._stay()
         if time.monotonic() < self._try_again_at:
@@ -427,9 +427,9 @@ class RobotNode(FieldNode):
         start = self._place.x, self._place.y
         self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
         self._is_driving = True
-        return NodeState(f'driving {goal}')
+        return f'driving {goal}'
 
-    def _wait_at_gate(self, deployment: Deployment) -> NodeState:
+    def _wait_at_gate(self, deployment: Deployment) -> str:
         """Wait until the departure is on record; a pause ends the deployment."""
         if self._hold.is_held:
             self.get_logger().warning(
@@ -438,7 +438,7 @@ class RobotNode(FieldNode):
             )
             self._is_at_gate = False
             self._come_home(deployment)
-            return NodeState(f'home from {self._key(deployment)}')
+            return f'home from {self._key(deployment)}'
         return waiting_for(
             f'the recorder to acknowledge the departure of {self._key(deployment)} on '
             f'{self._agent}/recorded (parameter recorded)'
@@ -485,7 +485,7 @@ class RobotNode(FieldNode):
         tolerance: float = self.values['arrival_tolerance']
         return self._distance(place) <= tolerance
 
-    def _stay(self) -> NodeState:
+    def _stay(self) -> str:
         """Wait where the robot is, and look again."""
         now = self.now()
         if self._stays_until is None:
@@ -494,7 +494,7 @@ class RobotNode(FieldNode):
         elif now >= self._stays_until:
             self._stays_until = None
             self._itinerary.succeed()
-        return NodeState(f'staying in cell {self._walk.cell}')
+        return f'staying in cell {self._walk.cell}'
 
     def _come_home(self, deployment: Deployment) -> None:
         """End a walk at the base."""

@@ -53,20 +53,15 @@ class Deployment:
     is_doubted: bool = False
 
     @property
-    def base(self) -> int:
-        """Return the cell that it started in."""
-        return self.path[0]
-
-    @property
     def cells(self) -> list[int]:
         """Return the cells of the walk so far, the base first."""
-        return [self.base, *(step.cell for step in self.steps)]
+        return [self.path[0], *(step.cell for step in self.steps)]
 
     def observation(self, most: int) -> Observation:
         """Return the observation of a robot that is home."""
         kept = steps_within(self.cells, most)
-        steps = [self.steps[number - 1] for number in kept] or [Step(self.base, 0)]
-        walk = np.array([self.base, *(step.cell for step in steps)], dtype=np.intp)
+        steps = [self.steps[number - 1] for number in kept] or [Step(self.path[0], 0)]
+        walk = np.array([self.path[0], *(step.cell for step in steps)], dtype=np.intp)
         readings = np.array([step.reading for step in steps], dtype=np.int8)
         return Observation(walk, True, readings)
 

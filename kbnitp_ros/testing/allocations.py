@@ -60,7 +60,7 @@ def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0
 
 
 def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
-    """Check that each robot gets a path that it can take."""
+    """Check that each robot has one path, within its own limits."""
     for robots in (given.robots, given.after):
         paths = allocation(robots)
         require(len(paths) == len(robots), f'There are {len(paths)} for {len(robots)} robots')
@@ -72,7 +72,7 @@ def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
 
 
 def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
-    """Check that a robot that goes alone gets the best path found for it."""
+    """Check that a team of one robot is planned like a single robot."""
     for robot in given.robots:
         (path,) = allocation([robot])
         best = robot.finder.candidates(robot.objective)[0].path
@@ -83,7 +83,7 @@ def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
 
 
 def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
-    """Check that the same belief gives the same paths, whatever was planned between."""
+    """Check that the same belief gives the same paths."""
     first = allocated_paths(allocation, given.robots)
     allocation(given.after)
     belief = Belief(given.prior.joint.copy())
@@ -100,8 +100,8 @@ def allocated_paths(allocation: Allocation, robots: Sequence[TeamMember]) -> lis
     return [np.asarray(path).tolist() for path in allocation(robots)]
 
 
-LAWS: dict[str, Callable[[Allocation, RoundCase], None]] = {
-    'each robot has one path, within its own limits': gives_each_robot_a_path,
-    'a team of one robot is planned like a single robot': plans_one_as_alone,
-    'the same belief gives the same paths': is_reproducible,
-}
+LAWS: tuple[Callable[[Allocation, RoundCase], None], ...] = (
+    gives_each_robot_a_path,
+    plans_one_as_alone,
+    is_reproducible,
+)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -22,12 +22,12 @@ ROUNDING = 1e-9
 def hold(
     registry: Registry[Subject],
     given: object,
-    laws: Mapping[str, Callable[[Subject, Case], None]],
+    laws: Iterable[Callable[[Subject, Case], None]],
     draw: Callable[[int], Case],
     cases: int,
     seed: int,
 ) -> None:
-    """Check laws in `cases` random cases, drawn from `seed` on."""
+    """Check laws, each stated by its docstring, in `cases` random cases from `seed` on."""
     name = f'{registry.kind} {given!r}'
     if isinstance(given, str):
         subject = registry.find(given)
@@ -38,10 +38,11 @@ def hold(
             raise AssertionError(f'{name} is invalid: {error}') from error
     for number in range(seed, seed + cases):
         case = draw(number)
-        for law, check in laws.items():
+        for check in laws:
             try:
                 check(subject, case)
             except Exception as error:
+                law = str(check.__doc__).removeprefix('Check that ').removesuffix('.')
                 words = str(error) if type(error) is AssertionError else with_type(error)
                 raise AssertionError(
                     f'{name} breaks a law in the case of seed {number}: {law}. {words}'

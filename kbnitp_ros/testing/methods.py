@@ -63,7 +63,7 @@ def fold(
 
 
 def can_be_used(method: Method, mission: MissionCase) -> None:
-    """Check that an inference has all that the estimator calls."""
+    """Check that it has the methods and attributes that an estimator uses."""
     inference = start(method, mission)
     for name in (*CALLED, *KNOWN):
         require(hasattr(inference, name), f'It has no {name}')
@@ -75,7 +75,7 @@ def can_be_used(method: Method, mission: MissionCase) -> None:
 
 
 def begins_with_the_prior(method: Method, mission: MissionCase) -> None:
-    """Check that without evidence the belief is the prior."""
+    """Check that before the first deployment it believes the hazards and targets of the prior."""
     inference = start(method, mission)
     prior = mission.prior
     require_close(inference.belief.hazard, prior.hazard, 'Of the hazards')
@@ -84,7 +84,7 @@ def begins_with_the_prior(method: Method, mission: MissionCase) -> None:
 
 
 def is_a_distribution(method: Method, mission: MissionCase) -> None:
-    """Check that beliefs are distributions in all cells, and never change once returned."""
+    """Check that each belief is a distribution in every cell, and is not changed later."""
     inference = start(method, mission)
     given = [(inference.belief, require_distribution(inference.belief, mission, 0))]
     for number, (observation, robot_type) in enumerate(mission.deployments, 1):
@@ -107,7 +107,7 @@ def require_distribution(belief: Belief, mission: MissionCase, number: int) -> b
 
 
 def keeps_what_is_certain(method: Method, mission: MissionCase) -> None:
-    """Check that no evidence changes what is certain in the prior."""
+    """Check that what is certain stays certain, at the base and in blocked cells."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     safe = before.hazard == 0.0
     require(safe[mission.grid.base], 'The prior has a hazard at the base')
@@ -117,7 +117,7 @@ def keeps_what_is_certain(method: Method, mission: MissionCase) -> None:
 
 
 def keeps_cells_without_evidence(method: Method, mission: MissionCase) -> None:
-    """Check that a cell that no robot entered stays as it was."""
+    """Check that cells without evidence stay as they were."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     elsewhere = np.ones(mission.grid.cells, dtype=bool)
     for observation, _ in mission.deployments:
@@ -126,14 +126,14 @@ def keeps_cells_without_evidence(method: Method, mission: MissionCase) -> None:
 
 
 def is_reproducible(method: Method, mission: MissionCase) -> None:
-    """Check that the same evidence and seed give the same bits."""
+    """Check that the same evidence and seed give the same belief, bit for bit."""
     one, other = (fold(start(method, mission), mission.deployments) for _ in range(2))
     for number, (first, second) in enumerate(zip(one, other)):
         require_same(second, first, f'The second time, after {number} deployments')
 
 
 def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
-    """Check that a copy and its original are independent."""
+    """Check that a copy goes on by itself."""
     half = len(mission.deployments) // 2
     first, second = mission.deployments[:half], mission.deployments[half:]
     expected = fold(start(method, mission), mission.deployments)[-1]
@@ -155,7 +155,7 @@ def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
 
 
 def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
-    """Check that reports out of order, repeated and late give the belief of those in order."""
+    """Check that the belief is that of the evidence in its order, in whatever order it comes."""
     expected = fold(start(method, mission), mission.deployments)[-1]
     robot_types = {
         f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
@@ -196,7 +196,7 @@ def forgets_the_order_of_returns(method: Method, mission: MissionCase) -> None:
 
 
 def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
-    """Check that a return weights each state of its cells by its likelihood (eq. 6-8)."""
+    """Check that a return is taken in exactly."""
     inference = start(method, mission)
     joint = inference.belief.joint.copy()
     found = fold(inference, mission.returns)[-1]
@@ -211,7 +211,7 @@ def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
 
 
 def keeps_kappa_in_a_loss(method: Method, mission: MissionCase) -> None:
-    """Check that a loss informs about targets only through hazards."""
+    """Check that a loss leaves P(target | hazard) as it was."""
     lost, robot_type = next(each for each in reversed(mission.deployments) if not each[0].survived)
     before, after = fold(start(method, mission), [(Observation(lost.path, False), robot_type)])
     told_apart = (before.hazard > 1e-6) & (after.hazard > 1e-6)
@@ -219,7 +219,7 @@ def keeps_kappa_in_a_loss(method: Method, mission: MissionCase) -> None:
 
 
 def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
-    """Check that impossible outcomes are refused and change nothing."""
+    """Check that what is impossible is refused by a ValueError and changes nothing."""
     grid = mission.grid
     # A sensor that never errs, and contradicts itself.
     model = replace(mission.model, true_positive=1.0, false_positive=0.0)
@@ -247,7 +247,7 @@ def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
 
 
 def knows_robot_types(method: Method, mission: MissionCase) -> None:
-    """Check that a mission of one robot type equals one in which all robots are like it."""
+    """Check that robots of one type are as robots all like it."""
     robot_type = RobotType(lethality=0.3, malfunction=0.1, true_positive=0.8, false_positive=0.2)
     observations = [observation for observation, _ in mission.deployments]
     of_type = fold(start(method, mission), [(each, robot_type) for each in observations])[-1]
@@ -267,7 +267,7 @@ def stands_long_paths(method: Method, mission: MissionCase) -> None:
 
 
 def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
-    """Check that a learnt number stays in the interval of its prior."""
+    """Check that what is learnt of a number is in the interval that it was believed in."""
     if not method.learns:
         return
     low, high = LETHALITY
@@ -287,26 +287,20 @@ def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
     require(abs(total - 1.0) <= ROUNDING, f'Its weights sum to {total}')
 
 
-LAWS: dict[str, Callable[[Method, MissionCase], None]] = {
-    'each belief is a distribution in every cell, and is not changed later': is_a_distribution,
-    'it has the methods and attributes that an estimator uses': can_be_used,
-    'before the first deployment it believes the hazards and targets of the prior': (
-        begins_with_the_prior
-    ),
-    'what is certain stays certain, at the base and in blocked cells': keeps_what_is_certain,
-    'cells without evidence stay as they were': keeps_cells_without_evidence,
-    'the same evidence and seed give the same belief, bit for bit': is_reproducible,
-    'a copy goes on by itself': copies_go_on_by_themselves,
-    'the belief is that of the evidence in its order, in whatever order it comes': (
-        is_a_fold_of_the_evidence
-    ),
-    'the order of returns does not matter': forgets_the_order_of_returns,
-    'a return is taken in exactly': takes_returns_in_exactly,
-    'a loss leaves P(target | hazard) as it was': keeps_kappa_in_a_loss,
-    'what is impossible is refused by a ValueError and changes nothing': refuses_the_impossible,
-    'robots of one type are as robots all like it': knows_robot_types,
-    'long paths neither overflow nor underflow': stands_long_paths,
-    'what is learnt of a number is in the interval that it was believed in': (
-        learns_within_the_prior
-    ),
-}
+LAWS: tuple[Callable[[Method, MissionCase], None], ...] = (
+    is_a_distribution,
+    can_be_used,
+    begins_with_the_prior,
+    keeps_what_is_certain,
+    keeps_cells_without_evidence,
+    is_reproducible,
+    copies_go_on_by_themselves,
+    is_a_fold_of_the_evidence,
+    forgets_the_order_of_returns,
+    takes_returns_in_exactly,
+    keeps_kappa_in_a_loss,
+    refuses_the_impossible,
+    knows_robot_types,
+    stands_long_paths,
+    learns_within_the_prior,
+)

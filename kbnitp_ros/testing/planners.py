@@ -58,7 +58,7 @@ def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> N
 
 
 def finds_paths(planner: Planner, search: SearchCase) -> None:
-    """Check that the paths found keep to all limits."""
+    """Check that each path is closed, on free cells, and within max_steps and max_visits."""
     for objective in (search.objective, search.after):
         found = planner(search.finder, objective)
         require(len(found) > 0, 'It finds none')
@@ -74,7 +74,7 @@ def finds_paths(planner: Planner, search: SearchCase) -> None:
 
 
 def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
-    """Check that paths are ordered by value."""
+    """Check that the best path comes first."""
     for objective in (search.objective, search.after):
         value = [each.value for each in planner(search.finder, objective)]
         for before, after in pairwise(value):
@@ -82,7 +82,7 @@ def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
 
 
 def tells_the_value(planner: Planner, search: SearchCase) -> None:
-    """Check that each path of a robot that goes alone has the stated value."""
+    """Check that the value of a path is what it says."""
     # Each planner approximates in its own way what a path adds to robots in flight.
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
@@ -92,7 +92,7 @@ def tells_the_value(planner: Planner, search: SearchCase) -> None:
 
 
 def is_reproducible(planner: Planner, search: SearchCase) -> None:
-    """Check that the same belief gives the same paths, whatever was planned between."""
+    """Check that the same belief gives the same paths."""
     first = planner(search.finder, search.objective)
     planner(search.finder, search.after)
     again = replace(search.objective, belief=Belief(search.prior.joint.copy()))
@@ -102,7 +102,7 @@ def is_reproducible(planner: Planner, search: SearchCase) -> None:
 
 
 def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> None:
-    """Check that a robot on the only free cell stays there."""
+    """Check that a robot with nowhere to go stays at the base."""
     grid = Grid(3, 1, base=1, blocked=(0, 2))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
@@ -111,20 +111,18 @@ def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> 
 
 
 def leaves_what_it_is_given(planner: Planner, search: SearchCase) -> None:
-    """Check that the planner changes none of its arguments."""
+    """Check that what it is given stays as it was."""
     visited, interest = search.finder.visited.copy(), search.objective.interest.copy()
     planner(search.finder, search.objective)
     require(np.array_equal(search.finder.visited, visited), 'finder.visited is another')
     require(np.array_equal(search.objective.interest, interest), 'objective.interest is another')
 
 
-LAWS: dict[str, Callable[[Planner, SearchCase], None]] = {
-    'each path is closed, on free cells of the grid, and within max_steps and max_visits': (
-        finds_paths
-    ),
-    'the best path comes first': puts_the_best_first,
-    'the value of a path is what it says': tells_the_value,
-    'the same belief gives the same paths': is_reproducible,
-    'a robot with nowhere to go stays at the base': stays_where_there_is_nowhere_to_go,
-    'what it is given stays as it was': leaves_what_it_is_given,
-}
+LAWS: tuple[Callable[[Planner, SearchCase], None], ...] = (
+    finds_paths,
+    puts_the_best_first,
+    tells_the_value,
+    is_reproducible,
+    stays_where_there_is_nowhere_to_go,
+    leaves_what_it_is_given,
+)

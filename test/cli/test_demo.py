@@ -13,7 +13,7 @@ from threading import Thread
 import time
 
 from demo_mission import demo_mission
-from kbnitp_msgs.msg import BeliefMaps, Progress
+from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli import demo_mission as demo_mission_module
 from kbnitp_ros.cli.demo import main, parse
 from kbnitp_ros.cli.demo_mission import chosen_parameters, observed, recorded_parameters
@@ -40,7 +40,6 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from samples import after_loss
 
 ROOT = Path(__file__).parents[2]
 DEMO = [sys.executable, '-m', 'kbnitp_ros', 'demo']
@@ -427,7 +426,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--set', 'prior.target=0.0'], 'maps have no joint'),
     (['--set', 'learn.numbers=[lethalty]'], "learn.numbers is 'lethalty': did you mean lethality"),
     (['--set', 'learn.lethality=[0.7, 0.2]'], 'learn.lethality is .*interval is from 0.7 to 0.2'),
-    (['--method', 'relaxed_itp', '--set', 'learn.numbers=[kappa]'], 'kappa cannot be unkn'),
+    (['--method', 'relaxed_itp', '--set', 'learn.numbers=[kappa]'], 'kappa cannot be learnt'),
     (['--silent-loss', '--set', 'contact_probability=0.3'], 'contact_probability is 0.3, and sil'),
     (['--allocation', 'magic'], 'allocation.*magic.*greedy'),
 ])  # fmt: skip
@@ -465,17 +464,15 @@ PERIOD, WAIT = 0.3, 0.7
 ])  # fmt: skip
 def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
     monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
-    with free_domain() as domain, observed(domain, ['scout_1']) as observer:
+    with free_domain() as domain, observed(domain) as observer:
         node = rclpy.create_node('estimator')
-        beliefs = node.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
         progress = node.create_publisher(Progress, 'progress', qos.LATCHED)
-        beliefs.publish(after_loss())
         left = iter(sent)
 
         def tell():
             if told := next(left, None):
                 state, reason, out = told
-                progress.publish(Progress(state=state, reason=reason, out=out))
+                progress.publish(Progress(state=state, reason=reason, out=out, deployments=1))
 
         tell()
         executor = SingleThreadedExecutor()

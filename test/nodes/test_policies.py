@@ -203,7 +203,7 @@ def test_the_policies_allow_exactly_the_endpoints_of_a_team_and_the_demo(field):
     watched = Watched(field.node, ['all_agents', 'observer', 'planner'])
     for name in ('estimator', 'planner', 'agent'):
         field.start(name, team)
-    with observed(int(os.environ['ROS_DOMAIN_ID']), team['agents']):
+    with observed(int(os.environ['ROS_DOMAIN_ID'])):
         watch(field, watched)
 
 

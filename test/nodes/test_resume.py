@@ -69,7 +69,7 @@ def reported(log):
 def folded(log):
     register = ledger()
     for role, logged in MissionLog(log).read('path', 'report'):
-        record(register, role, logged.message)
+        record(register, role, logged)
     return register.belief.joint.tobytes()
 
 

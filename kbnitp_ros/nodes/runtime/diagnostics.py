@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from kbnitp_ros.files import in_words
@@ -34,17 +33,12 @@ SHOWN = 1000
 LAST_WORDS = 1.0
 
 
-class NodeState(NamedTuple):
-    """The activity of a node."""
-
-    # The description for diagnostics and the console.
-    sentence: str
-    is_waiting: bool = False
+WAITING = 'waiting for '
 
 
-def waiting_for(what: str) -> NodeState:
+def waiting_for(what: str) -> str:
     """Return the state of a node that waits, with for what and why."""
-    return NodeState(f'waiting for {what}', is_waiting=True)
+    return f'{WAITING}{what}'
 
 
 class Diagnostics:
@@ -56,8 +50,8 @@ class Diagnostics:
         self.refused = 0
         # Messages held until what they refer to arrives.
         self.waiting = 0
-        # The state of the node.
-        self.state = NodeState('running')
+        # The state of the node in a sentence.
+        self.state = 'running'
         # A current problem; empty if there is none.
         self.warning = ''
         # Further values.
@@ -108,7 +102,7 @@ class Diagnostics:
     def publish(self) -> None:
         """Publish the counts now."""
         values = {
-            'state': self.state.sentence,
+            'state': self.state,
             'accepted': self.accepted,
             'refused': self.refused,
             'waiting': self.waiting,
@@ -123,7 +117,7 @@ class Diagnostics:
         status = DiagnosticStatus(
             level=level,
             name=self._node.get_fully_qualified_name(),
-            message=self._failure or self.warning or self._last_refusal or self.state.sentence,
+            message=self._failure or self.warning or self._last_refusal or self.state,
             hardware_id='kbnitp_ros',
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )

@@ -21,7 +21,7 @@ from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
-from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, TOPIC, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, TOPIC, WAITING, waiting_for
 from kbnitp_ros.nodes.runtime.graph import (
     deaf_to_server,
     decodable,
@@ -219,8 +219,8 @@ class MissionNode(Node):
 
     def _say_what_is_awaited(self) -> None:
         """Log what the node waits for, after a while and then repeatedly."""
-        sentence, is_waiting = self.diagnostics.state
-        awaited = sentence if is_waiting else ''
+        state = self.diagnostics.state
+        awaited = state if state.startswith(WAITING) else ''
         now = time.monotonic()
         if awaited != self._awaited:
             self._awaited, self._say_at = awaited, now + SAY_FIRST
