@@ -42,6 +42,9 @@ EXECUTABLES = {**COMMANDS, **NODES}
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Import and run one of `EXECUTABLES`; return its exit code."""
+    # Read when numpy is imported. Products of small matrices wait for further threads longer than
+    # they take, and their sums would be rounded by the number of processors.
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
     def end(number: int, _frame: FrameType | None) -> None:
         os._exit(0 if name in NODES else 128 + number)
