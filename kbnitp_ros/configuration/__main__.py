@@ -1,6 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Print the page of the parameters: ``python3 -m kbnitp_ros.configuration``."""
+"""
+Print docs/parameters.md, or with the argument ``mission`` config/mission.yaml.
 
-from kbnitp_ros.configuration.known import reference_page
+    python3 -m kbnitp_ros.configuration > docs/parameters.md
+    python3 -m kbnitp_ros.configuration mission > config/mission.yaml
+"""
 
-print(reference_page(), end='')
+import sys
+
+from kbnitp_ros.configuration.known import mission_file, reference_page
+
+print(mission_file() if sys.argv[1:] == ['mission'] else reference_page(), end='')

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import groupby
 import json
+from textwrap import wrap
 from typing import Any
 
 from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
@@ -90,11 +93,57 @@ def reference_page() -> str:
             '| parameter | default | must be | meaning |',
             '|---|---|---|---|',
         ]
-        for parameter in node_parameters(name).values():
-            if isinstance(parameter.choices, Registry):
-                parameter = replace(parameter, choices=parameter.choices.own)
-            lines.append(
-                f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
-                f'| {parameter.description}{parameter.changeable} |'
-            )
+        lines += [
+            f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
+            f'| {parameter.description}{parameter.changeable} |'
+            for parameter in map(of_this_package, node_parameters(name).values())
+        ]
     return '\n'.join(lines) + '\n'
+
+
+def of_this_package(parameter: Parameter) -> Parameter:
+    """Return a parameter without the choices that other packages add."""
+    own = parameter.choices.own if isinstance(parameter.choices, Registry) else parameter.choices
+    return replace(parameter, choices=own)
+
+
+MISSION_FILE = """\
+# Every parameter of the nodes, each with its default. To change some, give a mission a copy, which
+# needs no more than what is changed:
+#   ros2 launch kbnitp_ros mission.launch.py params_file:=mine.yaml
+#   python3 -m kbnitp_ros demo --params mine.yaml
+# A parameter is fixed once its node runs, unless it says that it can be changed. Values of one
+# agent, such as team.scout_2.max_steps: 10, go under /**; see docs/maps.md.
+
+# Parameters of several nodes. A section further down may differ: give the agent a sensor.lethality
+# of its own, and its world is not what the estimator believes.
+/**:
+  ros__parameters:
+    # Whether to follow /clock instead of the clock of the machine.
+    use_sim_time: false
+"""
+
+
+def mission_file() -> str:
+    """Return config/mission.yaml: all parameters by node, with their defaults."""
+    rows = Counter(each.name for each in TABLE)
+    shared = [each for each in TABLE if len(each.nodes) > 1 and rows[each.name] == 1]
+    lines = [*section_lines(shared)]
+    for name in NODES:
+        own = [each for each in node_parameters(name).values() if each not in shared]
+        lines += ['', f'/**/{name}:', '  ros__parameters:', *section_lines(own)]
+    return MISSION_FILE + '\n'.join(lines) + '\n'
+
+
+def section_lines(parameters: Iterable[Parameter]) -> Iterator[str]:
+    """Yield the lines of parameters in a section, groups such as `grid` nested."""
+    ordered = sorted(parameters, key=lambda each: '.' in each.name)
+    for group, members in groupby(ordered, lambda each: each.name.rpartition('.')[0]):
+        if group:
+            yield f'    {group}:'
+        indent = ' ' * (6 if group else 4)
+        for each in map(of_this_package, members):
+            kind = each.must_be[0].upper() + each.must_be[1:]
+            words = wrap(f'{each.description}{each.changeable} {kind}.', 97 - len(indent))
+            yield from (f'{indent}# {line}' for line in words)
+            yield f'{indent}{each.name.rpartition(".")[2]}: {json.dumps(each.default)}'

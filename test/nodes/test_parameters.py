@@ -22,7 +22,7 @@ from kbnitp_ros.configuration.agents import (
     most_steps,
     own_base,
 )
-from kbnitp_ros.configuration.known import check_known, reference_page
+from kbnitp_ros.configuration.known import check_known, mission_file, reference_page
 from kbnitp_ros.configuration.table import LEARN
 from kbnitp_ros.core import Beta, Grid, METHODS, PLANNERS, RobotType, Unknowns
 from kbnitp_ros.nodes.runtime.declared import declare
@@ -245,9 +245,11 @@ def test_bad_values_are_refused_while_running(make_node, name, value, told):
     assert not node.get_clock().ros_time_is_active
 
 
-def test_the_reference_page_is_up_to_date():
-    page = ROOT.joinpath('docs/parameters.md').read_text()
-    assert page == reference_page(), 'python3 -m kbnitp_ros.configuration > docs/parameters.md'
+def test_the_files_made_from_the_table_are_up_to_date():
+    page, config = (ROOT.joinpath(name) for name in ('docs/parameters.md', 'config/mission.yaml'))
+    make = 'python3 -m kbnitp_ros.configuration'
+    assert page.read_text() == reference_page(), f'{make} > docs/parameters.md'
+    assert config.read_text() == mission_file(), f'{make} mission > config/mission.yaml'
 
 
 @for_each('name, text, value', [
