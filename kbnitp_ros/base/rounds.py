@@ -194,7 +194,7 @@ class Rounds:
             return {}
         return {key: plan for key, plan in planned.items() if key not in recorded}
 
-    def say_if_slow(self, planned: PlannedRound) -> None:
+    def warn_if_slow(self, planned: PlannedRound) -> None:
         """Warn once if planning takes longer than the robots are away."""
         away = max(
             value_for(self._values, 'step_period', key.agent) * (len(plan.path) - 1)

@@ -138,7 +138,7 @@ class EstimatorNode(FieldNode):
             self._publish(self._prior)
             if self._ledger.deployments:
                 self._publish(self._ledger)
-            self._say_what_is_held()
+            self._update_state()
 
     def _on_matched(self, status: QoSPublisherMatchedInfo) -> None:
         if status.current_count_change > 0:
@@ -164,7 +164,7 @@ class EstimatorNode(FieldNode):
             changed = self._ledger.record_path(key, cells, content)
         finally:
             # Reports that do not match the path have been dropped.
-            self._say_what_is_pending()
+            self._update_warning()
         self._accept(key, changed)
 
     def _on_report(
@@ -230,11 +230,11 @@ class EstimatorNode(FieldNode):
 
     def _refuse(self, topic: str, error: ValueError) -> None:
         # A report that waited in vain for the right path has been dropped.
-        self._say_what_is_pending()
+        self._update_warning()
         self.diagnostics.refuse(topic, error)
 
     def _accept(self, key: DeploymentKey, changed: bool) -> None:
-        self._say_what_is_pending()
+        self._update_warning()
         self._count_out()
         if self._awaiting.is_canceled():
             if changed:
@@ -243,7 +243,7 @@ class EstimatorNode(FieldNode):
                 self._log_outcome(key)
             else:
                 self._views.show_out(self._ledger)
-            self._say_what_is_held()
+            self._update_state()
         if changed and key in self._ledger.contradicted:
             # The return that counted until now no longer does.
             self.diagnostics.refuse(f'{key.agent}/report', self._ledger.contradicted[key])
@@ -271,9 +271,9 @@ class EstimatorNode(FieldNode):
         if self._model is not None:
             self._model.publish(model_belief(ledger, stamp))
         self._views.show(ledger, stamp)
-        self._say_how_sure(ledger)
+        self._update_checks(ledger)
 
-    def _say_how_sure(self, ledger: Ledger) -> None:
+    def _update_checks(self, ledger: Ledger) -> None:
         """Publish the sampling error and the model check, and warn if either is bad."""
         estimator, was_weak = ledger.estimator, self._weak_density
         self._weak_density = density_note(ledger)
@@ -291,9 +291,9 @@ class EstimatorNode(FieldNode):
             if estimator.is_converged
             else f'sampling has not converged: its error is {error} nats'
         )
-        self._say_what_is_pending()
+        self._update_warning()
 
-    def _say_what_is_pending(self) -> None:
+    def _update_warning(self) -> None:
         """Publish the number of reports without a path, and warn if there are more than robots."""
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
@@ -303,7 +303,7 @@ class EstimatorNode(FieldNode):
             filter(None, (self._unconverged, self._weak_density, self._doubt, unknown))
         )
 
-    def _say_what_is_held(self) -> None:
+    def _update_state(self) -> None:
         self.diagnostics.state = (
             f'{counted(len(self._ledger.deployments), "deployment")} in the belief, '
             f'{counted(self._ledger.duplicates, "duplicate message")}'

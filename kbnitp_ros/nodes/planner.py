@@ -163,7 +163,7 @@ class PlannerNode(FieldNode):
                     self._dispatch.give_up(key, Source.OPERATOR, action.steps_survived)
         self._deploy()
 
-    def _circumstances(self) -> PlannerState:
+    def _planner_state(self) -> PlannerState:
         """Return the state that decides whether robots leave."""
         newest = self._beliefs.newest
         return PlannerState(
@@ -210,7 +210,7 @@ class PlannerNode(FieldNode):
 
     def _deploy(self) -> None:
         """Send the next robots, unless a condition blocks them."""
-        now = self._circumstances()
+        now = self._planner_state()
         if obstacle := now.obstacle:
             self._publish_obstacle(now, obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
@@ -230,10 +230,10 @@ class PlannerNode(FieldNode):
             return
         if not plans:
             obstacle = Obstacle.SEARCHING if self._search else Obstacle.WORTHLESS
-            self._publish_obstacle(self._circumstances(), obstacle)
+            self._publish_obstacle(self._planner_state(), obstacle)
             return
         if self.values['approval'] and not self._are_approved(plans):
-            self._publish_obstacle(self._circumstances(), Obstacle.UNAPPROVED)
+            self._publish_obstacle(self._planner_state(), Obstacle.UNAPPROVED)
             return
         self._proposals.withdraw()
         self._send(plans, newest.mission)
@@ -296,7 +296,7 @@ class PlannerNode(FieldNode):
             return {}
         self._search = None
         planned = search.found.result()
-        self._rounds.say_if_slow(planned)
+        self._rounds.warn_if_slow(planned)
         self._decisions.not_worth = planned.why_not_worth
         if planned.why_worthless:
             self._worthless_for = search.request

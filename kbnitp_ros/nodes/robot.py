@@ -134,9 +134,9 @@ class RobotNode(FieldNode):
             self.get_logger().warning(self._journal.corruption)
             self.diagnostics.values['journal'] = self._journal.corruption
         for stamp, (time_refused, reason) in self._journal.refusals.items():
-            self._say_status(stamp, OrderState.REFUSED, time_refused, reason)
+            self._publish_status(stamp, OrderState.REFUSED, time_refused, reason)
         for deployment in self._journal.deployments:
-            self._say_status(deployment.stamp, OrderState.DEPARTED, deployment.departed)
+            self._publish_status(deployment.stamp, OrderState.DEPARTED, deployment.departed)
             if deployment.is_home:
                 self._report(deployment)
         self._deployment: Deployment | None = None
@@ -165,13 +165,15 @@ class RobotNode(FieldNode):
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
 
-    def _say_status(self, stamp: int, state: OrderState, time_said: int, reason: str = '') -> None:
+    def _publish_status(
+        self, stamp: int, state: OrderState, time_said: int, reason: str = ''
+    ) -> None:
         """Publish the status of an order, or publish it again."""
         key = DeploymentKey(self._agent, stamp)
         self._statuses.publish(status_message(key, state, time_said, reason))
 
     def _accept(self, deployment: Deployment) -> None:
-        self._say_status(deployment.stamp, OrderState.ACCEPTED, self.now())
+        self._publish_status(deployment.stamp, OrderState.ACCEPTED, self.now())
 
     def _take_place(self, take: Callable[[Any], None], message: TFMessage | NavSatFix) -> None:
         try:
@@ -194,7 +196,7 @@ class RobotNode(FieldNode):
             except ValueError as error:
                 self._lose(self._place.odometry, error)
                 return
-        self._say(self._source, '')
+        self._publish_trouble(self._source, '')
         self._enter(entered)
         if self._deployment is not None:
             if self._walk.doubt and not self._deployment.is_doubted:
@@ -208,7 +210,7 @@ class RobotNode(FieldNode):
         """Discard detections while the robot's place is unknown, and say why."""
         if self._deployment is not None:
             self._whereabouts.note(time_lost, NONE)
-        self._say(self._source, str(error))
+        self._publish_trouble(self._source, str(error))
 
     def _enter(self, cells: Sequence[int]) -> None:
         for cell in cells:
@@ -233,12 +235,12 @@ class RobotNode(FieldNode):
         try:
             write()
         except OSError as error:
-            self._say('journal', f'{in_words(error)}: the rest is kept in memory')
+            self._publish_trouble('journal', f'{in_words(error)}: the rest is kept in memory')
             return False
-        self._say('journal', '')
+        self._publish_trouble('journal', '')
         return True
 
-    def _say(self, about: str, trouble: str) -> None:
+    def _publish_trouble(self, about: str, trouble: str) -> None:
         """Publish a problem; an empty text clears it."""
         if trouble and not self._troubles.get(about):
             self.get_logger().warning(f'{about}: {trouble}')
@@ -298,7 +300,7 @@ class RobotNode(FieldNode):
         is_home = self._deployment is None or self._is_at_gate
         if is_home and (new := addresses().items() - self._addresses.items()):
             news = ', '.join(f'{name} has {address}' for name, address in sorted(new))
-            self._say(
+            self._publish_trouble(
                 'links', f'{news}, unknown to DDS: exit code {NEW_LINKS}, to be started again'
             )
             self.end(NEW_LINKS)
@@ -335,7 +337,7 @@ class RobotNode(FieldNode):
         stamp, now = deployment.stamp, self.now()
         if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
             return False
-        self._say_status(stamp, OrderState.REFUSED, now, reason)
+        self._publish_status(stamp, OrderState.REFUSED, now, reason)
         self.get_logger().warning(f'deployment {self._key(deployment)} is refused: {reason}')
         return True
 

@@ -270,7 +270,7 @@ class SimulatedAgent(AgentPaths):
             if key.agent == name and outcome is not None and simulation.is_over(outcome):
                 # Its report is published again, and its robot not sent a second time.
                 self._known[key] = record.paths[key]
-                self._say(key, OrderState.DEPARTED)
+                self._publish_status(key, OrderState.DEPARTED)
                 stamp = record.reports[key].stamp
                 self.reports.publish(report_message(key, outcome, stamp))
 
@@ -291,7 +291,7 @@ class SimulatedAgent(AgentPaths):
     def _follow(self, key: DeploymentKey) -> None:
         """Let a robot depart when it may, or at once if its departure is on record."""
         self._at_home.append(key)
-        self._say(key, OrderState.ACCEPTED)
+        self._publish_status(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
             departure = content_hash(status_message(key, OrderState.DEPARTED, key.stamp))
             self.when_recorded(key.stamp, departure, partial(self._move, key))
@@ -307,7 +307,7 @@ class SimulatedAgent(AgentPaths):
 
     def _depart(self, key: DeploymentKey) -> None:
         self._at_home.remove(key)
-        self._say(key, OrderState.DEPARTED)
+        self._publish_status(key, OrderState.DEPARTED)
 
     def _move(self, key: DeploymentKey) -> None:
         if key in self._at_home:
@@ -315,7 +315,7 @@ class SimulatedAgent(AgentPaths):
             self._depart(key)
         super()._follow(key)
 
-    def _say(self, key: DeploymentKey, state: OrderState) -> None:
+    def _publish_status(self, key: DeploymentKey, state: OrderState) -> None:
         """Publish the status of an order; a restarted agent publishes the same again."""
         self._statuses.publish(status_message(key, state, key.stamp))
 

@@ -3,6 +3,8 @@
 
 from dataclasses import fields, replace
 from pathlib import Path
+import subprocess
+import sys
 
 from kbnitp_ros.configuration import (
     agent_names,
@@ -22,7 +24,7 @@ from kbnitp_ros.configuration.agents import (
     most_steps,
     own_base,
 )
-from kbnitp_ros.configuration.known import check_known, mission_file, reference_page
+from kbnitp_ros.configuration.known import check_known
 from kbnitp_ros.configuration.table import LEARN
 from kbnitp_ros.core import Beta, Grid, METHODS, PLANNERS, RobotType, Unknowns
 from kbnitp_ros.nodes.runtime.declared import declare
@@ -245,11 +247,12 @@ def test_bad_values_are_refused_while_running(make_node, name, value, told):
     assert not node.get_clock().ros_time_is_active
 
 
-def test_the_files_made_from_the_table_are_up_to_date():
-    page, config = (ROOT.joinpath(name) for name in ('docs/parameters.md', 'config/mission.yaml'))
-    make = 'python3 -m kbnitp_ros.configuration'
-    assert page.read_text() == reference_page(), f'{make} > docs/parameters.md'
-    assert config.read_text() == mission_file(), f'{make} mission > config/mission.yaml'
+@pytest.mark.processes
+@for_each('file, argument', [('docs/parameters.md', []), ('config/mission.yaml', ['mission'])])
+def test_the_files_made_from_the_table_are_up_to_date(file, argument):
+    command = [sys.executable, 'tools/parameter_files.py', *argument]
+    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert ROOT.joinpath(file).read_text() == made, f'python3 tools/parameter_files.py > {file}'
 
 
 @for_each('name, text, value', [

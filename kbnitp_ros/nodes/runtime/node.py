@@ -66,8 +66,8 @@ FAREWELL = 0.3
 
 # Seconds until a node that waits or reads logs that, since all do for a moment when a mission
 # begins, and seconds until it logs it again.
-SAY_FIRST = 3.0
-SAY_AGAIN = 10.0
+LOG_FIRST = 3.0
+LOG_AGAIN = 10.0
 
 # The child logger for a line about each deployment, which can be silenced alone.
 DEPLOYMENTS = 'deployments'
@@ -113,8 +113,8 @@ class MissionNode(Node):
         self._author_counts: dict[str, int] = {}
         self.deployment_logger = self.get_logger().get_child(DEPLOYMENTS)
         self._awaited = ''
-        self._say_at = 0.0
-        self.create_poll(self._say_what_is_awaited)
+        self._log_at = 0.0
+        self.create_poll(self._log_wait)
         if warning := deaf_to_server(os.environ):
             self.get_logger().warning(warning)
 
@@ -217,24 +217,24 @@ class MissionNode(Node):
         missing = [f'{awaited} to listen to {some(topics)}' for awaited, topics in deaf.items()]
         return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
 
-    def _say_what_is_awaited(self) -> None:
+    def _log_wait(self) -> None:
         """Log what the node waits for, after a while and then repeatedly."""
         state = self.diagnostics.state
         awaited = state if state.startswith(WAITING) else ''
         now = time.monotonic()
         if awaited != self._awaited:
-            self._awaited, self._say_at = awaited, now + SAY_FIRST
-        elif awaited and now > self._say_at:
-            self._say_at = now + SAY_AGAIN
+            self._awaited, self._log_at = awaited, now + LOG_FIRST
+        elif awaited and now > self._log_at:
+            self._log_at = now + LOG_AGAIN
             self.get_logger().info(awaited)
 
     def log_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
         """Pass items on, and log their number while it takes long."""
-        say_at = time.monotonic() + SAY_FIRST
+        log_at = time.monotonic() + LOG_FIRST
         for number, item in enumerate(items):
             stop_on_signal()
-            if time.monotonic() > say_at:
-                say_at = time.monotonic() + SAY_AGAIN
+            if time.monotonic() > log_at:
+                log_at = time.monotonic() + LOG_AGAIN
                 self.get_logger().info(f'{doing}: {number} messages so far')
             yield item
 

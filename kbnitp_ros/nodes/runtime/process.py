@@ -76,7 +76,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         return 0
     except START_ERRORS as error:
         _complain(name, error)
-        _say_why_not_started(name, arguments, error)
+        _publish_startup_error(name, arguments, error)
         _leave(2)
         return 2
     executor = node.make_executor()
@@ -122,7 +122,7 @@ def _complain(name: str, error: Exception) -> None:
     print(f'{name}: {in_words(error)}', file=sys.stderr, flush=True)
 
 
-def _say_why_not_started(name: str, arguments: Sequence[str], error: Exception) -> None:
+def _publish_startup_error(name: str, arguments: Sequence[str], error: Exception) -> None:
     """Publish a startup error on diagnostics, from a node of its own: there may be none yet."""
     # A wrong argument may prevent this node, too.
     with suppress(*START_ERRORS):
