@@ -10,7 +10,7 @@ import signal
 from typing import Any
 
 from kbnitp_ros.configuration import node_parameters, Parameter
-from kbnitp_ros.configuration.given import read_sections, values_for
+from kbnitp_ros.configuration.given import check_counts, read_sections, values_for
 from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.log.files import new_log
 from kbnitp_ros.nodes.runtime.graph import udp_only
@@ -218,7 +218,8 @@ class MissionArguments:
             'await_nodes': [*awaits, *(['recorder'] if log else [])],
         } | {each: known[each].read(text) for each, text in self._options.items() if each in known}
         given = {each: value for each, value in values.items() if each in known} | (own or {})
-        self._check_counts(self._full_name(namespace, name), given)
+        full_name = self._full_name(namespace, name)
+        check_counts(self._sections, full_name, full_name, given)
         params_file = self.argument('params_file')
 
         def end(event: Any, context: LaunchContext) -> Shutdown | TimerAction | None:
@@ -244,24 +245,12 @@ class MissionArguments:
                 namespace=self._full_name(namespace),
                 parameters=[params_file, given | {'resume': resume}],
                 remappings=self.poses if name == 'agent' else [],
-                ros_arguments=['--enclave', self._full_name(namespace, name)],
+                ros_arguments=['--enclave', full_name],
                 output='screen',
                 on_exit=end,
             )
 
         return make(self.argument('resume'))
-
-    def _check_counts(self, node: str, given: dict[str, Any]) -> None:
-        """Check that ROS accepts these: later sections of a file overrule earlier ones."""
-        sections = {name: dict(values) for name, values in self._sections.items()}
-        sections.setdefault(node, {}).update(given)
-        taken = values_for(sections, node)
-        for name, value in given.items():
-            if taken[name] != value:
-                raise ValueError(
-                    f'{name}:={value} would change nothing: to ROS, a later section of the '
-                    f'parameter file counts for more; change {name} there'
-                )
 
 
 def agents_named(given: str) -> list[str]:

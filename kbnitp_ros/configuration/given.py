@@ -114,7 +114,10 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
     given = list(_ros_arguments(arguments))
     remaps = dict(rule.split(':=', 1) for flag, rule in given if flag in REMAP and ':=' in rule)
     called = remaps.get('__node', name)
-    files = [read_sections(path, {called: name}) for flag, path in given if flag in FILE]
+    sections: Sections = {}
+    for path in (path for flag, path in given if flag in FILE):
+        for section, values in read_sections(path, {called: name}).items():
+            sections.setdefault(section, {}).update(values)
     for rule in (rule for flag, rule in given if flag in RULE):
         node, _, parameter = rule.partition(':=')[0].rpartition(':')
         if not (nodes := _nodes_in(node, {called: name}) if node else [name]):
@@ -122,18 +125,23 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
             raise ValueError(f'-p {rule}: {node!r} is for no node: {meant}this one is {called}')
         check_known(parameter, nodes)
         if not node:
-            _check_counts(rule, parameter, files, f'{remaps.get("__ns", "").rstrip("/")}/{called}')
+            # ROS takes it for a line of section /**.
+            own = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
+            check_counts(sections, '/**', own, {parameter: rule.partition(':=')[2]}, '-p ')
 
 
-def _check_counts(rule: str, parameter: str, files: Sequence[Sections], node: str) -> None:
-    """Check that a rule is not overruled: ROS takes it for a line of section /**."""
-    sections = list(dict.fromkeys([*(name for file in files for name in file), '/**']))
-    after = sections.index('/**') + 1
-    for section in sections[after:]:
-        if _fits(section, node) and any(parameter in file.get(section, {}) for file in files):
+def check_counts(
+    sections: Sections, section: str, node: str, given: Mapping[str, Any], flag: str = ''
+) -> None:
+    """Check that ROS gives a node these values of a section: later sections count for more."""
+    merged = {name: dict(values) for name, values in sections.items()}
+    merged.setdefault(section, {}).update(given)
+    for name, value in given.items():
+        *_, last = (each for each in merged if name in merged[each] and _fits(each, node))
+        if last != section and merged[last][name] != value:
             raise ValueError(
-                f'-p {rule} would change nothing: to ROS, section {section!r} of the parameter '
-                f'file counts for more; change {parameter} there'
+                f'{flag}{name}:={value} would change nothing: to ROS, section {last!r} of the '
+                f'parameter file counts for more; change {name} there'
             )
 
 

@@ -33,7 +33,6 @@ from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 # Seconds for which an agent that refused an order gets none, doubled with each further refusal,
@@ -61,7 +60,8 @@ class Dispatch:
         self._rounds = rounds
         self._knowledge = knowledge
         self._act = act
-        self._paths = {
+        # The publishers of paths.
+        self.paths = {
             agent: node.create_publisher(Path, f'{agent}/path', qos.EVIDENCE) for agent in agents
         }
         self._losses = {
@@ -94,7 +94,7 @@ class Dispatch:
             if record.departures.is_refused(key):
                 continue
             # No other publisher has it now.
-            self._paths[key.agent].publish(record.messages[key])
+            self.paths[key.agent].publish(record.messages[key])
             self._rounds.count_path(path)
             if (outcome := record.outcome(key)) is not None:
                 self.in_flight.end(key, record.reports[key].stamp if outcome.survived else None)
@@ -118,11 +118,6 @@ class Dispatch:
         """Subscribe to the paths of an agent, which another planner may publish."""
         return self._node.subscribe_to_agent(Path, agent, partial(self._on_path, agent))
 
-    @property
-    def publishers(self) -> list[Publisher]:
-        """Return the publishers of paths."""
-        return list(self._paths.values())
-
     def is_left_alone(self, agent: str) -> bool:
         """Return whether an agent refused its last order and must not be sent another one yet."""
         return agent in self._pauses and time.monotonic() < self._pauses[agent][1]
@@ -145,7 +140,7 @@ class Dispatch:
             self.in_flight.send(key, plan.path, content)
             self._rounds.count_path(plan.path)
             self._knowledge.note_path(key, plan.path, content)
-            self._paths[key.agent].publish(message)
+            self.paths[key.agent].publish(message)
             self._goals[key] = describe_plan(self._node.grid, plan)
             self.last_stamp = max(self.last_stamp, key.stamp)
 

@@ -199,7 +199,7 @@ class PlannerNode(FieldNode):
         """Return the listeners still missing; empty once all were there."""
         if self._has_subscribers:
             return ''
-        missing = self.missing_listeners(self._dispatch.publishers)
+        missing = self.missing_listeners(self._dispatch.paths.values())
         if not missing and 'agent' in self.values['await_nodes']:
             # In a field that changes, each simulating agent subscribes to the paths of all.
             absent = [agent for agent in self._agents if not self._peers.is_present(agent)]

@@ -321,18 +321,6 @@ class MissionNode(Node):
 
         return self.create_poll(look_if_due)
 
-    def spin_until(self, condition: Callable[[], bool]) -> None:
-        """Spin until a condition holds, before the node is complete."""
-        executor = self.make_executor()
-        executor.add_node(self)
-        try:
-            while not condition():
-                stop_on_signal()
-                spin_once(self, executor, SPIN)
-        finally:
-            executor.remove_node(self)
-            executor.shutdown()
-
     def end(self, exit_code: int = 0) -> None:
         """End the process after a last diagnostics message."""
         self.is_over, self.exit_code = True, exit_code
@@ -370,7 +358,15 @@ class FieldNode(MissionNode):
             topic = self._topic = self.resolve_topic_name(self.values['map_topic'])
             self.subscribe(OccupancyGrid, topic, self._on_map, qos.LATCHED)
             self.diagnostics.state = waiting_for(f'a map on {topic} (parameter map_topic)')
-            self.spin_until(lambda: self._grid is not None)
+            executor = self.make_executor()
+            executor.add_node(self)
+            try:
+                while self._grid is None:
+                    stop_on_signal()
+                    spin_once(self, executor, SPIN)
+            finally:
+                executor.remove_node(self)
+                executor.shutdown()
         else:
             self._grid = make_grid(self.values)
 
