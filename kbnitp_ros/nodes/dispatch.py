@@ -13,7 +13,6 @@ from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import recorded_losses
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
 from kbnitp_ros.core.inference.record import make_observation
@@ -21,7 +20,6 @@ from kbnitp_ros.log.record import EarlyError, RecordedMission
 from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
-    read_path,
     read_report,
     read_status,
     report_message,
@@ -228,10 +226,7 @@ class Dispatch:
     def _on_path(self, agent: str, message: Path) -> None:
         """Record a path: another planner's path may be on disk in place of the own one."""
         try:
-            grid = self._node.grid
-            key, cells = read_path(grid, agent, message)
-            own = grid.at(own_base(self._values, agent, grid))
-            path = own.check_path(cells, value_for(self._values, 'max_steps', agent))
+            key, path = self._node.read_path(agent, message)
             mission = mission_of_path(message)
             is_other = self.in_flight.add_path(key, path, content_hash(message), mission)
         except ValueError as error:

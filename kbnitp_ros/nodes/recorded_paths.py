@@ -8,9 +8,7 @@ import time
 from typing import Generic, TypeVar
 
 from kbnitp_msgs.msg import Recorded
-from kbnitp_ros.configuration import value_for
 from kbnitp_ros.core import DeploymentKey
-from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, named, read_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -164,7 +162,6 @@ class PendingPaths(RecordedPaths[Deployment]):
         self._journal = journal
         self._accept = accept
         self._refuse_order = refuse
-        self._max_steps = value_for(node.values, 'max_steps', agent)
         self._pending: dict[int, Deployment] = {}
         self._last = 0.0
 
@@ -174,8 +171,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         super().listen()
 
     def _read_path(self, message: Path) -> Deployment | None:
-        key, cells = read_path(self._node.grid, self._agent, message)
-        path = self._node.grid.check_path(cells, self._max_steps)
+        key, path = self._node.read_path(self._agent, message)
         deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
         known = self._known(deployment.stamp)
         if known is not None and known.path != deployment.path:

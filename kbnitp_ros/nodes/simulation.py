@@ -13,7 +13,6 @@ from kbnitp_ros.configuration.agents import (
     make_execution,
     make_robot_types,
     make_sensor_model,
-    own_base,
     true_dynamics,
 )
 from kbnitp_ros.configuration.field import read_world
@@ -25,7 +24,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.field.world import Traverse
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.record import RecordedMission
-from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
+from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
 from kbnitp_ros.messages.markers import pose_message, readings_marker
@@ -212,14 +211,10 @@ class AgentPaths(RecordedPaths[SentPath]):
         self.name = name
         self._simulation = simulation
         self._mission = mission
-        self._max_steps = value_for(self._node.values, 'max_steps', name)
-        self._base = own_base(self._node.values, name, simulation.grid)
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
 
     def _read_path(self, message: Path) -> SentPath | None:
-        grid = self._simulation.grid
-        key, cells = read_path(grid, self.name, message)
-        path = grid.at(self._base).check_path(cells, self._max_steps)
+        key, path = self._node.read_path(self.name, message)
         mission = mission_of_path(message)
         check_mission(mission, self._mission)
         known = self._known.get(key)

@@ -12,11 +12,13 @@ from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
-from kbnitp_ros.configuration import make_grid
-from kbnitp_ros.core import Grid
+from kbnitp_ros.configuration import make_grid, value_for
+from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import Roles
 from kbnitp_ros.maps import Map
+from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
@@ -31,6 +33,8 @@ from kbnitp_ros.nodes.runtime.graph import (
 )
 from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
 from nav_msgs.msg import OccupancyGrid, Path
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
@@ -375,6 +379,12 @@ class FieldNode(MissionNode):
         """Return the grid, the same for all nodes of a mission."""
         assert self._grid is not None
         return self._grid
+
+    def read_path(self, agent: str, message: Path) -> tuple[DeploymentKey, NDArray[np.intp]]:
+        """Return the deployment of a path, and its cells if a robot of the agent can take it."""
+        key, cells = read_path(self.grid, agent, message)
+        grid = self.grid.at(own_base(self.values, agent, self.grid))
+        return key, grid.check_path(cells, value_for(self.values, 'max_steps', agent))
 
     def subscribe_to_agent(
         self, kind: type, agent: str, callback: Callable[[Any], None]
