@@ -143,15 +143,6 @@ class OperatorState:
             self.is_ended = True
         return True
 
-    def check_times(self, what: Action) -> None:
-        """Check that an action was not taken too often."""
-        times = sum(each.action == what for each in self.actions.values())
-        if what in REPEATED and times >= MAX_TIMES:
-            raise ValueError(
-                f'{what.name} was taken {times} times, the maximum: the service end_mission '
-                'ends this mission; begin another one'
-            )
-
     def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:
         """Return the rounds refused since the last robot left."""
         return [

@@ -73,7 +73,9 @@ class NewestBelief:
         try:
             snapshot = read_belief_maps(message)
             self._check_rules(snapshot)
-            known = self._known(snapshot.mission)
+            # Each agent may have had a robot in flight when the former planner died.
+            out_before = len(self._agents) if self.sent_unknown else 0
+            known = self._in_flight.known(snapshot.mission) + out_before
             self.tracker.check_belief(snapshot, self._node.count_authors('belief', BELIEF), known)
         except ValueError as error:
             self._node.diagnostics.refuse('belief', error)
@@ -119,9 +121,3 @@ class NewestBelief:
                     f'the base of {agent} is {other}: the parameters say {base}, and the '
                     'estimator would refuse such paths'
                 )
-
-    def _known(self, mission: int) -> int:
-        """Return how many deployments of a mission a belief may hold, as far as known here."""
-        # Each agent may have had a robot in flight when the former planner died.
-        out_before = len(self._agents) if self.sent_unknown else 0
-        return self._in_flight.known(mission) + out_before

@@ -17,10 +17,12 @@ from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import content_hash, header, next_name, shown
 from kbnitp_ros.messages.operator_actions import (
     Action,
+    MAX_TIMES,
     operator_action_message,
     OperatorAction,
     OperatorState,
     Paths,
+    REPEATED,
 )
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
@@ -156,10 +158,13 @@ class Operator:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
             return answered(response, False, f'waiting for {self.awaited}: call again after that')
-        try:
-            self.state.check_times(what)
-        except ValueError as error:
-            return answered(response, False, str(error))
+        times = sum(each.action == what for each in self.state.actions.values())
+        if what in REPEATED and times >= MAX_TIMES:
+            why = (
+                f'{what.name} was taken {times} times, the maximum: the service end_mission ends '
+                'this mission; begin another one'
+            )
+            return answered(response, False, why)
         stamp = next_name(self._node.now(), *self.state.actions)
         action = OperatorAction(stamp, what, self._in_flight.sent, dict(paths or {}), steps)
         message = operator_action_message(self._grid, action)

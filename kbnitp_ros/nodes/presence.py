@@ -90,7 +90,7 @@ class Recorders:
             if publishers[name]:
                 publishers[name] -= 1
                 if rank(values) < rank(self._own):
-                    earlier.append(f'node {name} records to {values[LOG]}')
+                    earlier.append(f'node {name} records to {values.get(LOG)}')
         if not earlier:
             return ''
         return (

@@ -173,7 +173,8 @@ class PendingPaths(RecordedPaths[Deployment]):
     def _read_path(self, message: Path) -> Deployment | None:
         key, path = self._node.read_path(self._agent, message)
         deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
-        known = self._known(deployment.stamp)
+        driven = (each for each in self._journal.deployments if each.stamp == key.stamp)
+        known = self._pending.get(key.stamp) or next(driven, None)
         if known is not None and known.path != deployment.path:
             raise ValueError(f'deployment {key} is known with another path: the first path counts')
         if known is not None or deployment.stamp in self._journal.refusals:
@@ -200,13 +201,6 @@ class PendingPaths(RecordedPaths[Deployment]):
             'which is later (was a clock set back?): for this mission name another file by the '
             'parameter journal'
         )
-
-    def _known(self, stamp: int) -> Deployment | None:
-        """Return the deployment with this key, driven or not, if it is known."""
-        driven = (
-            deployment for deployment in self._journal.deployments if deployment.stamp == stamp
-        )
-        return self._pending.get(stamp) or next(driven, None)
 
     @property
     def newest(self) -> Deployment | None:
