@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,7 +14,6 @@ from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.bound import check_bound, upper_bound
 from kbnitp_ros.core.planning.information import (
-    DECIMALS,
     information_and_survival,
     team_information,
 )
@@ -193,57 +192,15 @@ def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     return [paths[robot] for robot in robots]
 
 
-# The best path may leave too little for the next robot, so several teams grow side by side: as
-# many as make this number of robots, at least one, and at most so many.
-ROBOTS_SIDE_BY_SIDE, MAX_TEAMS = 16, 3
-
-
-@dataclass(frozen=True, eq=False)
-class Assigned:
-    """The first robots of a team, with their paths."""
-
-    # Objective value of their paths together, nats.
-    value: float = 0.0
-    # In the order of the robots, shape (steps + 1,).
-    paths: tuple[NDArray[np.intp], ...] = ()
-    # The objective of the last one; None for the first.
-    last: Objective | None = None
-
-    def grown(self, robot: TeamMember) -> list[Assigned]:
-        """Return the teams extended by this robot on each of its candidates."""
-        objective = robot.objective
-        if self.last is not None:
-            objective = objective.given(self.last.after(self.paths[-1]))
-        return [
-            Assigned(round(self.value + each.value, DECIMALS), (*self.paths, each.path), objective)
-            for each in robot.finder.after(self.paths).candidates(objective)
-        ]
-
-    def visits(self, robots: Sequence[TeamMember]) -> Hashable:
-        """Return the cells that robots of each type visit, which determine the value."""
-        return tuple(
-            sorted(
-                (robots.index(robot), *sorted(path[1:].tolist()))
-                for robot, path in zip(robots, self.paths)
-            )
-        )
-
-
 def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     """Return paths, each planned given that those before it are taken, returned or lost."""
-    if len(robots) == 1:
-        return [robots[0].finder.candidates(robots[0].objective)[0].path]
-    side_by_side = max(1, min(MAX_TEAMS, ROBOTS_SIDE_BY_SIDE // len(robots)))
-    teams = [Assigned()]
-    for robot in robots:
-        grown = [longer for team in teams for longer in team.grown(robot)]
-        distinct: dict[Hashable, Assigned] = {}
-        for team in sorted(grown, key=lambda team: -team.value):
-            distinct.setdefault(team.visits(robots), team)
-            if len(distinct) == side_by_side:
-                break
-        teams = list(distinct.values())
-    return list(teams[0].paths)
+    first, *others = robots
+    objective = first.objective
+    paths = [first.finder.candidates(objective)[0].path]
+    for robot in others:
+        objective = robot.objective.given(objective.after(paths[-1]))
+        paths.append(robot.finder.after(paths).candidates(objective)[0].path)
+    return paths
 
 
 # Weight of the readings of a robot in the regions of others.
