@@ -39,6 +39,7 @@ def test_the_names_are_listed(arguments, status):
     assert done.returncode == status
     told = done.stderr if status else done.stdout
     assert all(name in told for name in EXECUTABLES)
+    assert ("'fly'" in told) == ('fly' in arguments)
 
 
 @pytest.mark.processes
@@ -89,11 +90,6 @@ def test_the_help_of_a_node_has_its_parameters_with_defaults_and_limits(name):
         assert parameter.must_be in told
     (example,) = re.findall(r'-p ([a-z][\w.]*):=', told)
     assert find_parameter(name, example)
-
-
-def test_an_unknown_name_is_named(capsys):
-    assert commands.main(['fly']) == 2
-    assert "'fly'" in capsys.readouterr().err
 
 
 @pytest.mark.processes

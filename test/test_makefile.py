@@ -88,24 +88,6 @@ def test_failures_state_the_reason(tree, pip, npm, reasons, missing):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('target, command, with_npm', [
-    ('check', 'ruff check', False),
-    ('test-quick', "-m 'not processes and not slow'", False),
-    ('test', 'pytest', True),
-    ('test-full', 'pytest', True),
-])  # fmt: skip
-def test_only_tests_that_read_logs_in_javascript_need_npm(tree, target, command, with_npm):
-    for name in ('colcon_defaults.yaml', 'package.xml', 'setup.cfg', 'setup.py'):
-        (tree / name).touch()
-    dry = ['make', '--dry-run', target]
-    environment = {name: value for name, value in os.environ.items() if name != 'ROS_DISTRO'}
-    told = subprocess.run(dry, cwd=tree, env=environment, capture_output=True, text=True).stdout
-    assert command in told
-    assert 'requirements-dev.lock' in told
-    assert ('npm' in told) == with_npm
-
-
-@pytest.mark.processes
 def test_a_certificate_that_is_not_trusted_has_its_remedy(tree):
     npm = 'echo "npm error self-signed certificate in certificate chain"; exit 1'
     _, complaints = make(tree, WORKS, npm).communicate(timeout=60)

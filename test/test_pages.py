@@ -279,18 +279,6 @@ def test_links_have_targets(path):
     assert list(dead(path)) == []
 
 
-def test_a_dead_link_is_found(tmp_path):
-    page = tmp_path / 'page.md'
-    page.write_text(
-        '# One & two\n## Again\n## Again\n'
-        '[a](#again) [a](#again-1) [a](#one--two) [a](page.md#one--two) '
-        '[b](#again-2) [b](#three) [b](gone.md) [b](page.md#four)\n'
-        '```\n[c](code.md)\n```\n'
-        '[d](https://example.org/#h)\n'
-    )
-    assert list(dead(page)) == ['#again-2', '#three', 'gone.md', 'page.md#four']
-
-
 DERIVATIONS = [ROOT / 'docs/mathematics.md', *sorted(ROOT.glob('docs/mathematics/*.md'))]
 TEXT = '\n'.join(page.read_text() for page in DERIVATIONS)
 LABELS = re.findall(r'^ *:label: (\S+)$', TEXT, re.MULTILINE)

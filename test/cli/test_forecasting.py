@@ -71,8 +71,6 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
 
 @for_each('options, complaint', [
     (['--set', 'robots=0'], 'robots is 0: it must be a whole number at least 1'),
-    (['--set', 'stop.confidence=0.9'], 'goal map takes no confidence'),
-    (['--set', 'goal.kind=lane'], 'goal lane has 0 cells'),
     ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
     ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
     ([*LANE, '--set', 'bound=true'], 'bound is true, but only plans for the goal map'),

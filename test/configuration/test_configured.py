@@ -59,14 +59,11 @@ def test_stops_are_those_of_the_parameters():
     ({'stop__confidence': 0.9}, 'goal map takes no confidence'),
     ({'goal__kind': 'lane'}, 'goal lane has 0 cells'),
     ({'goal__kind': 'lane', 'goal__cells': [1, 4]}, 'goal lane has 2 cells'),
-    ({'goal__kind': 'lane', 'goal__cells': [6]}, 'off the map'),
-    ({'goal__kind': 'lane', 'goal__cells': [0]}, 'the base'),
     ({'goal__kind': 'lane', 'goal__cells': [5], 'max_steps': 1}, 'at most max_steps = 1'),
     ({'goal__kind': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
     ({'goal__kind': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
     ({'goal__kind': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of'),
     ({'goal__kind': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
-    ({'goal__kind': 'area', 'goal__cells': [1], 'stop__confidence': 0.9976}, 'takes 2083 ind'),
     ({'stop__losses': 5}, 'stop.losses is 5'),
 ])  # fmt: skip
 def test_a_goal_out_of_reach_is_refused(given, complaint):
@@ -150,8 +147,6 @@ def test_a_map_of_hazards_alone_leaves_kappa_and_the_targets_without_hazards(tmp
 
 @for_each('name, values, told', [
     ('hazard', [[0.5, 1.5]], '1.5 in row 0, column 1: a probability must be from 0 to 1'),
-    ('target', [[float('nan')]], 'nan in row 0'),
-    ('kappa', [0.5], 'rows and columns'),
     ('target', np.zeros((4, 5)), 'no joint distribution at cell 0: .*; likewise at cells 1, 2'),
     ('hazard', np.ones((4, 5)), 'hazard of cell 2 is 1: that is a base'),
     ('kappa', np.full((5, 4), 0.8), 'has 5 rows and 4 columns.*: transpose it'),
@@ -217,9 +212,6 @@ def test_the_first_row_is_the_top_row(write_world):
     ('hazard: ["...", "..."', 'is not YAML'),
     ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' stands in line 3 and in line 1"),
     ('', 'must have hazard and target and nothing else'),
-    ('- 1', 'must have hazard and target and nothing else'),
-    ('hazard: ["...", "..."]', 'must have hazard and target and nothing else'),
-    ('hazard: ["...", "..."]\ntarget: 3', 'target is 3: it must be a list of texts'),
     ('hazard: ["...", 100]\ntarget: []', "hazard is ['...', 100]: it must be a list of texts"),
     ('hazard: ["..."]\ntarget: []', 'hazard has 1 rows: the grid has 2'),
     ('hazard: ["...", "...."]\ntarget: []', 'hazard has 4 cells in row 2 from the top: the'),

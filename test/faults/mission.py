@@ -29,7 +29,7 @@ from unbroken import core_mission, folded, NODES, true_values, with_defaults
 PATIENCE = 180.0
 
 # Seconds before an unanswered call is repeated: the planner may have been killed.
-ANSWERED = 12.0
+ANSWERED = 1.0
 
 # The recorder runs without topics outside the mission.
 NAMESPACE = '/mission'

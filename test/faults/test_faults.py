@@ -20,9 +20,6 @@ from onlooker import AGENT
 import pytest
 from unbroken import folded, NODES, STRUCK, with_defaults
 
-# Seeds of missions with mixed faults, of one agent and of four.
-EVERY_KIND = (9, 22)
-
 
 def check(outcomes):
     """Check that missions ended as undisturbed ones, and that every fault was injected."""
@@ -33,9 +30,11 @@ def check(outcomes):
     assert struck == set(NODES)
 
 
+# Seeds of missions with faults of every kind: of one agent, and of three until it is ended.
 @pytest.mark.processes
-def test_missions_under_faults_end_as_if_unbroken(tmp_path, processes):
-    check([run_mission((seed, 'mixed', tmp_path), processes) for seed in EVERY_KIND])
+@pytest.mark.parametrize('seed', [9, 321])
+def test_missions_under_faults_end_as_if_unbroken(tmp_path, processes, seed):
+    check([run_mission((seed, 'mixed', tmp_path), processes)])
 
 
 @pytest.mark.processes

@@ -191,16 +191,12 @@ def test_a_turned_map_has_its_stated_pose(tmp_path):
     ({'image': 'nothere.pgm'}, 'nothere.pgm cannot be read: No such file'),
     ({'image': 'map.yaml'}, 'map.yaml is no image in PGM, PNG or BMP'),
     ({'resolution': 'nan'}, "resolution.*'nan'.*finite"),
-    ({'resolution': '.nan'}, 'resolution.*nan.*finite'),
     ({'resolution': -0.05}, 'resolution of .* is -0.05.*positive'),
     ({'resolution': None}, 'no resolution'),
     ({'origin': [0, 0]}, 'origin.*x, y, yaw'),
     ({'origin': [0, 0, '.nan']}, 'origin.*finite'),
-    ({'origin': [0, '.inf', 0]}, 'origin.*finite'),
     ({'mode': 'binary'}, "mode.*'binary'.*trinary, scale, raw"),
     ({'negate': 2}, 'negate.*2.*0 or 1'),
-    ({'negate': "''"}, "negate.*''.*0 or 1"),
-    ({'resolution': 0}, 'resolution of .*map.yaml is 0.0: it must be positive'),
     ({'free_thresh': 0.7}, 'free_thresh.*0.7.*not be above occupied_thresh, 0.65'),
     ({'occupied_thresh': '[1]'}, 'occupied_thresh.*finite number'),
 ])  # fmt: skip
@@ -303,12 +299,9 @@ def test_a_cell_that_shares_part_of_an_occupied_pixel_is_blocked():
 
 @for_each('arguments, message', [
     ({'resolution': 0.4}, 'grid resolution is 0.4.*0.5'),
-    ({'resolution': float('nan')}, 'grid resolution is nan'),
     ({'base_position': (3.0, 0.2)}, 'outside the grid'),
     ({'base_position': (0.7, 0.2)}, 'base, cell 1 .*blocked'),
     ({'base': 1}, 'base, cell 1 .*blocked'),
-    ({'base': 9}, 'base is 9'),
-    ({'connectivity': 5}, 'connectivity is 5'),
 ])  # fmt: skip
 def test_bad_grids_of_maps_are_refused(arguments, message):
     data = np.array([[0, 100], [0, 0]], dtype=np.int8)

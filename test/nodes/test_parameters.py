@@ -93,10 +93,8 @@ def test_nodes_declare_the_table(make_node, name):
 @for_each('overrides, told', [
     ({'sensor.lethality': 1.5}, 'sensor.lethality is 1.5: it must be from 0.0 to 1.0'),
     ({'sensor.lethality': float('nan')}, 'sensor.lethality is nan: it must be from 0.0'),
-    ({'sensor.lethality': 'high'}, "sensor.lethality is 'high': it must be a number"),
     ({'sensor.lethality': True}, 'sensor.lethality is True: it must be a number'),
     ({'grid.width': 9.0}, 'grid.width is 9.0: it must be a whole number'),
-    ({'grid.width': 0}, 'grid.width is 0: it must be from 1 to 1000'),
     ({'grid.origin': 3.0}, 'grid.origin is 3.0: it must be a list, each a number'),
     ({'grid.origin': 'ab'}, "grid.origin is 'ab': it must be a list, each a number"),
     ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
@@ -104,12 +102,9 @@ def test_nodes_declare_the_table(make_node, name):
     ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
     ({'lethality': 0.5}, 'every node: did you mean learn.lethality or sensor.lethality? '),
     ({'learn': ['kappa']}, 'parameter learn is called learn.numbers now'),
-    ({'robots.scout_1.base': 9}, 'robots.scout_1.base is called team.scout_1.base now'),
     ({'team.scout_1.max_step': 9}, 'every node: did you mean team.scout_1.max_steps? '),
-    ({'team.scout_1.lethality': 0.5}, 'every node: did you mean'),
     ({'team.scout_1.seed': 3}, 'team.scout_1.seed: all agents have the same seed'),
     ({'team.scuot_1.max_steps': 9}, 'is for scuot_1: did you mean scout_1? the parameter'),
-    ({'team.scout_1.max_steps': 0}, 'team.scout_1.max_steps is 0: it must be from 1'),
     ({'team.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
 ])  # fmt: skip
 def test_bad_values_are_refused_at_start_up(make_node, overrides, told):
@@ -133,12 +128,8 @@ def test_numbers_to_learn_have_intervals_or_distributions():
     (('lethality', 'lethality'), (0.0, 1.0), 'learn.numbers is .* it must name each number once'),
     ((), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
     (('lethality',), (0.7, 0.2), r'learn.lethality is \[0.7, 0.2\]: interval is from 0.7 to'),
-    (('lethality',), (0.5, 0.5), 'interval is from 0.5 to 0.5: it must end above its start'),
-    (('lethality',), (-0.1, 0.5), r'learn.lethality is \[-0.1, 0.5\]: low is -0.1'),
-    (('lethality',), (0.1, float('nan')), 'high is nan'),
     (('lethality',), (), r'learn.lethality is \[\]: it must be low and high'),
     (('lethality',), (0.1, 0.5, 2.0), 'it must be low and high, or low, high, a and b'),
-    (('lethality',), (0.0, 0.5, 0.0, 1.0), 'a of a Beta is 0.0: it must be above 0'),
 ])  # fmt: skip
 def test_a_bad_distribution_is_refused(learn, given, told):
     with pytest.raises(ValueError, match=told):
@@ -258,14 +249,12 @@ def test_the_files_made_from_the_table_are_up_to_date(file, argument):
 @for_each('name, text, value', [
     ('sensor.lethality', '0.3', 0.3),
     ('sensor.lethality', '1', 1.0),
-    ('loss_cost', '1e-3', 0.001),
     ('robots', '7', 7),
     ('rolling', 'true', True),
     ('method', 'relaxed_itp', 'relaxed_itp'),
     ('world.file', '7', '7'),
     ('world.file', '', ''),
     ('grid.blocked', '[3, 4]', (3, 4)),
-    ('grid.blocked', '[]', ()),
     ('agents', '[a, b]', ('a', 'b')),
 ])  # fmt: skip
 def test_values_are_read_as_they_are_typed(name, text, value):
@@ -325,11 +314,8 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
     ({'grid.base_position': (1.7, 2.7)}, 'the base, cell 5 around .* is blocked'),
     ({'grid.base': 5}, 'the base, cell 5 around .* is blocked'),
     ({'grid.base_position': (0.9, 2.1)}, 'outside the grid'),
-    ({'grid.base_position': (float('nan'), 2.1)}, 'outside the grid'),
     ({'grid.base_position': (1.0,)}, r'grid.base_position is \[1.0\]: it must be x and y'),
-    ({'grid.base': 8}, 'base is 8'),
     ({'grid.resolution': 0.25}, 'grid resolution is 0.25: it must be at least that of the map'),
-    ({'grid.connectivity': 6}, 'connectivity is 6'),
     ({'map_topic': '/map'}, 'map and map_topic are both given'),
     ({'map': 'nowhere.yaml'}, 'nowhere.yaml cannot be read'),
 ])  # fmt: skip

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A mission whose nodes have all died resumes with all deployments of its log."""
 
-from extent import LONG
+from extent import FULL, LONG
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import Belief, Estimator, Ledger, SensorModel
@@ -111,7 +111,7 @@ def test_reports_during_the_start_of_an_estimator_are_assimilated(field):
 
 
 @pytest.mark.parametrize('before, depth', [
-    (30, 20),
+    (12, 8),
     pytest.param(qos.DEPTH + 60, qos.DEPTH, marks=LONG),
     pytest.param(MAX_ROBOTS - 10, qos.DEPTH, marks=LONG),
 ])  # fmt: skip
@@ -151,10 +151,10 @@ def test_deployments_survive_every_restart(field, before, depth):
     assert replay(log).reproduced
     field.kill('/m/estimator')
     start(field, 'estimator', log, robots, resumed=False)
-    field.until(
-        lambda: 'restart the estimator with the parameter resume' in field.state('/m/planner'),
-        'word of what is lost',
-    )
+    remedy = 'restart the estimator with the parameter resume'
+    if FULL:
+        # DDS takes the killed one for alive for 20 s.
+        field.until(lambda: remedy in field.state('/m/planner'), 'word of what is lost')
     field.kill('/m/planner')
     start(field, 'planner', log, robots)
     field.until(
@@ -165,3 +165,4 @@ def test_deployments_survive_every_restart(field, before, depth):
         'planner that says what it waits for',
         patience=300,
     )
+    assert remedy in field.state('/m/planner')

@@ -349,10 +349,9 @@ def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     assert 'is not in the field' in page.locator('#cell').inner_text()
 
 
-def test_a_turned_field_is_drawn_upright_with_its_positions(opened, tmp_path):
-    grid = replace(GRID, origin=(30.0, -8.0), yaw=0.7)
-    mission = read_mission(single(tmp_path / 'mission.mcap', 8, grid=grid))
-    page = opened(file=page_file(mission))
+def test_a_turned_field_is_drawn_upright_with_its_positions(opened, surveyed):
+    mission, file = surveyed
+    grid, page = mission.grid, opened(file=file)
     cell = 2 * grid.width + 1
     for name, value in zip('xy', grid.centers([cell])[0]):
         # Anywhere in the cell.

@@ -29,31 +29,19 @@ def test_a_scenario_equals_its_file(tmp_path):
 
 @for_each('key, value, complaint', [
     ('colour', 'red', 'colour is unknown.*seed, trials'),
-    ('world.colour', 'red', 'world.colour is unknown: world has hazard_density, kappa'),
     ('sensor', None, 'sensor is missing'),
-    ('trials', None, 'trials is missing'),
-    ('planning.max_steps', None, 'planning.max_steps is missing'),
     ('prior', 0.5, 'prior is 0.5.*hazard, target, kappa'),
     ('trials', 0, 'trials is 0.*from 1 to'),
     ('trials', 2.5, 'trials is 2.5.*whole number'),
-    ('trials', True, 'trials is True.*whole number'),
-    ('robots', -1, 'robots is -1.*from 1 to'),
     ('seed', -1, 'seed is -1.*from 0 to'),
     ('lethalities', [0.5, 1.5], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
-    ('lethalities', [float('nan')], r'lethalities is nan.*from 0\.0 to 1\.0'),
-    ('lethalities', ['high'], "lethalities is 'high'.*a number"),
     ('lethalities', [], r'lethalities is \[\].*at least one'),
     ('lethalities', 0.5, 'lethalities is 0.5.*a list'),
     ('lethalities', [0.5, 0.50], 'lethalities.*each entry may be there once'),
     ('methods', ['magic'], 'methods is .magic.*kappa_bnitp_sampled'),
     ('methods', ['kappa_bnitp_smoothed'], 'methods is .*: it is gone.* 0.3.0 .*use kappa_'),
-    ('methods', [['kappa_bnitp']], 'methods is .*known'),
-    ('planning.planner', 'magic', 'planning.planner is .magic.*relaxed'),
-    ('planning.max_steps', 0, 'planning.max_steps is 0.*from 1'),
     ('world.kappa', -0.1, r'world.kappa is -0\.1.*from 0\.0 to 1\.0'),
     ('teams', [{'agents': 0}], 'teams.agents is 0.*from 1'),
-    ('teams', [{'allocation': 'auction'}], 'teams.allocation is .auction.*voronoi'),
-    ('teams', [{'loss_cost': -1}], r'teams.loss_cost is -1.*from 0\.0'),
     ('teams', [{'robots': 2}], 'teams.robots is unknown: teams has agents'),
     ('teams', [{'agents': 13}], 'teams: agents is 13.*from 1 to 12'),
     ('teams', [{'agents': 2}, {'agents': 2}], 'teams.*each entry may be there once'),
@@ -70,10 +58,8 @@ def test_one_error_names_the_key_the_value_and_what_is_allowed(tmp_path, key, va
 @for_each('text, complaint', [
     (b'seed: [', 'not YAML'),
     (b'seed: 1\nseed: 2', "the key 'seed' stands in line 2 and in line 1"),
-    (b'seed: 2001-99-99', 'not YAML'),
     (b'\xff\xfe\xff', 'not YAML'),
     (b'', 'it is None: it must have the keys seed'),
-    (b'- seed', 'it must have the keys seed'),
 ])  # fmt: skip
 def test_other_files_are_refused(tmp_path, text, complaint):
     file = tmp_path / 'mine.yaml'

@@ -131,9 +131,8 @@ def test_a_full_disk_is_reported_and_kernels_run(tmp_path):
 
 
 CHANGED = """
-from kbnitp_ros.core import Belief, Grid, path_information, SensorModel
-belief = Belief.from_maps([0.0, 0.5], [0.3, 0.5], [0.3, 0.5])
-print(path_information(belief, SensorModel(0.5), [0, 1, 0]))
+from kbnitp_ros.core.planning.label_kernels import surprisal
+print(surprisal(0.5))
 """
 
 
@@ -146,7 +145,7 @@ def test_changed_sources_are_compiled_anew(tmp_path):
     printed = [run(CHANGED, **environment)[0] for _ in range(2)]
     folders = sorted(tmp_path.glob('kbnitp_ros/__pycache__/kernels-*'))
     assert (len(folders), printed[0]) == (1, printed[1])
-    other = tmp_path / 'kbnitp_ros' / 'core' / 'planning' / 'label_kernels.py'
+    other = tmp_path / 'kbnitp_ros' / 'core' / 'planning' / 'bound_kernels.py'
     other.write_text(other.read_text() + '# changed')
     run(CHANGED, **environment)
     assert len(sorted(tmp_path.glob('kbnitp_ros/__pycache__/kernels-*'))) == 2

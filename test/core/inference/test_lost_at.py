@@ -189,21 +189,18 @@ BACK = {'survived': True}
     ({'lost_at': [1.0, 2.0]}, r'lost_at has shape \(2,\): it must be \(3,\)'),
     ({'lost_at': [1.0, -2.0, 1.0]}, r'lost_at\[1\] is -2.0: it must be .* at least 0'),
     ({'lost_at': [1.0, 1.0, float('nan')]}, r'lost_at\[2\] is nan'),
-    ({'lost_at': [1.0, float('inf'), 1.0]}, r'lost_at\[1\] is inf'),
     ({'lost_at': [0.0, 0.0, 0.0]}, 'lost_at is 0 in all steps'),
     ({'lost_at': [1.0, 0.0, 0.0], 'steps_survived': 1}, 'lost_at is 0 in all .* after the 1'),
     (
         {'survived': True, 'readings': [1, 0, 1], 'lost_at': [1.0, 1.0, 2.0]},
-        'lost_at is given: a robot that returned',
+        'lost_at is given, but the robot returned',
     ),
     ({'steps_survived': 3}, 'steps_survived is 3.*at most 2'),
     ({'steps_survived': -1}, 'steps_survived is -1.*at least 0'),
     ({'steps_survived': 1.5}, 'steps_survived is 1.5'),
     ({**BACK, 'readings': [1, 0, 1], 'steps_survived': 1}, 'steps_survived is 1.*returned'),
     ({**BACK, 'readings': [1, 0, -2]}, 'readings is -2'),
-    ({**BACK, 'readings': [-1, 0, 2]}, 'readings is 2'),
     ({**BACK, 'readings': [-1, 0]}, 'readings has shape'),
-    ({**BACK, 'readings': [-1, 0, float('nan')]}, 'readings is nan'),
 ])  # fmt: skip
 def test_a_bad_lost_at_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):

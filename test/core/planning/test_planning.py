@@ -169,13 +169,11 @@ def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner, objective):
 @for_each('arguments, message', [
     ({'planner': 'oracle'}, 'planner.*oracle(?=.*beam)(?=.*relaxed)'),
     ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
-    ({'max_steps': -3}, 'max_steps is -3.*at least 1'),
     ({'max_steps': 2.5}, 'max_steps is 2.5.*whole number'),
     ({'width': 0}, 'width is 0.*at least 1'),
     ({'max_visits': 0}, 'max_visits is 0.*at least 1'),
     ({'loss_cost': -1}, 'loss_cost is -1.*at least 0'),
     ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
-    ({'loss_cost': float('inf')}, 'loss_cost is inf.*at most 1e9'),
     ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
 ])  # fmt: skip
 def test_bad_requests_are_refused(arguments, message):

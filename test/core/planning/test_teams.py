@@ -224,7 +224,6 @@ def test_robots_prefer_their_regions():
 
 BAD_TEAMS = [
     ({'agents': 0}, 'agents is 0.*at least 1'),
-    ({'agents': -2}, 'agents is -2.*at least 1'),
     ({'agents': 1.5}, 'agents is 1.5.*whole number'),
     ({'agents': 28}, 'agents is 28.*27.*free cell'),
     ({'allocation': 'auction'}, 'allocation.*auction(?=.*voronoi)(?=.*greedy)'),

@@ -367,10 +367,8 @@ def test_the_numbers_drawn_are_not_those_of_a_world_of_that_seed():
     ((0.2, 1.1), r'lethality is unknown within \(0.2, 1.1\): high is 1.1.*\[0, 1\]'),
     ((-0.1, 0.5), 'low is -0.1'),
     ((0.5, 0.5), r'from 0.5 to 0.5: it must end above its start'),
-    ((0.6, 0.5), r'from 0.6 to 0.5: it must end above its start'),
     ((0.1, float('nan')), 'high is nan'),
     ((0.1, 0.2, 0.3), 'two numbers'),
-    ((), 'two numbers'),
     (0.5, 'two numbers'),
     (('a', 'b'), "low is 'a': it must be a number"),
 ])  # fmt: skip
