@@ -113,7 +113,7 @@ class FileWriter:
                 'offered_qos_profiles': qos,
                 'type_description_hash': metadata.get(TYPE_HASH, ''),
             }
-            self._topics[channel] = BagTopic(described)
+            self._topics[channel] = {'topic_metadata': described, 'message_count': 0}
             self.contents.topics.append(self._topics[channel])
         return self._channels[key]
 
@@ -134,7 +134,7 @@ class FileWriter:
             # In a chunk with others it might become too large to be read.
             self.flush()
         self._writer.add_message(channel, log_time, data, publish_time, sequence)
-        topic.messages += 1
+        topic['message_count'] += 1
         if log_time > contents.last:
             contents.last = log_time
         if log_time < contents.first:
@@ -234,11 +234,7 @@ def described(part: Path) -> BagFile:
     }
     try:
         bag = yaml.safe_load(records[BAG_RECORD][BAG_FIELD])
-        topics = [
-            BagTopic(entry['topic_metadata'], entry['message_count'])
-            for entry in bag['topics_with_message_count']
-        ]
-        contents = BagFile(part.name, topics)
+        contents = BagFile(part.name, bag['topics_with_message_count'])
         if contents.messages:
             contents.first = bag['starting_time']['nanoseconds_since_epoch']
             contents.last = contents.first + bag['duration']['nanoseconds']

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 import json
@@ -130,13 +130,9 @@ def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
 VERSION = 9
 
 
-@dataclass
-class BagTopic:
-    """A topic with one QoS, and its number of messages."""
-
-    # As in rosbag2: name, type, serialization_format, offered_qos_profiles, type_description_hash.
-    metadata: dict[str, Any]
-    messages: int = 0
+# A topic with one QoS as in rosbag2: topic_metadata, with name, type, serialization_format,
+# offered_qos_profiles and type_description_hash, and message_count.
+BagTopic = dict[str, Any]
 
 
 @dataclass
@@ -153,7 +149,7 @@ class BagFile:
     @property
     def messages(self) -> int:
         """Return the number of messages in the file."""
-        return sum(topic.messages for topic in self.topics)
+        return sum(topic['message_count'] for topic in self.topics)
 
 
 def information(files: Sequence[BagFile]) -> dict[str, Any]:
@@ -163,10 +159,7 @@ def information(files: Sequence[BagFile]) -> dict[str, Any]:
         'version': VERSION,
         'storage_identifier': 'mcap',
         **span(first, last, sum(file.messages for file in files)),
-        'topics_with_message_count': [
-            {'topic_metadata': topic.metadata, 'message_count': topic.messages}
-            for topic in merged(files)
-        ],
+        'topics_with_message_count': merged(files),
         'compression_format': '',
         'compression_mode': '',
         'relative_file_paths': [file.name for file in files],
@@ -188,13 +181,13 @@ def span(first: int, last: int, messages: int) -> dict[str, Any]:
     }
 
 
-def merged(files: Sequence[BagFile]) -> Iterator[BagTopic]:
-    """Yield the topics of all files, once for each QoS."""
+def merged(files: Sequence[BagFile]) -> list[BagTopic]:
+    """Return the topics of all files, once for each QoS."""
     topics: dict[str, BagTopic] = {}
     for topic in (topic for file in files for topic in file.topics):
-        same = topics.setdefault(repr(topic.metadata), BagTopic(topic.metadata))
-        same.messages += topic.messages
-    yield from topics.values()
+        same = topics.setdefault(repr(topic['topic_metadata']), {**topic, 'message_count': 0})
+        same['message_count'] += topic['message_count']
+    return [*topics.values()]
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
