@@ -119,12 +119,8 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
             robot = self.get(key)
             if robot is None or content != robot.recorded_content:
                 return False
-            robot.path, robot.content, robot.is_recorded, robot.recorded_content = (
-                path,
-                content,
-                True,
-                None,
-            )
+            robot.path, robot.content = path, content
+            robot.is_recorded, robot.recorded_content = True, None
             return True
         if len(self._others) >= MAX_ROBOTS:
             raise ValueError(

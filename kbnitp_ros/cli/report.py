@@ -9,7 +9,6 @@ from pathlib import Path
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
-from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report.comparison import check_one_field, comparison_page, Pair
@@ -65,7 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             missions = [report(options.log, options.out, namespace=options.namespace)]
         else:
             missions = compare(options.log, options.other, options.out)
-    except (LogError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         complain('report', error)
         return 2
     corrupt = [found for mission in missions for found in mission.corrupt]

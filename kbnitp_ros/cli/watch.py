@@ -13,7 +13,7 @@ import time
 
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.cli.study import count
-from kbnitp_ros.log.files import log_parts, LogError
+from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.read import is_finished
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.roles import MissionLog
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 time.sleep(LOOK)
     except KeyboardInterrupt:
         return 0
-    except (LogError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         complain('watch', error)
         return 2
 
@@ -151,7 +151,7 @@ class Follower:
                 self._look()
             except FileNotFoundError:
                 self._describe('Waiting for the recorder to begin the log.')
-            except (LogError, ValueError, OSError) as error:
+            except (ValueError, OSError) as error:
                 self._describe(f'The page is of an earlier moment: {error}')
             # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)

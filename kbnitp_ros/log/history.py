@@ -18,12 +18,7 @@ from kbnitp_ros.log.record import RecordedMission, required_belief
 from kbnitp_ros.log.roles import mission_log, MissionLog, TRUTH
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import (
-    Known,
-    ModelState,
-    NOTHING_LEARNT,
-    read_decision,
-)
+from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -18,14 +18,7 @@ from kbnitp_ros.log.read import (
     RecordedMessage,
     RecordedMetadata,
 )
-from kbnitp_ros.log.schema import (
-    BagFile,
-    BagTopic,
-    information,
-    QOS,
-    TYPE_HASH,
-    write_metadata,
-)
+from kbnitp_ros.log.schema import BagFile, BagTopic, information, QOS, TYPE_HASH, write_metadata
 from mcap.well_known import Profile
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 import yaml

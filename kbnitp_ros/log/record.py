@@ -22,15 +22,8 @@ from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
-from kbnitp_ros.messages.beliefs import (
-    AssimilatedEvidence,
-    Snapshot,
-)
-from kbnitp_ros.messages.deployments import (
-    AgentStatus,
-    OrderState,
-    read_path,
-)
+from kbnitp_ros.messages.beliefs import AssimilatedEvidence, Snapshot
+from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_path
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
     OperatorAction,

@@ -7,13 +7,7 @@ from math import atan2, cos, hypot, isfinite, pi, remainder, sin, tau
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.messages.headers import (
-    check_frame,
-    Fields,
-    filled,
-    header_fields,
-    stamp_fields,
-)
+from kbnitp_ros.messages.headers import check_frame, Fields, filled, header_fields, stamp_fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

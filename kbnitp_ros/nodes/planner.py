@@ -15,12 +15,7 @@ from kbnitp_ros.base.checks import (
 )
 from kbnitp_ros.base.deployments_in_flight import check_periods
 from kbnitp_ros.base.mission_tracker import missing_plans, read_planner_record
-from kbnitp_ros.base.obstacles import (
-    AgentPresence,
-    describe_obstacle,
-    Obstacle,
-    PlannerState,
-)
+from kbnitp_ros.base.obstacles import AgentPresence, describe_obstacle, Obstacle, PlannerState
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search, SearchRequest
 from kbnitp_ros.configuration import agent_names
 from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
@@ -37,11 +32,7 @@ from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator, Proposals
 from kbnitp_ros.nodes.presence import HoldPublisher, Peers
-from kbnitp_ros.nodes.runtime.diagnostics import (
-    MISSION_REASON,
-    MISSION_STATE,
-    waiting_for,
-)
+from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import BoundedProgress

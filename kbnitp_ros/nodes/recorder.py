@@ -25,12 +25,7 @@ from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log
 from kbnitp_ros.log.schema import check_readable, qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState
-from kbnitp_ros.messages.headers import (
-    check_mission,
-    content_hash,
-    NO_MISSION,
-    to_stamp,
-)
+from kbnitp_ros.messages.headers import check_mission, content_hash, NO_MISSION, to_stamp
 from kbnitp_ros.nodes.presence import OPERATORS, Recorders
 from kbnitp_ros.nodes.recorded_topics import (
     Message,

@@ -16,11 +16,7 @@ from kbnitp_ros.configuration.agents import (
     true_dynamics,
 )
 from kbnitp_ros.configuration.field import read_world
-from kbnitp_ros.core import (
-    DeploymentKey,
-    Observation,
-    World,
-)
+from kbnitp_ros.core import DeploymentKey, Observation, World
 from kbnitp_ros.core.field.world import Traverse
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.record import RecordedMission
