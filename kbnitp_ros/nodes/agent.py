@@ -53,7 +53,7 @@ class AgentNode(FieldNode):
                 f'the path of {agent_awaited} in the same round, at most {PATIENCE} s: robots '
                 'change the field in their order (parameter hazards.dynamics)'
             )
-        names = ', '.join(agent.name for agent in self._agents)
+        names = ', '.join(each.agent for each in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
         self.diagnostics.state = waiting_for(awaited[0]) if awaited else f'taking paths of {names}'
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import time
 from typing import Generic, TypeVar
 
-from kbnitp_msgs.msg import Recorded
+from kbnitp_msgs.msg import AgentStatus, Recorded
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, named, read_name
 from kbnitp_ros.nodes.runtime import qos
@@ -38,7 +38,7 @@ class RecordedPaths(Generic[P]):
         take: Callable[[P], None],
     ) -> None:
         self._node = node
-        self._agent = agent
+        self.agent = agent
         self._read = read
         self._take = take
         # Paths that are not acknowledged, by stamp and content.
@@ -51,7 +51,7 @@ class RecordedPaths(Generic[P]):
 
     def listen(self) -> None:
         """Subscribe to the paths."""
-        self._node.subscribe_to_agent(Path, self._agent, self._on_path)
+        self._node.subscribe_to_agent(Path, self.agent, self._on_path)
         if self._node.values['recorded']:
             self._recorded = self._subscribe_to_recorded()
             self._node.create_poll(self._ask_again)
@@ -68,21 +68,22 @@ class RecordedPaths(Generic[P]):
             return ''
         stamp, _ = next(iter(self._unacknowledged))
         return (
-            f'the recorder to acknowledge the path of {DeploymentKey(self._agent, stamp)} on '
-            f'{self._agent}/recorded (parameter recorded)'
+            f'the recorder to acknowledge the path of {DeploymentKey(self.agent, stamp)} on '
+            f'{self.agent}/recorded (parameter recorded)'
         )
 
-    def when_recorded(self, stamp: int, content: int, depart: Callable[[], None]) -> None:
+    def when_recorded(self, departure: AgentStatus, depart: Callable[[], None]) -> None:
         """Call back when a departure is on record; at once if await_nodes has no recorder."""
         if self._node.values['recorded']:
-            self._departures[stamp, content] = depart
+            stamp = from_stamp(departure.deployment)
+            self._departures[stamp, content_hash(departure)] = depart
         else:
             depart()
 
     def _subscribe_to_recorded(self) -> Subscription:
         self._has_missed = False
         self._ask_at = time.monotonic() + self._interval
-        return self._node.subscribe_to_agent(Recorded, self._agent, self._on_recorded)
+        return self._node.subscribe_to_agent(Recorded, self.agent, self._on_recorded)
 
     def _on_path(self, message: Path) -> None:
         try:
@@ -106,7 +107,7 @@ class RecordedPaths(Generic[P]):
         try:
             stamp = read_name('stamp', message.stamp)
         except ValueError as error:
-            self._node.diagnostics.refuse(f'{self._agent}/recorded', error)
+            self._node.diagnostics.refuse(f'{self.agent}/recorded', error)
             return
         if depart := self._departures.pop((stamp, message.content), None):
             depart()
@@ -125,10 +126,10 @@ class RecordedPaths(Generic[P]):
 
     def _drop(self, stamp: int, content: int, why: str) -> None:
         del self._unacknowledged[stamp, content]
-        self._refuse(ValueError(f'deployment {DeploymentKey(self._agent, stamp)}: {why}'))
+        self._refuse(ValueError(f'deployment {DeploymentKey(self.agent, stamp)}: {why}'))
 
     def _refuse(self, error: ValueError) -> None:
-        self._node.diagnostics.refuse(f'{self._agent}/path', error)
+        self._node.diagnostics.refuse(f'{self.agent}/path', error)
 
     def _ask_again(self) -> None:
         """Request the acknowledgements from before a path came again."""
@@ -171,7 +172,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         super().listen()
 
     def _read_path(self, message: Path) -> Deployment | None:
-        key, path = self._node.read_path(self._agent, message)
+        key, path = self._node.read_path(self.agent, message)
         deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
         driven = (each for each in self._journal.deployments if each.stamp == key.stamp)
         known = self._pending.get(key.stamp) or next(driven, None)

@@ -19,7 +19,7 @@ from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.core.inference.record import MAX_WALK
 from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
-from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
+from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_detection
 from kbnitp_ros.nodes.presence import HoldSubscription
@@ -350,8 +350,7 @@ class RobotNode(FieldNode):
         self._set_out(deployment, deployment.path)
         self._is_at_gate = True
         departure = status_message(self._key(deployment), OrderState.DEPARTED, deployment.departed)
-        leave = partial(self._leave, deployment)
-        self._pending.when_recorded(deployment.stamp, content_hash(departure), leave)
+        self._pending.when_recorded(departure, partial(self._leave, deployment))
         self._statuses.publish(departure)
         return True
 

@@ -22,7 +22,7 @@ from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
+from kbnitp_ros.messages.headers import check_mission, mission_of_path
 from kbnitp_ros.messages.markers import pose_message, readings_marker
 from kbnitp_ros.nodes.presence import HoldSubscription
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
@@ -204,13 +204,12 @@ class AgentPaths(RecordedPaths[SentPath]):
 
     def __init__(self, simulation: Simulation, name: str, mission: int | None) -> None:
         super().__init__(simulation.node, name, self._read_path, self._take_path)
-        self.name = name
         self._simulation = simulation
         self._mission = mission
         self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
 
     def _read_path(self, message: Path) -> SentPath | None:
-        key, path = self._node.read_path(self.name, message)
+        key, path = self._node.read_path(self.agent, message)
         mission = mission_of_path(message)
         check_mission(mission, self._mission)
         known = self._known.get(key)
@@ -266,7 +265,7 @@ class SimulatedAgent(AgentPaths):
                 self.reports.publish(report_message(key, outcome, stamp))
 
     def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
-        name = f'{self._node.above}/{self.name}/{topic}'
+        name = f'{self._node.above}/{self.agent}/{topic}'
         return self._node.create_publisher(message_type, name, profile)
 
     @property
@@ -284,8 +283,8 @@ class SimulatedAgent(AgentPaths):
         self._at_home.append(key)
         self._publish_status(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
-            departure = content_hash(status_message(key, OrderState.DEPARTED, key.stamp))
-            self.when_recorded(key.stamp, departure, partial(self._move, key))
+            departure = status_message(key, OrderState.DEPARTED, key.stamp)
+            self.when_recorded(departure, partial(self._move, key))
         self._depart_all()
 
     def _depart_all(self) -> None:
@@ -311,8 +310,8 @@ class SimulatedAgent(AgentPaths):
         self._statuses.publish(status_message(key, state, key.stamp))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
-        self._simulation.out.add(self.name)
-        period = value_for(self._node.values, 'step_period', self.name)
+        self._simulation.out.add(self.agent)
+        period = value_for(self._node.values, 'step_period', self.agent)
         if period == 0.0:
             self._return(key, made.observation)
             return
@@ -334,12 +333,12 @@ class SimulatedAgent(AgentPaths):
         timer = self._node.create_timer(seconds, once, clock=clock)
 
     def _show(self, cell: int) -> None:
-        pose = pose_message(self._simulation.grid, self.name, cell, self._node.now())
+        pose = pose_message(self._simulation.grid, self.agent, cell, self._node.now())
         self._poses.publish(pose)
 
     def _return(self, key: DeploymentKey, observation: Observation) -> None:
         """Report the outcome of a robot after its time away."""
-        self._simulation.out.discard(self.name)
+        self._simulation.out.discard(self.agent)
         if not observation.survived and self._node.values['silent_loss']:
             return
         stamp = self._node.now()
