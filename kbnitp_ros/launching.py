@@ -76,7 +76,7 @@ ARGUMENTS = (
         'The log to write; empty for the one that the parameters name, or if they name none, '
         'runs/TIME/mission.mcap.',
     ),
-    ('resume', '', None, 'Log of a dead mission to go on with; empty for a new mission.'),
+    ('resume', '', None, 'Log of an interrupted mission to resume; empty for a new mission.'),
     ('rviz', 'false', SWITCH, 'Whether to show the mission in RViz.'),
 )
 

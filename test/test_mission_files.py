@@ -263,15 +263,15 @@ LATE = '/planner: {ros__parameters: {}}\n/**/planner: {ros__parameters: {robots:
 @pytest.mark.processes
 @pytest.mark.parametrize('arguments, content, told', [
     (['params_file:=none.yaml'], '', 'parameter file none.yaml: No such file or directory'),
-    ([], '/**/plannr: {ros__parameters: {robots: 3}}', "'/**/plannr' is for no node: did you"),
+    ([], '/**/plannr: {ros__parameters: {robots: 3}}', "'/**/plannr' names no node: did you"),
     ([], 'recorder: {ros__parameters: {step_period: 1.0}}', 'step_period is unknown to the recor'),
-    (['robots:=3'], LATE, 'robots:=3 would change nothing'),
+    (['robots:=3'], LATE, 'robots:=3 has no effect'),
     (['robots:=-1'], '', 'parameter robots is -1: it must be from 0 to 20000'),
     (['allocation:=fair'], '', "allocation is 'fair': it must be one of"),
     (['lose_cost:=1'], '', 'launch argument lose_cost is unknown: did you mean loss_cost?'),
     *((['agents:=' + each], '', f"agents is '{each}': it must be a whole number, at least 1, or")
       for each in ('0', '-1', 'a b')),
-    (['file:=mission.mcap'], None, 'mission.mcap exists, and no log is written over: name'),
+    (['file:=mission.mcap'], None, 'mission.mcap exists and is not overwritten: name'),
 ])  # fmt: skip
 def test_bad_arguments_of_launch_start_no_node(tmp_path, configured, arguments, content, told):
     (tmp_path / 'mission.mcap').touch()

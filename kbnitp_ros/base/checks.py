@@ -50,7 +50,7 @@ def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
         if not (field.steps_to_base == 1).any():
             why = 'no other cell can be entered from it (map, grid.blocked and grid.corners)'
         elif value_for(values, 'max_steps', agent) < 2:
-            why = 'max_steps is 1: the way to another cell and back has 2'
+            why = 'max_steps is 1: a way to another cell and back takes 2 steps'
         if why:
             raise ValueError(
                 f'robots of {agent} cannot leave their base, cell {field.base}: {why}'
@@ -82,9 +82,9 @@ def density_note(ledger: Ledger) -> str:
     if 2 * unvisited.sum() <= cells:
         return ''
     return (
-        f'hazards cluster and their density is only known as {density.mean:.2g} ± '
-        f'{density.sd:.2g}, on which the belief about the {unvisited.sum()} of {cells} cells '
-        'not visited rests: state it in prior.hazard or narrow learn.hazard_density'
+        f'hazards cluster and their learnt density is {density.mean:.2g} ± {density.sd:.2g}; the '
+        f'belief about {unvisited.sum()} of {cells} cells, which no robot visited, depends on it: '
+        'state it in prior.hazard or narrow learn.hazard_density'
     )
 
 
@@ -109,6 +109,6 @@ def check_robots(robots: int, sent: int) -> None:
     """Check a new number of robots against those already sent."""
     if robots < sent:
         raise ValueError(
-            f'parameter robots is {robots}: {sent} robots were sent, and it must be at '
-            f'least that; {sent} ends the mission'
+            f'parameter robots is {robots}: it must be at least {sent}, the number of robots sent '
+            f'so far; {sent} ends the mission'
         )

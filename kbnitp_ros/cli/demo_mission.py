@@ -126,7 +126,7 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
         say(f'{reach}.')
     elif planner['map']:
         joined = int((grid.steps_to_base < grid.cells).sum())
-        say(f'{most} steps reach all {joined} cells that the base is joined to.')
+        say(f'{most} steps reach all {joined} cells connected to the base.')
     end_on_signals()
     try:
         with serving(log, None, HOST, 0) if has_page else nullcontext():
@@ -144,7 +144,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return the parameters of each node of a new mission."""
     sections = read_sections(options.params) if options.params else {}
     if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
-        raise ValueError('use_sim_time is true: no simulated clock reaches the demo')
+        raise ValueError('use_sim_time is true: the demo has no simulated clock')
     parameters = node_values(sections, NODES, DEFAULTS)
     for name, value in given_by_options(options):
         for table, values in ((node_parameters(node), parameters[node]) for node in NODES):
@@ -201,7 +201,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     simulated, estimator = parameters['agent'], parameters['estimator']
     if simulated['map_topic']:
         raise ValueError(
-            f'map_topic is {simulated["map_topic"]}: no map reaches the demo, use map'
+            f'map_topic is {simulated["map_topic"]}: the demo subscribes to no map, use map'
         )
     grid = make_grid(simulated)
     agent_names(simulated, grid)
@@ -219,7 +219,7 @@ def how_to_go_on(log: Path) -> str:
     try:
         recorded_parameters(log)
     except (ValueError, OSError):
-        return f'no robot had left: begin anew, in another folder than {log.parent}'
+        return f'no robot had left: begin a new mission in another folder than {log.parent}'
     return f'to go on: python3 -m kbnitp_ros demo --resume {shlex.quote(str(log))}'
 
 
@@ -231,7 +231,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
         if f'/{node}' not in recorded:
             if not any(True for _ in MissionLog(log).read('path')):
                 raise ValueError(
-                    f'{log} ends before the first robot left: begin anew in another folder'
+                    f'{log} ends before the first robot left: begin a mission in another folder'
                 )
             raise ValueError(
                 f'{log} does not have the parameters of /{node} on record: '

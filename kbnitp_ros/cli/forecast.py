@@ -93,7 +93,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--params',
         metavar='FILE',
         help='YAML file with parameters of planner and estimator, such as config/mission.yaml; '
-        'with a log only those of the planner count; default those on record',
+        'with a log only those of the planner count; default: those on record',
     )
     parser.add_argument(
         '--set',
@@ -115,13 +115,13 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar='N',
         type=partial(count, least=0),
         default=0,
-        help='of the fields and of what happens to robots, at least 0; default 0',
+        help='seed of the fields and of the outcomes of robots, at least 0; default 0',
     )
     parser.add_argument(
         '--workers',
         metavar='N',
         type=count,
-        help='how many processes to start, at least 1; default one a core. The result is the same',
+        help='number of processes, at least 1; default one a core; the result is the same',
     )
     parser.add_argument(
         '--out',
@@ -141,7 +141,7 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
     planner, estimator = parameters['planner'], parameters['estimator']
     if planner['map_topic']:
         raise ValueError(
-            f'map_topic is {planner["map_topic"]}: no map reaches the forecast, use map'
+            f'map_topic is {planner["map_topic"]}: the forecast subscribes to no map, use map'
         )
     grid = make_grid(planner)
     if make_grid(estimator) != grid:
@@ -219,9 +219,9 @@ def lines(found: Forecast) -> Iterator[str]:
         yield f'reached in {in_percent(Share.of(found.reached[:, -1]))} of the missions'
     if found.goal != 'map':
         yield (
-            f'in the end the {found.goal} is free of hazards in '
-            f'{in_percent(Share.of(found.free))}, and believed to be with a probability of '
-            f'{found.p_free[:, -1].mean():.3f} on average'
+            f'at the end the {found.goal} is free of hazards in '
+            f'{in_percent(Share.of(found.free))} of the missions; mean believed probability '
+            f'{found.p_free[:, -1].mean():.3f}'
         )
     yield ''
     totals = {'robots sent': found.sent, 'robots lost': found.lost[:, -1]}

@@ -54,8 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         '--repair',
         metavar='OUT.mcap',
         type=Path,
-        help='write what comes before the cut or the first error of each file to a new file, best '
-        'in a new folder, which is made; and replay that',
+        help='copy the intact part of each file, up to its cut or first error, to a new log and '
+        'replay that; its folder is made if needed',
     )
     options = parser.parse_args(argv)
     log = options.log

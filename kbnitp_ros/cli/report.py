@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar='DIR',
         type=Path,
         required=True,
-        help='folder to make; it may be there if it is empty',
+        help='folder for the report, new or empty',
     )
     options = parser.parse_args(argv)
     try:

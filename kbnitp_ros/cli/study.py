@@ -62,24 +62,24 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar='DIR',
         type=Path,
         required=True,
-        help='folder for the results; the trials that it has already are not run again',
+        help='folder for the results; trials that it holds already are not run again',
     )
     parser.add_argument(
         '--backend',
         choices=('loky', 'dask'),
         default='loky',
-        help='what runs the trials: processes of this machine (loky, the default) or Dask',
+        help='where trials run: processes of this machine (loky, the default) or Dask',
     )
     parser.add_argument(
         '--workers',
         metavar='N',
         type=count,
-        help='how many to start, at least 1; default one a core',
+        help='number of processes, at least 1; default one a core',
     )
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='address of a Dask scheduler that runs already; by default one is started',
+        help='address of a running Dask scheduler; by default one is started',
     )
     return parser.parse_args(argv)
 

@@ -103,12 +103,12 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
         server = ThreadingHTTPServer((host, port), partial(Handler, follower))
     except OSError as error:
         raise OSError(
-            f'{host}:{port} cannot be listened on ({error.strerror}): name another --port'
+            f'cannot listen on {host}:{port} ({error.strerror}): name another --port'
         ) from error
     server.daemon_threads = True
     address = f'http://{host}:{server.server_port}/'
     if host != HOST:
-        say(f'everybody who reaches {host} can read this mission')
+        say(f'anyone who can reach {host} can read this mission')
     for work in (server.serve_forever, follower.follow):
         Thread(target=work, daemon=True).start()
     say(f'the page of {follower.log} is at {address}')
@@ -152,7 +152,7 @@ class Follower:
             except FileNotFoundError:
                 self._describe('Waiting for the recorder to begin the log.')
             except (ValueError, OSError) as error:
-                self._describe(f'The page is of an earlier moment: {error}')
+                self._describe(f'The page shows an earlier moment: {error}')
             # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)
 

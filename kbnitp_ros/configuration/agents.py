@@ -67,12 +67,12 @@ def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
         for name, prior in make_priors(values).items() if 'learn.numbers' in values else ():
             if name in values['learn.numbers'] and rates.get(name):
                 raise ValueError(
-                    f'{name} is {rates[name]}, and learn.numbers has it: leave it at 0'
+                    f'{name} is {rates[name]}, but learn.numbers has it: leave it at 0'
                 )
             own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
             if name in values['learn.numbers'] and kind not in (own, 'learn'):
                 raise ValueError(
-                    f'dynamics is {kind}, and learn.numbers has {name}: only {own} hazards have it'
+                    f'dynamics is {kind}, but learn.numbers has {name}: only {own} hazards have it'
                 )
             is_open = kind == 'learn' and not rates.get(name)
             if name in rates and (is_open or name in values['learn.numbers']):
@@ -164,7 +164,7 @@ def own_base(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
     name = f'team.{agent}.base'
     cell, position = values.get(name), values.get(f'{name}_position')
     if cell is not None and position:
-        raise ValueError(f'parameters {name} and {name}_position name the same: give one of them')
+        raise ValueError(f'parameters {name} and {name}_position are both given: give one of them')
     if not position:
         return cell
     if len(position) != 2:

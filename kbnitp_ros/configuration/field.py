@@ -28,9 +28,9 @@ def make_grid(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
             f'parameter grid.base_position is {list(position)}: it must be x and y, or empty'
         )
     if values['map'] and values['map_topic']:
-        raise ValueError('parameters map and map_topic are both given: the field has one map')
+        raise ValueError('parameters map and map_topic are both given: give one of them')
     if heard is None and values['map_topic']:
-        raise ValueError('parameter map_topic is given, and no map has come on it')
+        raise ValueError('parameter map_topic is given, but no map was received on it')
     field = read_map(values['map']) if values['map'] else heard
     side = rounded_resolution(values['grid.resolution'])
     corners = values['grid.corners']

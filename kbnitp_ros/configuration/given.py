@@ -50,7 +50,7 @@ def check_sections(config: Any, names: Mapping[str, str]) -> Sections:
             # in it.
             for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
                 if any(find_parameter(node, name) for name in values):
-                    raise ValueError(f'section {section!r} is for no node: did you mean {node}?')
+                    raise ValueError(f'section {section!r} names no node: did you mean {node}?')
             continue
         sections[section] = values
         try:
@@ -122,7 +122,7 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
         node, _, parameter = rule.partition(':=')[0].rpartition(':')
         if not (nodes := _nodes_in(node, {called: name}) if node else [name]):
             meant = nearest(node, [called])
-            raise ValueError(f'-p {rule}: {node!r} is for no node: {meant}this one is {called}')
+            raise ValueError(f'-p {rule}: no node is called {node!r}: {meant}this one is {called}')
         check_known(parameter, nodes)
         if not node:
             # ROS takes it for a line of section /**.
@@ -140,8 +140,8 @@ def check_counts(
         *_, last = (each for each in merged if name in merged[each] and _fits(each, node))
         if last != section and merged[last][name] != value:
             raise ValueError(
-                f'{flag}{name}:={value} would change nothing: to ROS, section {last!r} of the '
-                f'parameter file counts for more; change {name} there'
+                f'{flag}{name}:={value} has no effect: in ROS, section {last!r} of the parameter '
+                f'file takes precedence; change {name} there'
             )
 
 

@@ -51,7 +51,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
             raise ValueError(f'parameter {name}: all agents have the same {meant}')
     raise ValueError(
         f'parameter {name} is unknown to {whose}: {nearest(name, known)}'
-        f'{nodes[0]} --help tells which it has'
+        f'{nodes[0]} --help lists them'
     )
 
 

@@ -54,7 +54,7 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     cells, position, mask = (values[f'goal.{name}'] for name in ('cells', 'position', 'mask'))
     if sum(map(bool, (cells, position, mask))) > 1:
         raise ValueError(
-            'parameters goal.cells, goal.position and goal.mask name the same: give one of them'
+            'parameters goal.cells, goal.position and goal.mask all name cells: give one of them'
         )
     if position:
         if len(position) != 2:
@@ -132,7 +132,7 @@ def make_prior(values: Mapping[str, Any], grid: Grid) -> Belief:
     if log:
         if any(files.values()):
             raise ValueError(
-                'parameter prior.log is given with a map of the prior: it says all of it'
+                'parameter prior.log is given with a map of the prior: give one of them'
             )
         return earlier_belief(log, grid)
     numbers = {name: values[f'prior.{name}'] for name in MAPS}
@@ -170,8 +170,8 @@ def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
             for robot_type in make_robot_types(values, grid).values()
         ):
             raise ValueError(
-                f'parameter learn.numbers has {name}: the robots of every agent have one of their '
-                'own, which tell nothing of another'
+                f'parameter learn.numbers has {name}: every agent has a value of its own, so no '
+                'robot has the number to learn'
             )
     return Estimator(
         make_prior(values, grid),

@@ -135,7 +135,7 @@ def check_is_new(first: Path) -> None:
     except UnicodeEncodeError as error:
         raise LogError(f'{str(first)!r} is no name for a log: it must be UTF-8') from error
     if first.exists():
-        raise FileExistsError(f'{first} exists, and no log is written over: name another file')
+        raise FileExistsError(f'{first} exists and is not overwritten: name another file')
     if is_later_part(first):
         raise FileExistsError(
             f'{first} would be taken for a part of the log beside it: give it another name'

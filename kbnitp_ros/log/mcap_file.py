@@ -162,8 +162,8 @@ class FileWriter:
         size = os.fstat(self._file.fileno()).st_size
         if size < self._written:
             raise OSError(
-                f'{self.path} was cut to {size} bytes, of the {self._written} that were written: '
-                'what rotates logs must leave it alone'
+                f'{self.path} was cut to {size} of the {self._written} bytes written: exclude it '
+                'from the rotation of logs'
             )
 
     def finish(self) -> None:
@@ -233,7 +233,7 @@ def described(part: Path) -> BagFile:
             contents.last = contents.first + bag['duration']['nanoseconds']
     except Exception as error:
         raise LogError(
-            f'{part} does not say what is in it ({error!r}): replay --repair makes a log that does'
+            f'{part} has no readable summary ({error!r}): replay --repair makes a log with one'
         ) from error
     return contents
 

@@ -322,7 +322,7 @@ def check_cut(file: BinaryIO, end: int, size: int) -> None:
         else:
             return
         if rest.count + left != HEAD.size + length:
-            raise ValueError(f'a record of {length} bytes has another length')
+            raise ValueError(f'a record of {length} bytes has content of another length')
 
 
 def check_start(file: BinaryIO, part: Path) -> int:

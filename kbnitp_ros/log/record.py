@@ -148,9 +148,9 @@ def begun(prior: Snapshot) -> Ledger:
         raise LogError(f'the beliefs on record cannot be computed: {error}') from error
     if prior.version != ledger.estimator.version:
         raise LogError(
-            f'beliefs are on record by version {prior.version} of {prior.method}: this '
-            f'kbnitp_ros computes version {ledger.estimator.version}; replay it with one that '
-            'computes that'
+            f'the beliefs were computed by version {prior.version} of {prior.method}, and this '
+            f'kbnitp_ros computes version {ledger.estimator.version}: use the kbnitp_ros that '
+            'recorded the log'
         )
     return ledger
 

@@ -170,7 +170,8 @@ class Roles:
         for role, topic in stated.items():
             if (own := self.names.get(role)) is None:
                 agents = ', '.join(self.agents)
-                return f'agent {role.partition("/")[0]} is none of agents, which names {agents}'
+                agent = role.partition('/')[0]
+                return f'agent {agent} is not in the parameter agents, which names {agents}'
             if own != topic:
                 return f'{role} is {topic}, and not {own}'
         return ''
@@ -218,7 +219,7 @@ def roles_of_old(
     }
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
-        raise LogError(f'{log} has missions in the namespaces {found}: name one, --namespace')
+        raise LogError(f'{log} has missions in the namespaces {found}: choose one by --namespace')
     # A log without parameters and beliefs so far names no mission.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')

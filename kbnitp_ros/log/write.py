@@ -197,6 +197,6 @@ class LogWriter:
 def check_goes_on(first: Path) -> None:
     """Check that a log can be resumed under the name of this file."""
     if is_later_part(first):
-        raise LogError(f'{first} is a part of the log beside it: name the first file of that')
+        raise LogError(f'{first} is a later part of a log: name its first file')
     if first.suffix != '.mcap':
         raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be resumed')

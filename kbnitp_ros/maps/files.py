@@ -274,8 +274,8 @@ def read_probabilities(
         resolution = (file.resolution, file.resolution)
         if abs(remainder(file.yaw - grid.yaw, tau)) * max(grid.width, grid.height) > ON_THE_EDGE:
             raise MapError(
-                f'origin of {path} is turned by {file.yaw} rad, and the field by {grid.yaw}: the '
-                'map of a prior must have the rows of the field'
+                f'origin of {path} has a yaw of {file.yaw} rad, and the field one of {grid.yaw}: '
+                'a map of the prior must be turned like the field'
             )
         rows, columns = probability.shape
         image = Grid(columns, rows, resolution=file.resolution, origin=file.origin, yaw=grid.yaw)

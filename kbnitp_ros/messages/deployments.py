@@ -186,8 +186,8 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
     state = OrderState(message.state)
     if (state is OrderState.REFUSED) != bool(message.reason):
         raise ValueError(
-            f'reason is {shown(message.reason)} and state {state.name}: an order that is refused '
-            'has a reason, and no other'
+            f'reason is {shown(message.reason)} and state {state.name}: a refused order has a '
+            'reason, others have none'
         )
     if len(message.reason) > MAX_REASON:
         raise ValueError(f'reason has {len(message.reason)} characters: it may have {MAX_REASON}')

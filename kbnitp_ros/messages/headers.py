@@ -161,7 +161,7 @@ def _encoded(value: Any) -> Iterator[bytes]:
         for element in elements:
             yield from _encoded(element)
     else:
-        raise TypeError(f'a field is of {type(value)}: no value of a message is')
+        raise TypeError(f'a field has type {type(value)}, which no message has')
 
 
 @lru_cache
@@ -197,5 +197,5 @@ def check_mission(stated: int, own: int | None) -> None:
 def named(mission: int) -> str:
     """Return the name of a mission."""
     if mission == NO_MISSION:
-        return 'a mission that tells no time'
+        return 'a mission without a start time'
     return f'the mission begun at {in_seconds(mission)}'

@@ -58,7 +58,7 @@ class OperatorAction:
     def __str__(self) -> str:
         """Return a description of the action."""
         robots = ', '.join(map(str, self.paths))
-        contact = f', heard of last after step {self.steps_survived}'
+        contact = f', last contact after step {self.steps_survived}'
         return ' '.join(filter(None, [WORDS[self.action], robots])) + (
             contact if self.steps_survived else ''
         )

@@ -255,7 +255,7 @@ class EstimatorNode(FieldNode):
         ledger = self._ledger
         outcome = ledger.outcomes[key]
         steps = outcome.steps_survived
-        contact = f', heard of last after step {steps}' if steps else ''
+        contact = f', last contact after step {steps}' if steps else ''
         ended = 'came back' if outcome.survived else f'was lost{contact}'
         held, lost = len(ledger.deployments), ledger.lost
         self.deployment_logger.info(

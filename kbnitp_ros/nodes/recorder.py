@@ -95,7 +95,7 @@ class RecorderNode(MissionNode):
         self.get_logger().info(f'recording to {self._log.path}')
         if self._log.shares_folder:
             self.get_logger().warning(
-                f'folder {self._log.path.parent} stays the bag of another log: open this log by '
+                f'folder {self._log.path.parent} remains the bag of another log: open this log by '
                 f'its files, such as {self._log.path}, or use a folder for each log'
             )
         self._recorders = Recorders(self, self._log.path)

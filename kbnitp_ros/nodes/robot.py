@@ -225,7 +225,7 @@ class RobotNode(FieldNode):
 
     def _doubt(self, deployment: Deployment, why: str) -> None:
         """Stop recording readings: the robot's cell is uncertain."""
-        warning = f'{self._key(deployment)}: its place is uncertain, so it reads no more: {why}'
+        warning = f'{self._key(deployment)}: its position is uncertain, its readings stop: {why}'
         self.get_logger().warning(warning)
         self.diagnostics.values['doubt'] = warning
         self._keep(partial(self._journal.doubt, deployment, self.now()))
@@ -301,7 +301,9 @@ class RobotNode(FieldNode):
         if is_home and (new := addresses().items() - self._addresses.items()):
             news = ', '.join(f'{name} has {address}' for name, address in sorted(new))
             self._publish_trouble(
-                'links', f'{news}, unknown to DDS: exit code {NEW_LINKS}, to be started again'
+                'links',
+                f'{news}, which DDS does not use yet: ending with exit code {NEW_LINKS}, to be '
+                'restarted',
             )
             self.end(NEW_LINKS)
             return
@@ -323,7 +325,9 @@ class RobotNode(FieldNode):
         if not self._keep(partial(self._journal.begin, deployment.mission)):
             return self._no_room
         for superseded in self._pending.superseded():
-            if not self._refuse(superseded, f'path {self._key(deployment)} came before it left'):
+            if not self._refuse(
+                superseded, f'path {self._key(deployment)} replaced it before it left'
+            ):
                 return self._no_room
             self._pending.close(superseded)
         if awaited := self._hold.awaited or self._not_ready():

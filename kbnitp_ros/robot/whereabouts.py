@@ -57,7 +57,7 @@ class Transforms:
                     f'rotation {rotation.tolist()}: they must be finite and a unit quaternion'
                 )
             if child not in self._links and len(self._links) == MAX_FRAMES:
-                raise ValueError(f'frame {child!r} is one more than {MAX_FRAMES}')
+                raise ValueError(f'frame {child!r} exceeds the maximum of {MAX_FRAMES} frames')
             parent = transform.header.frame_id.lstrip('/')
             stamp = None if static else from_stamp(transform.header.stamp)
             self._links[child] = parent, translation, rotation / length, stamp
@@ -79,8 +79,8 @@ class Transforms:
             changed = now if since is None else since
             if now - changed > oldest * SECOND:
                 raise ValueError(
-                    f'the last transform from {parent!r} to {frame!r} is of more than '
-                    f'{oldest} s ago (parameter tf_timeout)'
+                    f'the last transform from {parent!r} to {frame!r} is older than {oldest} s '
+                    '(parameter tf_timeout)'
                 )
             place = translation + rotated(place, rotation)
             frame, stamp = parent, min(stamp, changed)
@@ -146,7 +146,7 @@ class Fixes:
         if self._newest is None:
             raise ValueError('no fix was accepted yet')
         if now - self._newest.stamp > oldest * SECOND:
-            raise ValueError(f'the last fix is of more than {oldest} s ago (parameter tf_timeout)')
+            raise ValueError(f'the last fix is older than {oldest} s (parameter tf_timeout)')
         return self._newest
 
 

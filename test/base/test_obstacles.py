@@ -225,7 +225,7 @@ def test_allowed_parameter_changes_are_taken(changes):
 
 
 @for_each('changes, why', [
-    ({'robots': 3}, '^parameter robots is 3: 4 robots were sent'),
+    ({'robots': 3}, '^parameter robots is 3: it must be at least 4'),
     ({'beam_width': 0}, 'beam_width'),
     ({'beam_width': 10**6}, 'beam_width'),
     ({'planner': 'beem'}, 'beam'),

@@ -387,7 +387,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     assert main([*on_a_map, *off, '--out', str(tmp_path / 'off')]) == 2
     assert 'the base, cell 5 around (3.3, -0.7), is blocked' in capsys.readouterr().err
     assert main(['--set', 'map_topic=/map', '--out', str(tmp_path / 'heard')]) == 2
-    assert 'no map reaches the demo' in capsys.readouterr().err
+    assert 'the demo subscribes to no map' in capsys.readouterr().err
 
 
 @for_each('options, complaint', [
@@ -408,7 +408,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', but the hazards of"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[1, 9, 10]'], 'scout_1 cannot leave .*cell 0: no other cell can be'),
-    (['--max-steps', '1'], 'scout_1 cannot leave their base, cell 0: max_steps is 1: the way'),
+    (['--max-steps', '1'], 'scout_1 cannot leave their base, cell 0: max_steps is 1: a way'),
     (['--method', 'relaxed_itp', '--set', 'learn.numbers=[kappa]'], 'kappa cannot be learnt'),
     (['--silent-loss', '--set', 'contact_probability=0.3'], 'contact_probability is 0.3, and sil'),
 ])  # fmt: skip

@@ -76,7 +76,7 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
     ([*LANE, '--set', 'bound=true'], 'bound is true, but only plans for the goal map'),
     (['--set', 'estimator:grid.width=5'], 'planner and estimator have different fields'),
     (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
-    (['--set', 'map_topic=map'], 'map_topic is map: no map reaches the forecast'),
+    (['--set', 'map_topic=map'], 'map_topic is map: the forecast subscribes to no map'),
     (['nothere.mcap'], 'nothere.mcap cannot be read: No such file'),
     (['--out', '/proc'], '/proc is there already and not empty'),
     (['--workers', '2000'], 'workers is 2000: it must be from 1 to 1024'),

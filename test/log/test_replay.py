@@ -701,9 +701,9 @@ def every_belief(**fields):
 
 @for_each('change, told', [
     (lambda sent: sent + mission(2, namespace='/other').sent,
-     'has missions in the namespaces /, /other: name one, --namespace'),
+     'has missions in the namespaces /, /other: choose one by --namespace'),
     (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no beliefs on record'),
-    (every_belief(method_version=2), 'beliefs are on record by version 2 of kappa_bnitp: '),
+    (every_belief(method_version=2), 'the beliefs were computed by version 2 of kappa_bnitp, and'),
     (every_belief(method='guessing'), "cannot be computed: method is 'guessing': .*known are"),
     (every_belief(method='kappa_bnitp_smoothed'), "'kappa_bnitp_smoothed': .*0.3.0 reads .*use"),
 ])  # fmt: skip

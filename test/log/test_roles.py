@@ -201,7 +201,7 @@ def test_a_log_of_several_missions_is_read_by_the_namespace_that_is_named(tmp_pa
     missions = {name: mission(3, seed, namespace=name) for seed, name in enumerate(('/m', '/m/n'))}
     sent = [message for whole in missions.values() for message in whole.sent]
     log = write(tmp_path / 'mission.mcap', sent, None)
-    with pytest.raises(LogError, match='has missions in the namespaces /m, /m/n: name one'):
+    with pytest.raises(LogError, match='has missions in the namespaces /m, /m/n: choose one'):
         MissionLog(log)
     assert replay_main([str(log)]) == 2
     for name, whole in missions.items():
@@ -217,7 +217,7 @@ def test_a_log_of_several_missions_is_read_by_the_namespace_that_is_named(tmp_pa
 @for_each('namespace, agents, remapped, told', [
     ('/m', ['scout_1'], {}, ''),
     ('/', ['scout_1'], {}, 'belief is /belief, and not /m/belief'),
-    ('/m', ['scout_2'], {}, 'agent scout_2 is none of agents, which names scout_1'),
+    ('/m', ['scout_2'], {}, 'agent scout_2 is not in the parameter agents, which names scout_1'),
     ('/m', ['scout_1'], {'belief': '/shared/belief'}, 'belief is /shared/belief, and not /m/b'),
 ])  # fmt: skip
 def test_only_the_mission_of_a_log_is_resumed(whole, tmp_path, namespace, agents, remapped, told):

@@ -176,7 +176,7 @@ def test_a_log_is_split_between_messages(tmp_path, whole_mission, limit, compres
             assert sum(len(each.data) for each in alone) < 25_000
     for part in parts[1:]:
         assert list(read_log(part))
-        with pytest.raises(LogError, match=f'{part.name} is a part of the log beside it'):
+        with pytest.raises(LogError, match=f'{part.name} is a later part of a log'):
             LogWriter(part, resume=True)
         assert read_metadata(part)['run'] == {'seed': '7'}
 

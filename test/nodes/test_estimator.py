@@ -161,7 +161,7 @@ def test_a_weakly_known_density_of_clustered_hazards_is_stated(field):
     field.start('estimator', parameters)
     paths, reports = evidence(field)
     field.until(lambda: beliefs, 'prior')
-    told = 'hazards cluster and their density is only known as '
+    told = 'hazards cluster and their learnt density is '
     field.until(lambda: field.diagnosed('/estimator').message.startswith(told), 'warning')
     assert field.diagnosed('/estimator').level == DiagnosticStatus.WARN
     assert field.said('/estimator').count(told) == 1

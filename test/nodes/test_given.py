@@ -33,7 +33,7 @@ def written(folder, content):
 
 
 @for_each('config, told', [
-    (section('/**/plannr', robots=3), "'/**/plannr' is for no node: did you mean planner?"),
+    (section('/**/plannr', robots=3), "'/**/plannr' names no node: did you mean planner?"),
     ({'planner': {'robots': 3}}, "'planner/robots' must hold ros__parameters"),
     ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
     ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
@@ -211,8 +211,8 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
 @for_each('name, rule, told', [
     ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
     ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-    ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help tells'),
-    ('planner', 'planer:robots:=3', "'planer' is for no node: did you mean planner?"),
+    ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
+    ('planner', 'planer:robots:=3', "no node is called 'planer': did you mean planner?"),
     ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is one of planner'),
 ])  # fmt: skip
 def test_a_bad_rule_is_refused(name, rule, told):
@@ -251,5 +251,5 @@ def test_an_ineffective_rule_is_refused(tmp_path, config, namespace):
     if given_by_ros(given)['max_steps'] == 5:
         check_given('planner', given)
     else:
-        with pytest.raises(ValueError, match='-p max_steps:=5 would change nothing.*change max_'):
+        with pytest.raises(ValueError, match='-p max_steps:=5 has no effect.*change max_'):
             check_given('planner', given)

@@ -150,7 +150,7 @@ def test_paths_of_another_mission_are_refused(field, recorded):
     told = field.until_refused('/estimator', 1)
     assert 'belongs to the mission begun at 3.000000000, and not to the mission begun at 1' in told
     paths.publish(path(5))
-    assert 'a mission that tells no time' in field.until_refused('/estimator', 2)
+    assert 'a mission without a start time' in field.until_refused('/estimator', 2)
 
 
 def test_a_path_states_the_start_of_its_belief_s_mission(field):

@@ -112,7 +112,7 @@ def test_a_robot_declared_lost_is_given_up(field):
     assert 'steps_survived is 100' in many
     told = base.do('give_up', agent='scout_1', steps_survived=1)
     assert 'gave up scout_1 at' in told
-    assert told.endswith(', heard of last after step 1')
+    assert told.endswith(', last contact after step 1')
     base.until_held(1)
     base.until_sent(2)
     field.until(lambda: base.heard['scout_1'], 'loss')

@@ -206,7 +206,7 @@ def test_an_agent_s_values_for_other_nodes_are_ignored(make_node):
 def test_a_number_that_no_robot_shares_cannot_be_learnt():
     own = {'team.scout_1.sensor.lethality': 0.3, 'learn.numbers': ('lethality',)}
     values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}
-    with pytest.raises(ValueError, match='learn.numbers has lethality: the robots of every agent'):
+    with pytest.raises(ValueError, match='learn.numbers has lethality: every agent has a value'):
         make_estimator(values, make_grid(values))
     two = values | {'agents': ('scout_1', 'scout_2')}
     assert make_estimator(two, make_grid(two)).unknowns.priors.keys() == {'lethality'}
@@ -356,7 +356,7 @@ def with_base(node):
     ({'team.scout_2.base_position': (9.0,)}, r'base_position is \[9.0\]: it must be x and y'),
     (
         {'team.scout_2.base': 4, 'team.scout_2.base_position': (0.0, 0.0)},
-        'team.scout_2.base and team.scout_2.base_position name the same',
+        'team.scout_2.base and team.scout_2.base_position are both given',
     ),
 ])  # fmt: skip
 def test_bad_bases_are_refused_by_name(tmp_path, given, told):
@@ -372,5 +372,5 @@ def test_a_map_of_too_many_cells_is_refused(tmp_path):
 
 
 def test_a_missing_map_is_no_field():
-    with pytest.raises(ValueError, match='no map has come'):
+    with pytest.raises(ValueError, match='no map was received'):
         make_grid(DEFAULTS | {'map_topic': '/map'})

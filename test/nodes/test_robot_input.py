@@ -66,7 +66,7 @@ def test_impossible_positions_make_no_step(field):
 
     field.until(warned("no transform leads from 'map' to 'base_link'"), 'word of TF')
     poses.publish(transform(field, 2.5, 0.5))
-    field.until(warned('of more than 0.5 s ago (parameter tf_timeout)'), 'word of its age')
+    field.until(warned('is older than 0.5 s (parameter tf_timeout)'), 'word of its age')
     assert "/tf: the last transform from 'map' to 'base_link'" in field.said('/scout_1/robot')
 
     def stand(x, y, condition, what):

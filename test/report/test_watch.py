@@ -188,7 +188,7 @@ def test_bad_options_are_refused(tmp_path, monkeypatch, capsys):
             (['nowhere'], 'nowhere'),
             (['empty'], 'empty holds no log'),
             (['notes.txt'], 'notes.txt is no MCAP file'),
-            ([str(path), '--port', port], f'127.0.0.1:{port} cannot be listened on'),
+            ([str(path), '--port', port], f'cannot listen on 127.0.0.1:{port}'),
             ([str(path), '--port', '70000'], '--port is 70000: it must be from 0 to 65535'),
         ):
             assert main(arguments) == 2, arguments

@@ -61,7 +61,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Add the option that selects one of several missions in a log."""
     parser.add_argument(
         '--namespace',
-        help='whose mission it is, of a log of several that does not tell; default the only one',
+        help='namespace of the mission, if the log has several; default the only one',
     )
 
 
