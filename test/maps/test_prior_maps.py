@@ -103,9 +103,7 @@ def test_a_map_turned_with_its_grid_has_the_same_values(tmp_path, seed):
 
 def test_a_map_turned_differently_is_refused(tmp_path):
     path = write(tmp_path, [[0]], yaw=0.2)
-    with pytest.raises(
-        MapError, match='yaw of 0.2 rad, and the field one of 0.1.*turned like'
-    ):
+    with pytest.raises(MapError, match='yaw of 0.2 rad, and the field one of 0.1.*turned like'):
         read_probabilities(path, Grid(2, 2, yaw=0.1), 0.5)
 
 
