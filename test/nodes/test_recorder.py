@@ -375,7 +375,7 @@ def test_a_recorder_whose_file_is_gone_ends_and_says_so(field, what):
         log.with_suffix('.new').replace(log)
     paths.publish(path(2))
     recorder.send_signal(signal.SIGCONT)
-    why = f'{log} was cut to 100 bytes' if what == 'cut' else f'{log} is gone'
+    why = f'{log} was cut to 100 of' if what == 'cut' else f'{log} is gone'
     assert why in until_failed(field, '/m/recorder', 1)
     assert log.exists() == (what in ('replaced', 'cut'))
     assert [from_stamp(each.stamp) for each in told] == [key(1).stamp]

@@ -26,11 +26,16 @@ EXAMPLES = {
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that does not hide a failed print of its help."""
+    """An argument parser whose help survives a closed output."""
+
+    def format_help(self) -> str:
+        """Return the help without the end of its last line."""
+        return super().format_help().rstrip('\n')
 
     def print_help(self, file: Any = None) -> None:
         """Print the help."""
-        print(self.format_help(), end='', file=file)
+        super().print_help(file)
+        print(file=file)
 
 
 def command_parser(name: str, description: str, *examples: str) -> argparse.ArgumentParser:
