@@ -22,7 +22,6 @@ from kbnitp_ros.core.inference.hypotheses import (
 from kbnitp_ros.core.inference.sampling_kernels import (
     draw_values,
     LARGE,
-    LossSurvival,
     sum_of_cells,
     Tally,
     weigh_by_located,
@@ -158,7 +157,8 @@ class Chains:
             step_spared=np.exp(log_spared),
             graph=tally.loss_graph(possible, undecided),
             located=tally.located_graph(possible),
-            coupling=gibbs.Coupling(neighbors, self._coupling_strength()),
+            neighbors=neighbors,
+            coupling=self._coupling_strength(),
         )
         self._hazard_state = gibbs.HazardState(
             self._hazardous,
@@ -181,20 +181,20 @@ class Chains:
 
     def sweep(self) -> None:
         """Draw everything once, and add up the conditional probabilities."""
-        odds = self.draw_field()
+        target_odds = self.draw_field()
         self._draw_survival()
-        self._draw_the_rest(odds)
+        self._draw_the_rest(*target_odds)
         hazard, background, kappa = (
             self._elsewhere_odds[name][self._place[name]]
             for name in ('hazard_density', 'target_background', 'kappa')
         )
-        gibbs.add_joints(gibbs.FieldOdds(hazard, background, kappa), self._elsewhere_joints)
+        gibbs.add_joints(hazard, background, kappa, self._elsewhere_joints)
         self.sweeps += 1
 
-    def draw_field(self) -> gibbs.FieldOdds:
-        """Draw the hazards alone; return their odds, and those of targets."""
-        odds = self._given_returns()
-        factors = self._factors._replace(odds=odds.hazard)
+    def draw_field(self) -> tuple[Floats, Floats]:
+        """Draw the hazards alone; return the odds of targets without and with a hazard."""
+        hazard_odds, *target_odds = self._given_returns()
+        factors = self._factors._replace(odds=hazard_odds)
         with np.errstate(over='ignore'):
             gibbs.draw_hazards(
                 self._hazard_state,
@@ -206,9 +206,9 @@ class Chains:
             if self._tally.steps.size or self._tally.located_steps.size:
                 proposals = self._rng.random((CHAINS, SWAPS, 4))
                 gibbs.swap_hazards(self._hazard_state, factors, proposals)
-            odds = odds._replace(hazard=self._odds)
-            gibbs.add_joints(odds, self._joints)
-        return odds
+            if_safe, if_hazardous = target_odds
+            gibbs.add_joints(self._odds, if_safe, if_hazardous, self._joints)
+        return if_safe, if_hazardous
 
     @property
     def state(self) -> ChainState:
@@ -255,8 +255,8 @@ class Chains:
         """Return the row for a number's value in each chain, shape (1 or chains, 1)."""
         return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
 
-    def _given_returns(self) -> gibbs.FieldOdds:
-        """Weight cells by returns (:eq:`hazard-odds`, :eq:`reading-odds`)."""
+    def _given_returns(self) -> tuple[Floats, Floats, Floats]:
+        """Return the odds of hazards and targets by returns (:eq:`hazard-odds`)."""
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
             self._of_readings or self._given_readings()
@@ -268,7 +268,7 @@ class Chains:
         log_odds = log_odds + told_if_hazardous
         log_odds = log_odds - told_if_safe
         odds = self._odds_with('hazard_density', log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD))
-        return gibbs.FieldOdds(odds, target_if_safe, target_if_hazardous)
+        return odds, target_if_safe, target_if_hazardous
 
     def _given_readings(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the factors of the readings, each of shape (1 or chains, cells)."""
@@ -319,7 +319,7 @@ class Chains:
             endured = factors.endured[malfunction[:, None], factors.length]
             spared: Floats = factors.spared.reshape(values, robot_types * most).T.copy()
             place = exposures + (tally.robot_type * most).astype(np.int32)
-            weigh_by_losses(LossSurvival(endured, place, spared), likelihood)
+            weigh_by_losses(endured, place, spared, likelihood)
             self._weigh_by_located(
                 factors.step_endured[malfunction][:, :, None],
                 factors.step_spared.T[None],
@@ -341,7 +341,7 @@ class Chains:
             likelihood = np.ones((CHAINS, factors.endured.shape[0]))
             spared = factors.spared[lethality[:, None], tally.robot_type, exposures]
             length = np.broadcast_to(factors.length.astype(np.int32), spared.shape).copy()
-            weigh_by_losses(LossSurvival(spared, length, factors.endured.T.copy()), likelihood)
+            weigh_by_losses(spared, length, factors.endured.T.copy(), likelihood)
             self._weigh_by_located(
                 factors.step_endured.T[None],
                 factors.step_spared[lethality][:, :, None],
@@ -363,7 +363,7 @@ class Chains:
             )
             weigh_by_located(self._hazardous, self._factors.located, safe, exposed, likelihood)
 
-    def _draw_the_rest(self, odds: gibbs.FieldOdds) -> None:
+    def _draw_the_rest(self, if_safe: Floats, if_hazardous: Floats) -> None:
         """Draw (:eq:`target-conditional`, :eq:`map-conditional`, :eq:`count-conditional`)."""
         tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
         unknown = hypotheses.unknown
@@ -380,8 +380,7 @@ class Chains:
         # Cells without readings have no target evidence.
         read = self._read
         hazardous, if_safe, if_hazardous = (
-            np.take(each, read, axis=1)
-            for each in (hazardous, odds.target_if_safe, odds.target_if_hazardous)
+            np.take(each, read, axis=1) for each in (hazardous, if_safe, if_hazardous)
         )
         of_target = np.where(hazardous, if_hazardous, if_safe)
         target = self._rng.random(of_target.shape) * (1.0 + of_target) < of_target
@@ -412,13 +411,12 @@ class Chains:
             self._draw('hazard_density', field * count - log_z)
         if 'coupling' in unknown:
             pairs = np.empty(CHAINS, np.int64)
-            gibbs.count_coupled(self._factors.coupling, self._hazardous, pairs)
+            gibbs.count_coupled(clusters.neighbors, self._hazardous, pairs)
             field, log_z = (
                 each.T[place['hazard_density']] for each in (clusters.field, clusters.log_z)
             )
             self._draw('coupling', field * count + pairs[:, None] * clusters.coupling - log_z)
-            coupling = self._factors.coupling._replace(strength=self._coupling_strength())
-            self._factors = self._factors._replace(coupling=coupling)
+            self._factors = self._factors._replace(coupling=self._coupling_strength())
 
     def learnt(self) -> dict[str, Learnt]:
         """Return the posterior of each unknown number, by name."""

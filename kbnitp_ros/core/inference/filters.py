@@ -422,8 +422,7 @@ class OnePass:
             unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'
         ):
             return self.bank(prior, model, unknowns, seed, dynamics, self.correlated)
-        estimate = UsedUpEstimate if dynamics.effect == 'used_up' else OnePassEstimate
-        return estimate(prior, model, self, dynamics)
+        return OnePassEstimate(prior, model, self, dynamics)
 
     @property
     def learns(self) -> bool:
@@ -459,7 +458,7 @@ class OnePass:
 
 
 class OnePassEstimate(KnownModel):
-    """A one-pass belief; hazards change or move before every deployment but the first."""
+    """A one-pass belief; hazards may change, move, or be gone once they strike."""
 
     def __init__(
         self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics = STATIC
@@ -469,28 +468,19 @@ class OnePassEstimate(KnownModel):
         changes = dynamics.effect in ('changing', 'moving')
         self._change = hazard_change(belief, dynamics) if changes else None
         self._has_begun = False
+        self._explanations: Explanations | None = None
+        if dynamics.effect == 'used_up':
+            self._explanations = Explanations(belief.hazard > 0.0)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Apply the change or moves of hazards, and assimilate one more deployment."""
-        now = self.belief
+        """Assimilate one more deployment; hazards change before all but the first."""
+        now, model = self.belief, robot_type.model(self.model)
+        if self._explanations is not None:
+            belief = update_used_up(now, model, observation)
+            self._explanations = self._explanations.with_deployment(observation, model)
+            self.belief = belief
+            return
         if self._has_begun and self._change is not None:
             now = Belief(self._change(now.joint))
-        self.belief = self._method.update(now, robot_type.model(self.model), observation)
+        self.belief = self._method.update(now, model, observation)
         self._has_begun = True
-
-
-class UsedUpEstimate(OnePassEstimate):
-    """A belief about hazards that are gone once they strike."""
-
-    def __init__(
-        self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics
-    ) -> None:
-        super().__init__(belief, model, method, dynamics)
-        self.explanations = Explanations(belief.hazard > 0.0)
-
-    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Assimilate one more deployment."""
-        model = robot_type.model(self.model)
-        belief = update_used_up(self.belief, model, observation)
-        self.explanations = self.explanations.with_deployment(observation, model)
-        self.belief = belief

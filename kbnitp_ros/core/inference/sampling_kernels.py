@@ -357,17 +357,6 @@ def weigh_by_located(
 OFTEN = 6
 
 
-class LossSurvival(NamedTuple):
-    """The chance to survive each lost path as a product of two; a rate changes one of them."""
-
-    # The factor independent of the rate, shape (chains, losses).
-    fixed: NDArray[np.float64]
-    # The row of the other factor, shape (chains, losses).
-    place: NDArray[np.int32]
-    # The other factor for each value of the rate, shape (places, values).
-    by_rate: NDArray[np.float64]
-
-
 @compiled
 def draw_values(
     weights: NDArray[np.float64], uniform: NDArray[np.float64], place: NDArray[np.intp]
@@ -388,15 +377,21 @@ def draw_values(
 
 
 @compiled
-def weigh_by_losses(survival: LossSurvival, likelihood: NDArray[np.float64]) -> None:
+def weigh_by_losses(
+    fixed: NDArray[np.float64],
+    row: NDArray[np.int32],
+    by_rate: NDArray[np.float64],
+    likelihood: NDArray[np.float64],
+) -> None:
     """Multiply `likelihood`, (chains, values), by that of all losses (:eq:`rate-conditional`)."""
+    # A path is survived with chance `fixed`, which does not depend on the rate, (chains, losses),
+    # times that of its `row` in `by_rate`, (rows, values).
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
-        for path in range(survival.fixed.shape[1]):
-            fixed = survival.fixed[chain, path]
-            by_rate = survival.by_rate[survival.place[chain, path]]
+        for path in range(fixed.shape[1]):
+            known, of_values = fixed[chain, path], by_rate[row[chain, path]]
             for value in range(own.size):
-                own[value] *= lost(fixed * by_rate[value])
+                own[value] *= lost(known * of_values[value])
             if path % OFTEN == OFTEN - 1:
                 largest = 0.0
                 for value in range(own.size):
@@ -451,16 +446,6 @@ class HazardState(NamedTuple):
     strike: NDArray[np.intp]
 
 
-class Coupling(NamedTuple):
-    """Coupling of neighbouring hazards in the prior (equation :eq:`clustered-prior`)."""
-
-    # The cells that share a side with each, -1 for none, shape (cells, 4); no rows if hazards are
-    # independent.
-    neighbors: NDArray[np.intp]
-    # e^J, shape (chains,).
-    strength: NDArray[np.float64]
-
-
 class Factors(NamedTuple):
     """The factors of the conditionals that hazards are drawn from."""
 
@@ -483,29 +468,11 @@ class Factors(NamedTuple):
     graph: LossGraph
     # The located losses.
     located: LocatedGraph
-    # The coupling of neighbouring hazards.
-    coupling: Coupling
-
-
-class LossTable(NamedTuple):
-    """The losses of one chain by their number of exposures; kernels change it."""
-
-    # As in `HazardState`, shape (losses,).
-    exposures: NDArray[np.int32]
-    # As in `Factors`, shape (losses,).
-    length: NDArray[np.intp]
-    # Likelihood of a loss by the rates of the chain, shape (lengths, most exposures + 1).
-    chance: NDArray[np.float64]
-
-
-class FieldOdds(NamedTuple):
-    """The odds of hazards and targets, each of shape (1 or chains, cells)."""
-
-    # Odds of a hazard.
-    hazard: NDArray[np.float64]
-    # Odds of a target without and with a hazard.
-    target_if_safe: NDArray[np.float64]
-    target_if_hazardous: NDArray[np.float64]
+    # The cells that share a side with each, -1 for none, shape (cells, 4); no rows if hazards are
+    # independent (equation :eq:`clustered-prior`).
+    neighbors: NDArray[np.intp]
+    # e^J of the coupling J of neighbouring hazards, shape (chains,).
+    coupling: NDArray[np.float64]
 
 
 @compiled
@@ -537,13 +504,18 @@ def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, haz
 
 @compiled
 def loss_ratio(
-    losses: LossTable, graph: LossGraph, cell: int, hazards: int, ratio: float
+    exposures: NDArray[np.int32],
+    length: NDArray[np.intp],
+    table: NDArray[np.float64],
+    graph: LossGraph,
+    cell: int,
+    hazards: int,
+    ratio: float,
 ) -> float:
     """Apply `add_exposures`, and return `ratio` times the likelihood ratio of the losses."""
-    exposures = losses.exposures
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         path = graph.loss[entry]
-        chance = losses.chance[losses.length[path]]
+        chance = table[length[path]]
         before = chance[exposures[path]]
         exposures[path] += hazards * graph.visits[entry]
         ratio = min(ratio * (chance[exposures[path]] / before), LARGE)
@@ -551,11 +523,11 @@ def loss_ratio(
 
 
 @compiled
-def hazards_around(coupling: Coupling, hazardous: NDArray[np.int8], cell: int) -> int:
+def hazards_around(neighbors: NDArray[np.intp], hazardous: NDArray[np.int8], cell: int) -> int:
     """Return the number of hazardous neighbours of a cell."""
     count = 0
-    for side in range(coupling.neighbors.shape[1]):
-        neighbor = coupling.neighbors[cell, side]
+    for side in range(neighbors.shape[1]):
+        neighbor = neighbors[cell, side]
         if neighbor >= 0:
             count += hazardous[neighbor]
     return count
@@ -563,14 +535,14 @@ def hazards_around(coupling: Coupling, hazardous: NDArray[np.int8], cell: int) -
 
 @compiled
 def count_coupled(
-    coupling: Coupling, hazardous: NDArray[np.int8], pairs: NDArray[np.int64]
+    neighbors: NDArray[np.intp], hazardous: NDArray[np.int8], pairs: NDArray[np.int64]
 ) -> None:
     """Count the pairs of neighbouring hazards in each chain."""
     for chain in range(hazardous.shape[0]):
         count = 0
         for cell in range(hazardous.shape[1]):
             if hazardous[chain, cell]:
-                count += hazards_around(coupling, hazardous[chain], cell)
+                count += hazards_around(neighbors, hazardous[chain], cell)
         pairs[chain] = count // 2
 
 
@@ -594,9 +566,9 @@ def draw_hazards(
     drawn_with: NDArray[np.float64],
 ) -> None:
     """Draw each cell given all others (:eq:`hazard-conditional`, :eq:`loss-located`)."""
-    graph, located, coupling = factors.graph, factors.located, factors.coupling
+    graph, located, neighbors = factors.graph, factors.located, factors.neighbors
     # Without located losses, passing so many arrays takes longer than the call itself.
-    any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
+    any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
     # By the number of hazardous neighbours: computing the power would dominate most cells.
@@ -611,7 +583,7 @@ def draw_hazards(
             sum_all_steps(sums, located, hazardous, endured, alive)
         if any_coupled:
             for around in range(weight_around.size):
-                weight_around[around] = coupling.strength[chain] ** around
+                weight_around[around] = factors.coupling[chain] ** around
         odds = factors.odds[chain % factors.odds.shape[0]]
         for cell in cells:
             start, end = graph.first_loss[cell], graph.first_loss[cell + 1]
@@ -631,7 +603,7 @@ def draw_hazards(
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, cell, 1, ratio)
             if any_coupled:
-                around = hazards_around(coupling, hazardous, cell)
+                around = hazards_around(neighbors, hazardous, cell)
                 ratio = min(ratio * weight_around[around], LARGE)
             drawn_with[chain, cell] = ratio
             drawn = 1 if uniform[chain, cell] < ratio / (1.0 + ratio) else 0
@@ -645,9 +617,9 @@ def draw_hazards(
 @compiled
 def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float64]) -> None:
     """Propose to swap a hazardous and a safe cell of a lost path (:eq:`swap`)."""
-    graph, located, coupling = factors.graph, factors.located, factors.coupling
+    graph, located, neighbors = factors.graph, factors.located, factors.neighbors
     # Without located losses, passing so many arrays takes longer than the call itself.
-    any_located, any_coupled = located.cell.size > 0, coupling.neighbors.shape[0] > 0
+    any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
     for chain in range(state.hazardous.shape[0]):
@@ -658,7 +630,6 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
         if any_located:
             endured, alive = factors.step_endured[malfunction], factors.step_spared[strike]
             sum_all_steps(sums, located, hazardous, endured, alive)
-        losses = LossTable(exposures, factors.length, table)
         odds = factors.odds[chain % factors.odds.shape[0]]
         for proposal in range(uniform.shape[1]):
             numbers = uniform[chain, proposal]
@@ -676,17 +647,17 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
             if any_coupled:
                 # Neither counts as a neighbour of the other's hazard.
                 hazardous[old] = 0
-                more = hazards_around(coupling, hazardous, new)
-                more -= hazards_around(coupling, hazardous, old)
+                more = hazards_around(neighbors, hazardous, new)
+                more -= hazards_around(neighbors, hazardous, old)
                 hazardous[old] = 1
-                ratio = min(ratio * coupling.strength[chain] ** more, LARGE)
+                ratio = min(ratio * factors.coupling[chain] ** more, LARGE)
             # The new hazard comes first, so that every loss stays explained.
-            ratio = loss_ratio(losses, graph, new, 1, ratio)
+            ratio = loss_ratio(exposures, factors.length, table, graph, new, 1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
                 hazardous[new] = 1
                 sum_through(sums, located, hazardous, new)
-            ratio = loss_ratio(losses, graph, old, -1, ratio)
+            ratio = loss_ratio(exposures, factors.length, table, graph, old, -1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, old, 0, ratio)
             changed = old if numbers[3] < ratio else new
@@ -710,17 +681,23 @@ def count_exposures(state: HazardState, graph: LossGraph) -> None:
 
 
 @compiled
-def add_joints(odds: FieldOdds, joints: NDArray[np.float64]) -> None:
+def add_joints(
+    hazard_odds: NDArray[np.float64],
+    target_if_safe: NDArray[np.float64],
+    target_if_hazardous: NDArray[np.float64],
+    joints: NDArray[np.float64],
+) -> None:
     """Add the joints, averaged over each group of chains (:eq:`averaged-belief`)."""
-    chains, cells = odds.hazard.shape
+    # Odds have the shape (1 or chains, cells).
+    chains, cells = hazard_odds.shape
     size = chains // joints.shape[0]
     for chain in range(chains):
-        if_safe = odds.target_if_safe[chain % odds.target_if_safe.shape[0]]
-        if_hazardous = odds.target_if_hazardous[chain % odds.target_if_hazardous.shape[0]]
+        if_safe = target_if_safe[chain % target_if_safe.shape[0]]
+        if_hazardous = target_if_hazardous[chain % target_if_hazardous.shape[0]]
         group = joints[chain // size]
         for cell in range(cells):
-            safe = 1.0 / (1.0 + odds.hazard[chain, cell]) / size
-            hazard = odds.hazard[chain, cell] * safe
+            safe = 1.0 / (1.0 + hazard_odds[chain, cell]) / size
+            hazard = hazard_odds[chain, cell] * safe
             safe /= 1.0 + if_safe[cell]
             hazard /= 1.0 + if_hazardous[cell]
             group[cell, 0, 0] += safe

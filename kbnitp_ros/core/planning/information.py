@@ -155,10 +155,10 @@ def information_and_survival(
     if interest is not None:
         added = added * interest[visits.cells]
     if alpha == SHANNON:
-        outcome, open_outcome = binary_entropy(survival), left_open(exposures)
+        outcome, open_outcome = binary_entropy(survival), left_open(*exposures)
     else:
         outcome = behavioral_entropy(survival, alpha)
-        open_outcome = outcome_left_open(exposures, alpha, prelec_beta(alpha))
+        open_outcome = outcome_left_open(*exposures, alpha, prelec_beta(alpha))
     of_each = outcome + survival * added.sum(axis=1) - open_outcome
     return float((outcomes.probability * of_each).sum()), survival
 

@@ -27,16 +27,6 @@ class Readings(NamedTuple):
     noise: NDArray[np.float64]
 
 
-class Exposures(NamedTuple):
-    """The distribution of the number of exposures to hazards on a path."""
-
-    # P(c) of each number of exposures c, shape (most exposures + 1,).
-    chance: NDArray[np.float64]
-    # log P(survive | z), which depends on the hazards z through c alone, shape (most exposures +
-    # 1,).
-    log_survival: NDArray[np.float64]
-
-
 @compiled
 def new_readings(
     readings: Readings,
@@ -84,8 +74,8 @@ def reading_information(target: float, state: int, readings: Readings) -> float:
 @compiled
 def exposed(
     steps: NDArray[np.intp], hazard: NDArray[np.float64], log_safe: float, log_deadly: float
-) -> Exposures:
-    """Return the exposures on a path, with their outcomes (:eq:`exposures`)."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return P(c exposures) and the log survival of c, c up to all steps (:eq:`exposures`)."""
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
@@ -109,13 +99,12 @@ def exposed(
             log_survival[c] += (most - c) * log_safe
         if c > 0:
             log_survival[c] += c * log_deadly
-    return Exposures(chance, log_survival)
+    return chance, log_survival
 
 
 @compiled
-def left_open(exposures: Exposures) -> float:
+def left_open(chance: NDArray[np.float64], log_survival: NDArray[np.float64]) -> float:
     """Return E_z[h(P(survive | z))] of a path, nats (:eq:`outcome-entropy`)."""
-    chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0
     for c in range(chance.size):
         survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
@@ -151,9 +140,10 @@ def fall(target: float, state: int, readings: Readings, alpha: float, beta: floa
 
 
 @compiled
-def outcome_left_open(exposures: Exposures, alpha: float, beta: float) -> float:
+def outcome_left_open(
+    chance: NDArray[np.float64], log_survival: NDArray[np.float64], alpha: float, beta: float
+) -> float:
     """Return the entropy of a return given the hazards (:eq:`behavioral-information`)."""
-    chance, log_survival = exposures.chance, exposures.log_survival
     entropy = 0.0
     for c in range(chance.size):
         entropy += chance[c] * coin(exp(log_survival[c]), -expm1(log_survival[c]), alpha, beta)

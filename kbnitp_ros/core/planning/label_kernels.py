@@ -132,16 +132,6 @@ class Completions(NamedTuple):
     room: Floats
 
 
-class Trail(NamedTuple):
-    """The label that was traced back last."""
-
-    # By step, shape (max_steps + 1,); a slot of -1 is none.
-    slot: NDArray[np.int64]
-    cell: NDArray[np.int64]
-    # Visits of each cell, shape (cells,).
-    visits: NDArray[np.int64]
-
-
 @compiled
 def surprisal(p: float) -> float:
     """Return -p ln p."""
@@ -447,14 +437,20 @@ def write_completions(
 
 @inlined
 def follow(
-    reach: Reach, trail: Trail, origins: NDArray[np.int32], step: int, rank: int, slot: int
+    reach: Reach,
+    traced: NDArray[np.int64],
+    visits: NDArray[np.int64],
+    origins: NDArray[np.int32],
+    step: int,
+    rank: int,
+    slot: int,
 ) -> None:
     """Trace a label back to its branch from the last one traced; count its visits."""
-    while step > 0 and (trail.slot[step] != slot or trail.cell[step] != rank):
-        if trail.slot[step] >= 0:
-            trail.visits[trail.cell[step]] -= 1
-        trail.visits[rank] += 1
-        trail.slot[step], trail.cell[step] = slot, rank
+    while step > 0 and (traced[step, 0] != slot or traced[step, 1] != rank):
+        if traced[step, 0] >= 0:
+            visits[traced[step, 1]] -= 1
+        visits[rank] += 1
+        traced[step, 0], traced[step, 1] = slot, rank
         origin = origins[reach.start[step] + rank, slot]
         rank, slot = reach.neighbors[rank, origin & 15], origin >> 4
         step -= 1
@@ -477,8 +473,8 @@ def search(
     by_value = new_ranking(width - by_heuristic_rows, is_limited)
     by_heuristic = new_ranking(width if by_heuristic_rows else 0, is_limited)
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
-    steps = max_steps + 1
-    trail = Trail(np.full(steps, -1), np.full(steps, -1), np.zeros(cells, np.int64))
+    # Slot, -1 for none, and cell of the label traced last at each step, and its visits by cell.
+    traced, visits = np.full((max_steps + 1, 2), -1), np.zeros(cells, np.int64)
     best_value = np.zeros(cells)
     completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))
     writes_completions = moments.shape[0] > 0 and by_heuristic_rows == 0
@@ -504,10 +500,10 @@ def search(
                 after.mark[to] = found_mark[slot]
                 after.length[to] = labels.length[row] + reach.length[column]
                 origins[reach.start[step] + rank, slot] = found[slot]
-                follow(reach, trail, origins, step, rank, slot)
+                follow(reach, traced, visits, origins, step, rank, slot)
                 for column in range(9):
                     if neighbors[rank, column] >= 0:
-                        after.seen[to, column] = trail.visits[neighbors[rank, column]]
+                        after.seen[to, column] = visits[neighbors[rank, column]]
         labels, after = after, labels
         for slot in range(labels.kept[0]):
             values[step, slot] = label_value(labels.products, slot, problem)

@@ -129,7 +129,8 @@ def exact_values(
             survival = products.factor[0, powers + outcome]
             readings = products.term[0, 1 + outcome] + problem.loss_cost
             value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
-        values[k] = value - left_open(exposed(path[1:], hazard, log_safe, log_deadly))
+        chances, log_survival = exposed(path[1:], hazard, log_safe, log_deadly)
+        values[k] = value - left_open(chances, log_survival)
     return values
 
 
