@@ -29,7 +29,7 @@ Floats = NDArray[np.float64]
 
 # Quantiles of a quantity over missions.
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)
-# Of the 95 % interval of a share, in standard deviations.
+# Half width of a 95 % interval, in standard deviations.
 DEVIATIONS = 1.96
 
 

@@ -14,11 +14,11 @@ from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Number of lanes compared, besides the one of least cost by the cells' own probabilities.
+# Number of lanes compared, besides the cheapest one by the probability of each cell.
 LANES = 48
 # Standard deviation of the logarithms of the scales of their costs.
 SCALE = 0.7
-# Number of draws that a lane is searched in together, so that it respects joint hazards.
+# Number of draws averaged for the costs of a lane: few, so that hazards stay joint.
 TOGETHER = 16
 # Cost of a step besides hazards: of equally free lanes the shortest is chosen.
 STEP_COST = 1e-4
@@ -45,7 +45,7 @@ class SafestPath:
 def cheapest_lanes(
     grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
 ) -> list[list[Path]]:
-    """Return a cheapest way for each of several costs, within each of several limits."""
+    """Return the cheapest way for each row of costs, within each limit of steps."""
     goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
     most = min(max(limits), grid.cells - 1)
     together = max(1, MAX_TOGETHER // ((most + 1) * (grid.cells + 1)))
@@ -158,7 +158,7 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
         )
 
 
-# Minimum number of independent draws that a confidence leaves out: fewer are chance.
+# Minimum number of independent draws in the tail beyond a confidence: fewer are chance.
 FEWEST_LEFT_OUT = 5.0
 
 
@@ -213,7 +213,7 @@ class Decision:
         confidence: float | None,
         lane: SafestPath | None = None,
     ) -> Decision:
-        """Return the decision whether some cells, those of the lane if there is one, are free."""
+        """Return the decision on whether these cells, or those of the lane, are free."""
         count = draws.hazard_count(cells)
         p_free = draws.p_free(cells)
         if confidence is None:

@@ -51,7 +51,7 @@ SEARCHED = 24
 
 @dataclass(frozen=True, eq=False)
 class FlightState:
-    """The state of a mission that a robot is planned for."""
+    """The state of a mission when a robot's flight is planned."""
 
     # The field, with the base of the robot.
     grid: Grid
@@ -70,7 +70,7 @@ class FlightState:
     outcomes: Floats
 
     def with_sent(self, path: ArrayLike, model: SensorModel) -> FlightState:
-        """Return the situation after another robot of some model has left on a path."""
+        """Return the state after another robot, with this sensor model, has left on a path."""
         survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
         if len(outcomes) > MAX_OUTCOMES:
@@ -83,7 +83,7 @@ class FlightState:
         return replace(Plan.along(path, self.belief, self.model), gain=gain)
 
     def is_allowed(self, survival: Floats) -> Bools:
-        """Return the paths with enough survival, given survival (paths, draws)."""
+        """Return a mask of paths with the minimum survival; `survival` is (paths, draws)."""
         allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
         return allowed
 
@@ -247,13 +247,12 @@ def readings_given(
         yield count, safe, hazardous
 
 
-# Maximum numbers of lanes combined: of any length, and of each of two lengths that leave room for
-# longer ones.
+# Maximum numbers of lanes combined to a flight: of the longest ones, and of each shorter length.
 OUT, BACK = 12, 4
-# P(the best lane is free) from which flights are for information on just that.
+# Minimum P(the best lane is free) for flights that seek information on that lane alone.
 PROBABLE = 0.45
-# Value of a nat of information on all hazards, in P(the best lane is free): it decides where no
-# flight can change which lane is best.
+# Value of a nat of information on all hazards, in P(the best lane is free). It decides between
+# flights that cannot change which lane is best.
 WORTH = 0.02
 
 
@@ -262,9 +261,9 @@ class Lane:
     """
     A lane from the base of the mission to a cell.
 
-    A robot flies to the goal on one lane and back on the same or another one: those after which
-    the best lane is free with the highest probability, on average over its return and its loss. A
-    robot of another base flies to cells of such lanes and back.
+    A robot flies to the goal on one lane and back on the same or another one. The pair is chosen
+    for the highest probability that the best lane is free, averaged over the robot's return and
+    loss. A robot of another base flies to cells of such lanes and back.
 
     Parameters
     ----------
@@ -475,7 +474,7 @@ class Goal(Protocol):
         """Return the flight of the next robot; None if no flight is allowed."""
 
 
-# Makes a goal of cells and a confidence; None to map the field.
+# Function of cells and a confidence that returns a goal, or None to map the field.
 MakeGoal = Callable[[Sequence[int], 'float | None'], 'Goal | None']
 
 

@@ -16,7 +16,7 @@ from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Number of draws for a decision: of 0.5 % ten are left.
+# Number of draws for a decision: ten of them show an event of 0.5 %.
 DRAWS = 2048
 
 # Maximum number of bytes of the draws.
@@ -104,14 +104,14 @@ class HazardDraws:
         return chances
 
     def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
-        """Return in which draws each path is free of hazards, (paths, draws), 1 or 0."""
+        """Return 1 for each path and draw without hazards on it, else 0; shape (paths, draws)."""
         free: Floats = np.equal(self._hazards_entered([*map(np.asarray, paths)]), 0.0).astype(
             float
         )
         return free
 
     def _hazards_entered(self, entered: Sequence[Path]) -> Floats:
-        """Return how many steps of each path lead into a hazard, shape (paths, draws)."""
+        """Return the number of steps of each path into hazards, shape (paths, draws)."""
         cells, place = np.unique(np.concatenate(entered), return_inverse=True)
         visits = np.zeros((len(entered), cells.size), dtype=np.float32)
         path = np.repeat(np.arange(len(entered)), [len(each) for each in entered])
@@ -120,12 +120,12 @@ class HazardDraws:
         return hazards.astype(np.float64)
 
     def survival(self, path: ArrayLike, model: SensorModel) -> float:
-        """Return the probability to survive a path from anywhere (:eq:`traveller-survives`)."""
+        """Return the probability that a traveller survives a path (:eq:`traveller-survives`)."""
         return float(np.clip(self.weight @ self.survivals([path], model)[0], 0.0, 1.0))
 
 
 def quantile(count: Floats, level: float) -> int:
-    """Return the least number that is exceeded with a probability of at most 1 - `level`."""
+    """Return the quantile at `level` of a distribution over 0, 1, 2, ..."""
     return int(np.argmax(np.cumsum(count) >= level - 1e-12))
 
 

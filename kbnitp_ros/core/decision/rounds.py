@@ -30,11 +30,12 @@ class Stop:
     Parameters
     ----------
     gain : float
-        Stop when what the next robots are expected to gain is less than this for each that is
-        expected to be lost: in nats of information with the goal map and of hazards in the area
-        with the goal area, in probability that the best lane is free with the goal lane. 0: never.
+        Minimum expected gain for each robot that is expected to be lost; the mission stops when
+        the next robots promise less. Its unit is that of the goal: nats of information (map), nats
+        about hazards in the area (area), or probability that the best lane is free (lane). 0:
+        never.
     losses : int
-        Stop when so many robots are lost. 0: never.
+        Number of lost robots at which the mission stops. 0: never.
 
     Raises
     ------
@@ -51,7 +52,7 @@ class Stop:
         object.__setattr__(self, 'losses', whole_number('stop.losses', self.losses, 0))
 
     def check(self, goal: Goal | None, robots: int) -> None:
-        """Check that the stops fit each other and the mission."""
+        """Check that the conditions fit each other and the mission."""
         if self.losses > robots:
             raise ValueError(
                 f'stop.losses is {self.losses}, but at most robots = {robots} are sent: '

@@ -11,10 +11,10 @@ from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Tolerance of a joint given from outside.
+# Tolerance of the sum of a cell's four probabilities.
 TOLERANCE = 1e-12
 
-# Number of cells named at once.
+# Maximum number of cells named in an error.
 SHOWN = 8
 
 

@@ -34,7 +34,7 @@ def log_partition(
             f'hazard is too wide for clustered hazards: with obstacles, at most {MAX_ACROSS} '
             'cells across'
         )
-    # The hole is as far from the nearer edge as in the field.
+    # The strip has the hole at the same distance from the nearer edge as the field.
     strip = np.ones((rows, STRIP), dtype=bool)
     for row, column in holes:
         middle = STRIP // 2
@@ -56,7 +56,7 @@ def _sums(
     return log_z, count
 
 
-# Beyond this, hazards nearly fill large regions or none (critical: 1.763).
+# Maximum coupling: above the critical one, 1.763, hazards nearly fill large regions or none.
 STRONGEST = 1.7
 # Number of couplings weighted if it is learnt.
 COUPLINGS = 17

@@ -42,7 +42,7 @@ class Compiled:
     """A kernel that is compiled, with all that it calls, at its first call."""
 
     def __init__(self, kernel: Callable[..., Any], is_inlined: bool) -> None:
-        # The name that numba gives its cache, whichever path the file is imported by.
+        # numba names its cache by this path, which must not depend on how the file is imported.
         file = realpath(kernel.__code__.co_filename)
         kernel.__code__ = kernel.__code__.replace(co_filename=file)
         update_wrapper(self, kernel)
@@ -57,7 +57,7 @@ class Compiled:
         if self._code is None:
             self._code = self._kernel
             if jit := _jit():
-                # Counting references to arrays takes as long as much of the work on them.
+                # Counting references to arrays would take a large part of the time.
                 options = {'forceinline': self._is_inlined, '_nrt': not self._is_inlined}
                 self._code = _cached(_for_all_values(jit(nogil=True, **options)(self._kernel)))
             # numba follows a call to another kernel only if the name stands for compiled code.

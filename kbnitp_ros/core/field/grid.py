@@ -21,7 +21,7 @@ EPSILON = float(np.finfo(np.float64).eps)
 # Relative tolerance of a path's length, for rounded sums.
 ROUNDING = 1e-9
 
-# Rows up and columns to the right of each column of `Grid.neighbor_table`.
+# Offsets in rows and columns of the neighbour in each column of `Grid.neighbor_table`.
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
 # Fields shown in a grid's text, and maximum number of blocked cells shown.

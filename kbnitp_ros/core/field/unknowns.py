@@ -12,9 +12,9 @@ from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import NDArray
 
-# Number of values of an unknown number, evenly spaced in asin(sqrt(p)), where the deviation of a
-# rate found from n trials is 0.5 / sqrt(n) whatever the rate. 64 are finer than twice that up to
-# 1,600 trials, and the error of such a sum falls faster than any power.
+# Number of values of an unknown number, evenly spaced in asin(sqrt(p)). There a rate found from n
+# trials has the standard deviation 0.5 / sqrt(n), whatever the rate; 64 values are closer together
+# than twice that for up to 1,600 trials.
 VALUES = 64
 # Number of points in each value's bin at which its prior is summed.
 POINTS = 32
@@ -77,7 +77,7 @@ class Beta:
 class Bins(Value):
     """The possible values of a number."""
 
-    # Each value stands for all between two edges, shape (values + 1,).
+    # Edges of the interval that each value stands for, shape (values + 1,).
     edges: NDArray[np.float64]
     # In (0, 1), ascending, shape (values,).
     values: NDArray[np.float64]
@@ -106,7 +106,7 @@ class Learnt(Value):
     weights : ndarray, shape (values,)
         The probability of each.
     effective_samples : float
-        Number of independent posterior draws that determine the mean as well.
+        Number of independent posterior draws that would give the mean as precisely.
 
     """
 

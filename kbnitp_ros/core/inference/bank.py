@@ -50,7 +50,7 @@ FEW, MANY = 192, 512
 # Number of Metropolis steps after each resampling.
 MOVES = 3
 
-# Factor of the particles drawn anew if the evidence is impossible for all there are.
+# Ratio of the particles drawn anew, if the evidence is impossible under all, to the usual number.
 MORE = 8
 
 # Copies of all joints in memory: resampled particles, banks to replay from, and moves.
@@ -110,7 +110,7 @@ class Bank:
         self.take(Evidence.of(observation, robot_type))
 
     def take(self, evidence: Evidence) -> None:
-        """Assimilate a counted deployment, which several banks may share."""
+        """Assimilate a deployment counted by cell, which several banks may share."""
         has_begun = bool(self._evidence)
         rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
         numbers, log_likelihood, log_weights = (
@@ -256,7 +256,7 @@ class Bank:
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in steps:
                 model = robot_type.model(self._known)
-                # Robots with numbers of their own need none of these.
+                # A robot type's own numbers replace learnt ones.
                 of_all = {k: v for k, v in learnt.items() if k not in robot_type.sensors}
                 own = {
                     name: np.broadcast_to(

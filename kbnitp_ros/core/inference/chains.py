@@ -293,7 +293,7 @@ class Chains:
         )
 
     def _odds_with(self, name: str, log_odds: Floats) -> Floats:
-        """Return the odds by a map of the prior; cells with returns are left aside."""
+        """Return the odds by a prior map; those of cells with returns by `log_odds`."""
         of_values = self._prior_odds[name]
         is_known = of_values.shape[0] == 1
         odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._offset(name)]

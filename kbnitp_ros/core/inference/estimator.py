@@ -341,9 +341,9 @@ class Estimator:
         return other
 
 
-# Keeps an estimator after each of the last few deployments, after every second one twice as far
-# back, and so on (a power of two). So few are kept, and going back for a late deployment costs
-# little more than the deployments after it.
+# Spacing of the estimators kept, a power of two: one after each of the last few deployments, one
+# after every second further back, then every fourth, and so on. Going back for a late deployment
+# then costs little more than the deployments after it.
 DENSE = 2
 
 
@@ -365,7 +365,7 @@ class Ledger(MissionRecord):
     Attributes
     ----------
     deployments : list of DeploymentKey
-        Deployments in the belief, in order.
+        Deployments in the belief, in deployment order.
     newest : DeploymentKey or None
         Deployment assimilated last; None before the first.
     newest_stamp : int
@@ -373,7 +373,8 @@ class Ledger(MissionRecord):
     report_contents : dict of DeploymentKey to int
         Hashes of the messages that the reports in the belief came with, 0 where there was none.
     assimilations : int
-        How many deployments its estimators assimilated, those again that came before a late one.
+        Number of deployments that its estimators assimilated, repetitions after a late one
+        included.
 
     """
 
@@ -411,11 +412,11 @@ class Ledger(MissionRecord):
         return other
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # The message received before may have died with its publisher and a recorder.
+        # The first message may have been lost with its publisher and a recorder.
         self.report_contents[key] = report.content
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Assimilate a deployment with this outcome, and all after it again."""
+        """Assimilate a deployment with this outcome, and all later ones again."""
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         start = max(count for count in self._estimators if count <= place)
         estimators = {count: each for count, each in self._estimators.items() if count <= start}

@@ -35,8 +35,8 @@ class PriorMap:
     log_odds: NDArray[np.float64]
     # Whether the probability is neither 0 nor 1, so that an offset changes it, shape (cells,).
     undecided: NDArray[np.bool_]
-    # The offset for each value of the undecided cells' average, shape (values,); 0 alone if it is
-    # known.
+    # Offset for each possible average of the undecided cells, shape (values,); a single 0 if the
+    # average is known.
     offset: NDArray[np.float64]
     # log (1 - p) with each offset, shape (cells, values); 0 where the probability is decided.
     log_absent: NDArray[np.float64]

@@ -55,8 +55,8 @@ class ModelCheck:
     is_in_doubt : bool
         Whether the average ratio has ever reached 20.
     alternatives : mapping of str to float
-        For each alternative by now the probability of all evidence, as it predicted it, over that
-        of the belief's own predictions.
+        For each alternative the probability of all evidence so far by its predictions, over that
+        by the belief's predictions.
     reason : str
         The assumption in doubt and the best explanation, as a sentence.
 

@@ -30,8 +30,8 @@ class Evidence:
     negative: NDArray[np.intp]
     # Visits to the cell of each step before it, shape (steps,).
     before: NDArray[np.intp]
-    # 1 for the cell of each step, or for each other cell with its visits before, else 0; shape (n
-    # * (most visits + 1), steps).
+    # Masks by cell with its visits so far, and by step: 1 in the first for the cell of the step,
+    # in the second for each other cell; shape (n * (most visits + 1), steps).
     inside: Floats
     elsewhere: Floats
     # Likelihood of a loss in each step, shape (steps,); None for a return.
@@ -96,7 +96,7 @@ def assimilated(
     if not correlated:
         joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]
     counts, cell, before = evidence.visits.counts, evidence.visits.of_step, evidence.before
-    # So many visits survived, shape (visits, z, y, particles).
+    # Effect of 0, 1, 2, ... survived visits, shape (visits, z, y, particles).
     powers = [np.eye(2)[..., None] + np.zeros_like(steps.survive)]
     for _ in range(counts.max()):
         powers.append(then(powers[-1], steps.survive))
@@ -122,7 +122,7 @@ def assimilated(
     here = alive[cell, before]
     goes_on = ratio(alive[cell, before + 1], here)
     reached = np.cumprod(np.concatenate([np.ones_like(here[:1]), goes_on[:-1]]), axis=0)
-    # A loss in each step, and that over the effect of its own cell's hazard.
+    # Probability of a loss in each step, without and with the factor of its own cell.
     fits = ratio(reached * evidence.lost_in[:, None], here)
     lost = fits * fatal[cell, before]
     elsewhere = ratio((evidence.elsewhere @ lost).reshape(alive.shape), alive)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Self = TypeVar('Self', bound='MissionRecord')
 
-# Bytes: maximum of pending reports, what a cut leaves of them, a report, a reading.
+# Bytes: maximum of all pending reports, their sum after a cut, one report, one reading.
 MAX_PENDING = 50_000_000
 LEFT_PENDING = 45_000_000
 REPORT, READING = 1000, 100
@@ -86,11 +86,11 @@ class MissionRecord:
     """
     The paths and reports of a mission, in any order: of each deployment one outcome counts.
 
-    The first path that a robot could take holds. Which of several reports that fit it counts does
-    not depend on their order: a return outdoes a loss, since the robot was only late, and of two
-    losses that with the later contact counts, or if that is the same the one that tells more
-    closely where. Two returns can only differ if two robots have one name: then that with more
-    readings counts. All who judge evidence judge it here: a refused report changes nothing.
+    Of a deployment's paths the first valid one counts. Of its reports one counts, whatever their
+    order: a return before a loss, since the robot was only late; of two losses the one with the
+    later contact or, at equal contacts, with the narrower `lost_at`; of two returns, which differ
+    only if two robots share a name, the one with more readings. All evidence is validated here: a
+    refused report changes nothing.
 
     Parameters
     ----------
@@ -258,8 +258,8 @@ class MissionRecord:
 def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
     """Return a sort key of endings: the more informative one is greater."""
     lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
-    # The largest value is 1, so a smaller sum locates the loss more closely; without, all are
-    # alike.
+    # The largest value is 1, so a smaller sum locates the loss more closely; without `lost_at` all
+    # steps are alike.
     located = -sum(lost_at) if lost_at else -np.inf
     return outcome.survived, outcome.steps_survived, located, lost_at
 

@@ -27,7 +27,7 @@ class Tally:
     survived: NDArray[np.int32]
     positive: NDArray[np.int32]
     negative: NDArray[np.int32]
-    # The robot types so far, by what sets their sensor models apart.
+    # Robot types so far, with the values that set their sensor models apart.
     robot_types: tuple[RobotType, ...] = (ORDINARY,)
     # Number of deployments.
     deployments: int = 0
@@ -133,7 +133,7 @@ class Tally:
         return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
     def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:
-        """Return the lost paths with their cells of possible, and those of undecided, hazards."""
+        """Index lost paths by cells of possible hazards, and undecided cells by lost path."""
         held = np.flatnonzero(possible[self.cell])
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
         # Hazards may be swapped along every lost path; those of located losses come last.
@@ -150,7 +150,7 @@ class Tally:
         )
 
     def located_graph(self, possible: NDArray[np.bool_]) -> LocatedGraph:
-        """Return the located losses with their cells of possible hazards."""
+        """Index located losses by cells of possible hazards."""
         loss, cell, first, last = self._located_visits()
         held = np.flatnonzero(possible[cell])
         by_cell = held[np.argsort(cell[held], kind='stable')]
@@ -477,7 +477,7 @@ class Factors(NamedTuple):
 
 @compiled
 def lost(survived: float) -> float:
-    """Return the chance of a loss from that to survive (equation :eq:`loss-probability`)."""
+    """Return the chance of a loss, given that of survival (:eq:`loss-probability`)."""
     return max(1.0 - survived, LEAST)
 
 

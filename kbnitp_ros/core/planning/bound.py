@@ -60,7 +60,7 @@ class Cuts:
     multipliers: Floats
     # As in `Region`, shape (cuts, 3).
     rows: Floats = field(default_factory=lambda: np.empty((0, 3)))
-    # On the value of each path, nats.
+    # Upper bound on the value of each path, nats.
     bound: float = inf
 
 

@@ -80,8 +80,8 @@ def team_information(
 
     Equation :eq:`team-information`.
 
-    By the chain rule the sum of what each path adds to those before it, as `added_information`
-    approximates that; of a single path exactly `path_information`.
+    By the chain rule it is the sum of the information that each path adds to those before it, as
+    approximated by `added_information`. For a single path it equals `path_information`.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def behavioral_information(
     interest: NDArray[np.float64] | None = None,
 ) -> float:
     """
-    Return what `path_information` is with behavioral entropies in place of Shannon's.
+    Return the information of a path by behavioral entropies in place of Shannon's.
 
     Equation :eq:`behavioral-information`: the information of the robot's return or loss about the
     hazards, and the expected fall of the targets' entropies by the readings of one that returns.
@@ -188,8 +188,8 @@ def behavioral_information(
     Returns
     -------
     float
-        Nats, at least 0 but for rounding where alpha is at most 1. Where it is more, a likely
-        return or a likely target becomes less sure in the weighing, so it may be negative.
+        Nats, at least 0 but for rounding if alpha is at most 1. Above 1 the weights make likely
+        outcomes less certain, so it may be negative.
 
     """
     outcomes = nobody_deployed(belief) if outcomes is None else outcomes

@@ -2,9 +2,9 @@
 r"""
 Kernels of the label search: the best partial paths to each cell are extended, step by step.
 
-Cells go by their rank in the order of their distance from the base, which has rank 0, so those
-that a label may end in after some number of steps are the first so many. A label is a path from
-the base to such a cell. It carries numbers that a visit multiplies and numbers that it adds to:
+Cells are numbered by rank, in the order of their distance from the base, which has rank 0. After
+any number of steps a label, a path from the base, ends in one of the first ranks. It carries
+numbers that a visit multiplies and numbers that it adds to:
 
 .. math::
 
@@ -54,10 +54,11 @@ class Reach(NamedTuple):
 class Gains(NamedTuple):
     """Factors and terms of the next visit, by cell and number of visits before."""
 
-    # The ratio of each moment E[p^a] to that before; then that of the survival in each outcome.
+    # Ratio of each moment E[p^a] after the visit to that before; then that of the survival in each
+    # outcome.
     factor: Floats
-    # The change of E[p ln p] / E[p]; then in each outcome that of the information of readings,
-    # less that of the log survival, nats; shape (cells, max_visits, 1 + outcomes).
+    # Change of E[p ln p] / E[p]; then of the information of readings less the log survival, in
+    # each outcome; nats, shape (cells, max_visits, 1 + outcomes).
     term: Floats
 
 
@@ -126,7 +127,7 @@ class Completions(NamedTuple):
     # By step and cell: the moments times their weights, E[p], P0, the terms of both, and the
     # length; shape (sum of within, powers + 5).
     moments: Floats
-    # Products of the last label completed from each cell, shape (cells,).
+    # Value of the best completion from each cell, in units, shape (cells,).
     value: Floats
     # The completion short enough for a label, where lengths are limited, shape (powers + 5,).
     room: Floats

@@ -2,8 +2,8 @@
 """
 Kernels of the local search that improves closed paths, and of exact values.
 
-All but a gap in the path stays, so the value of a label is that of the whole path with its cells
-in the gap.
+Everything but a gap in the path is kept, so the value of a label is that of the whole path with
+the label's cells in the gap.
 """
 
 from __future__ import annotations

@@ -37,15 +37,14 @@ WEIGHTS = np.array(
 ERROR = 1.95e-5
 
 
-# Maximum number of different cameras planned for together, and of ways in which readings may be
-# shared among them. With different cameras, further readings of a cell by one of them count as the
-# last one that is counted, which loses next to nothing.
+# Maximum number of different cameras planned for together, and of combinations of their readings
+# of a cell. Readings by a camera beyond these are not counted, which loses next to nothing.
 MAX_CAMERAS = 6
 MAX_WAYS = 1024
 
 
 class Camera(NamedTuple):
-    """The numbers of a sensor model that readings depend on, as there."""
+    """The numbers of a `SensorModel` that readings depend on."""
 
     true_positive: float
     false_positive: float
@@ -193,7 +192,7 @@ class JointOutcomes:
         return here, there[here]
 
 
-# Certain, and without cells.
+# Arguments of `JointOutcomes`: one certain outcome, and no cells.
 NOBODY = np.ones(1), np.empty(0, dtype=np.intp), np.empty((1, 0, 2, 2)), np.empty((1, 0))
 
 
@@ -274,8 +273,8 @@ def _merged(outcomes: JointOutcomes) -> JointOutcomes:
     return replace(outcomes, probability=probability, joint=joint, readings=readings)
 
 
-# Exponents: while labels are compared, the entropy of an outcome is a sum of these powers of a
-# survival. As among those of Shannon's, the first moment is the predicted survival itself.
+# Exponents of the powers of a survival whose sum approximates the entropy of an outcome while
+# labels are compared. The first moment is the predicted survival, as for Shannon's.
 BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 
 

@@ -161,9 +161,9 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
 class TeamMember:
     """A robot to plan for; equal types share one."""
 
-    # With the limits of its path, from its own base.
+    # Finder of its paths, with its limits and from its own base.
     finder: PathFinder
-    # Of its path, given the robots that have left before the round.
+    # Objective of its path, given the robots that left before the round.
     objective: Objective
 
     @classmethod

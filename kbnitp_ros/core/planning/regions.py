@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def nested_regions(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
-    """Return the region of a path, and smaller ones in its place."""
+    """Return regions around the far end of a path, the largest first."""
     cells = np.unique(np.asarray(path, dtype=np.intp))
     steps = grid.at(int(np.asarray(path)[0])).steps_to_base
     farthest = cells[[np.argmax(steps[cells])]]
@@ -43,7 +43,7 @@ def keepout_cells(
     rounds: Sequence[Sequence[ArrayLike]],
     max_distance: float = 0.0,
 ) -> NDArray[np.intp]:
-    """Return the cells to keep off after refused rounds of plans."""
+    """Return the cells that the next round avoids, given the refused rounds of plans."""
 
     def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the number of cells in reach of each base and, last, of any."""
