@@ -256,7 +256,7 @@ class Chains:
         return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
 
     def _given_returns(self) -> tuple[Floats, Floats, Floats]:
-        """Return the odds of hazards and targets by returns (:eq:`hazard-odds`)."""
+        """Return hazard and target odds given returns (:eq:`hazard-odds`, :eq:`reading-odds`)."""
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
             self._of_readings or self._given_readings()
