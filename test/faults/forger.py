@@ -130,7 +130,8 @@ class Forger:
         """Publish with each new publisher before anybody discovers it."""
         belief = deepcopy(self._mission.onlooker.belief)
         mission = from_stamp(belief.mission)
-        belief.deployments = self._robots
+        # More than the paths of the whole mission: it may be over by now.
+        belief.deployments = self._robots + 1
         key, _ = self._newest()
         other = path_message(self._grid, [0, 1, 0], key.stamp, mission)
         acknowledgements = (Recorded(stamp=to_stamp(n + 1)) for n in range(round(5200 * scale)))

@@ -50,14 +50,13 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     field.until(lambda: field.state('/recorder').startswith(waiting), 'belief to record')
     field.start('planner', parameters)
     field.until(lambda: field.state('/planner').startswith('done: 3 of 3'), 'end')
+    field.until(lambda: len(reports) == 3, 'last report')
     assert [report.survived for report in reports] == [True] * 3
     field.processes.stop()
     replayed = replay(log)
     assert replayed.reproduced
     assert len(replayed.evidence.reports) == 3
 
-
-PAGE = Path(__file__).parents[2] / 'docs/robots.md'
 
 # Subscribes like nav2_costmap_2d 1.3, and prints the effect of the mask's values.
 NAV2 = """
