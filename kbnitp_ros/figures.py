@@ -206,7 +206,10 @@ def draw_map(
         extent=extent(grid),
         transform=turned(axes, grid),
     )
-    axes.figure.colorbar(drawn, ax=axes, shrink=0.7)
+    bar = axes.figure.colorbar(
+        drawn, cax=axes.inset_axes((1.05, 0.15, 0.06, 0.7)), ticks=(0.0, 0.5, 1.0)
+    )
+    bar.ax.tick_params(labelsize='small')
     draw_field(axes, grid)
     axes.set_title(title, fontsize='medium')
 

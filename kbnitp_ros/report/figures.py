@@ -71,8 +71,12 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
     panels = mission_panels(curves)
     names = list(mission.moments[-1].state.numbers)
     rows = -(-(len(panels) + len(names)) // COLUMNS)
-    figure = Figure(figsize=(7.2, 2.4 * rows + 0.3), layout='constrained')
+    height = 2.4 * rows + 0.3
+    figure = Figure(figsize=(7.2, height))
     grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
+    figure.subplots_adjust(
+        0.09, 0.55 / height, 0.985, 1.0 - 0.12 / height, wspace=0.24, hspace=0.2
+    )
     places = iter(grid.flat)
     for panel, axes in zip(panels, places):
         draw_panel(axes, panel)
@@ -132,8 +136,9 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
     grid, belief, world = mission.grid, mission.moments[-1].belief, mission.world
     visited = mission.visited()
     rows = ('abcd', 'efgh') if world else ('abc', 'dh.')
-    figure = Figure(figsize=(10.5, 5.4) if world else (8.0, 5.4), layout='constrained')
+    figure = Figure(figsize=(10.5, 5.4) if world else (8.0, 5.4))
     axes = figure.subplot_mosaic([list(row) for row in rows], empty_sentinel='.')
+    figure.subplots_adjust(0.05, 0.09, 0.98, 0.9, wspace=0.32, hspace=0.2)
     assumed = mission.assumed
     for name, panel in zip(MAPS, 'abc'):
         said = f'{name}, believed'

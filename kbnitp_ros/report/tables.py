@@ -13,6 +13,7 @@ from typing import Any
 
 from kbnitp_ros.core import log_loss, Observation, path_information, Plan
 from kbnitp_ros.core.field.belief import binary_entropy
+from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.maps import quantise_belief, write_probabilities
 from kbnitp_ros.report.mission import Mission
 import numpy as np
@@ -62,6 +63,10 @@ class Curves:
         return self.hazard_loss + self.target_loss
 
 
+# Number of paths whose information is computed sooner than numba is loaded.
+MAX_INTERPRETED = 400
+
+
 def mission_curves(
     mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> Curves:
@@ -72,7 +77,9 @@ def mission_curves(
     gaps = np.array([each.is_after_gap for each in moments])
     gained = np.concatenate([[nan], -np.diff(joint_entropy)])
     gained[gaps] = nan
-    expected = np.array([expected_at(mission, place) for place in progress(range(len(moments)))])
+    with interpreted(len(moments) < MAX_INTERPRETED):
+        expected = np.array([expected_at(mission, at) for at in progress(range(len(moments)))])
+        gap = np.array([gap_at(mission, place, worth) for place, worth in enumerate(expected)])
     unknown = np.full(len(moments), nan)
     return Curves(
         hazard_entropy=np.array([binary_entropy(each.hazard).sum() for each in beliefs]),
@@ -86,7 +93,7 @@ def mission_curves(
         else unknown,
         expected=expected,
         gained=gained,
-        gap=np.array([gap_at(mission, place, worth) for place, worth in enumerate(expected)]),
+        gap=gap,
         lost=lost_by(mission),
         out=np.array([each.size for each in out_at(mission)], dtype=np.intp),
     )

@@ -8,7 +8,9 @@ Kernels give the same bits compiled and interpreted if they take functions from 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache, update_wrapper
 from hashlib import sha256
 import logging
@@ -22,6 +24,9 @@ Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 PACKAGE = Path(__file__).parents[2]
 _CHECKS: list[Callable[[], None]] = []
 
+# Whether kernels that are not loaded yet run interpreted.
+_INTERPRETED = ContextVar('interpreted', default=False)
+
 
 def compiled(kernel: Kernel) -> Kernel:
     """Return the kernel, compiled at its first call, or interpreted without numba."""
@@ -31,6 +36,16 @@ def compiled(kernel: Kernel) -> Kernel:
 def inlined(kernel: Kernel) -> Kernel:
     """Compile a kernel that others call in loops; it makes and returns no arrays."""
     return cast(Kernel, Compiled(kernel, is_inlined=True))
+
+
+@contextmanager
+def interpreted(applies: bool = True) -> Iterator[None]:
+    """Run kernels interpreted: faster for a few calls, as loading them takes half a second."""
+    token = _INTERPRETED.set(applies)
+    try:
+        yield
+    finally:
+        _INTERPRETED.reset(token)
 
 
 def while_compiling(check: Callable[[], None]) -> None:
@@ -49,7 +64,8 @@ class Compiled:
         self._kernel, self._is_inlined, self._code = kernel, is_inlined, cast(Any, None)
 
     def __call__(self, *arguments: Any) -> Any:
-        return (self._code or self.code)(*arguments)
+        code = self._code or (self._kernel if _INTERPRETED.get() else self.code)
+        return code(*arguments)
 
     @property
     def code(self) -> Any:

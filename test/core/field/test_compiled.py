@@ -66,6 +66,14 @@ def test_compilation_can_be_switched_off(tmp_path):
     assert not warnings
 
 
+def test_kernels_run_interpreted_on_request(tmp_path):
+    asked = KERNEL.replace('import compiled', 'import compiled, interpreted').replace(
+        'print(', 'import sys\nwith interpreted():\n    print('
+    )
+    printed, _ = run(f"{asked}\nprint('numba' in sys.modules)", folder=tmp_path)
+    assert printed == ['0.5', '1.0', 'Compiled', 'False']
+
+
 def test_a_missing_numba_is_reported_once(tmp_path):
     # None in sys.modules: the module cannot be imported.
     printed, warnings = run(
