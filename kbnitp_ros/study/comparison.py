@@ -224,9 +224,9 @@ BY_SIZE = Comparison(
     name='teams',
     applies=differ_in_size,
     caption=(
-        'What the {robots} robots bring, and what {rounds} rounds bring. Information: the joint '
-        'entropy of hazards and targets that a mission takes from the prior, in nats. Difference: '
-        'the log loss less that of the smallest team, trial by trial.'
+        'Results with {robots} robots, and after {rounds} rounds. Information: the decrease '
+        'of the joint entropy of hazards and targets since the prior, in nats. Difference: '
+        'the log loss minus that of the smallest team, paired by world.'
     ),
     columns={
         **METHOD,
@@ -248,9 +248,9 @@ BY_LOSS_COST = Comparison(
     name='loss_cost',
     applies=lambda scenario: differ_only_in(scenario, 'loss_cost'),
     caption=(
-        'At equal log loss: the lowest mean log loss that is reached both with a loss cost of '
-        '{least:.4g} and with that of the row, and the robots that were sent and lost when it was '
-        'reached. Difference: how many more are lost than with {least:.4g}, in the same worlds.'
+        'At equal log loss: the lowest mean log loss reached both with a loss cost of '
+        '{least:.4g} and with that of the row, and the robots sent and lost by then. '
+        'Difference: how many more are lost than with {least:.4g}, paired by world.'
     ),
     columns={
         **METHOD,
@@ -270,9 +270,9 @@ CONTACT = Comparison(
     name='last_contact',
     applies=lambda scenario: differ_only_in(scenario, 'last_contact'),
     caption=(
-        'What last contacts are worth, in nats: the log loss with a contact of {least:.4g} less '
-        'that with the contact of the row, trial by trial, after so many robots. Contact: the '
-        'probability, after each step, that the base hears how far the robot is.'
+        'Value of last contacts, in nats: the log loss with a contact of {least:.4g} minus '
+        'that with the contact of the row, paired by world, by number of robots. Contact: '
+        'the probability, after each step, that the base receives how far the robot is.'
     ),
     columns={**METHOD, 'last_contact': ('contact', '{:.4g}'), 'value': ('', 1)},
     **with_first(
@@ -289,9 +289,9 @@ BY_PLANNER = Comparison(
     name='planners',
     applies=lambda scenario: differ_only_in(scenario, 'planner'),
     caption=(
-        'Log loss by the planner of the row less that by `{first}`, trial by trial, in nats, '
-        'after so many robots; and the robots lost at the end, and how many more than by '
-        '`{first}`.'
+        'Log loss by the planner of the row minus that by `{first}`, paired by world, in '
+        'nats, by number of robots; and the robots lost at the end, and how many more than '
+        'by `{first}`.'
     ),
     columns={
         **METHOD,
@@ -306,10 +306,10 @@ BY_OBJECTIVE = Comparison(
     name='objectives',
     applies=differ_in_objective,
     caption=(
-        'Log loss with the objective of the row less that with {first}, trial by trial, in nats, '
-        'after so many robots; the robots lost at the end, and how many more than with {first}; '
-        'how many more when both had come to the same log loss; and how much higher the log loss '
-        'was when both had lost as many robots.'
+        'Log loss with the objective of the row minus that with {first}, paired by world, in '
+        'nats, by number of robots; the robots lost at the end, and how many more than with '
+        '{first}; how many more at equal log loss; and the difference of the log loss at '
+        'equal losses.'
     ),
     columns={
         'objective': ('objective', '{}'),
@@ -333,9 +333,10 @@ BY_MAP = Comparison(
     name='prior_maps',
     applies=lambda scenario: differ_only_in(scenario, 'survey', 'trusted'),
     caption=(
-        'What a map of hazards known beforehand is worth, in nats: the log loss without one less '
-        'that with the map of the row, trial by trial, after so many robots. Right: the part of '
-        'the cells of which it is; trusted: that of which it is believed to be.'
+        'Value of a prior map of hazards, in nats: the log loss without a map minus that '
+        'with the map of the row, paired by world, by number of robots. Right: the share of '
+        'cells in which the map is right; trusted: the share in which it is believed to be '
+        'right.'
     ),
     columns={
         **METHOD,
@@ -354,7 +355,7 @@ BY_MAP = Comparison(
 OF_HAZARDS = Comparison(
     name='hazards',
     applies=differ_in_hazards,
-    caption='Log loss of the hazards that are there, in nats, after so many robots.',
+    caption='Log loss of the current hazards, in nats, by number of robots.',
     columns={**METHOD, 'believed': ('believed', '{}'), 'hazard_log_loss': ('', 1)},
     head=lambda scenario: {'robots': after_robots((25, 50, 100), scenario.robots)},
     rows=hazard_rows,
@@ -364,8 +365,9 @@ BY_KIND = Comparison(
     name='kinds',
     applies=differ_in_hazards,
     caption=(
-        'Log loss of hazards and targets less that of `{first}`, trial by trial, in nats, after '
-        'so many robots; and the robots lost at the end, and how many more than with `{first}`.'
+        'Log loss of hazards and targets minus that of `{first}`, paired by world, in nats, '
+        'by number of robots; and the robots lost at the end, and how many more than with '
+        '`{first}`.'
     ),
     columns={
         **METHOD,
@@ -385,10 +387,10 @@ BY_BASE = Comparison(
     name='bases',
     applies=lambda scenario: differ_only_in(scenario, 'second_base'),
     caption=(
-        'What a second base is worth: the log loss with one base less that with two, trial by '
-        'trial, in nats, at the end; and the robots that were sent and lost, with one base and '
-        'with two, when both had first come to the same log loss. Fewer: how many fewer robots '
-        'are sent with two, in the same worlds.'
+        'Value of a second base: the log loss at the end with one base minus that with two, '
+        'paired by world, in nats; and the robots sent and lost, with one base and with two, '
+        'at equal log loss. Fewer: how many fewer robots are sent with two, paired by '
+        'world.'
     ),
     columns={
         **METHOD,
@@ -409,9 +411,9 @@ OF_NUMBERS = Comparison(
     name='numbers',
     applies=learns,
     caption=(
-        'What {robots} robots tell of numbers that nobody knows: standard deviation before the '
-        'first and after the last, the distance of the mean from the truth, and how often the '
-        'truth is within the 5 and 95 % quantiles.'
+        'Learnt numbers after {robots} robots: standard deviation before the first and after '
+        'the last, distance of the mean from the truth, and how often the truth lies '
+        'between the 5 and 95 % quantiles.'
     ),
     columns={
         'number': ('number', '{}'),
@@ -428,8 +430,8 @@ OF_LEARNING = Comparison(
     name='value',
     applies=learns,
     caption=(
-        f'The log loss of `{LEARNING}` less that of the methods that are told, trial by trial, '
-        'after so many robots.'
+        f'Log loss of `{LEARNING}` minus that of the methods that are told the numbers, '
+        'paired by world, in nats, by number of robots.'
     ),
     columns={**METHOD, 'costs': ('', 1)},
     head=lambda scenario: {'robots': after_robots(ROBOTS, scenario.robots)},
@@ -440,8 +442,8 @@ LANES = Comparison(
     name='lanes',
     applies=lambda scenario: asks_for(scenario, 'lane'),
     caption=(
-        'After so many robots: the share of worlds in which the safest lane found is free of '
-        'hazards, the mean probability that is believed, how many more are free than of the first '
+        'By number of robots: the share of worlds in which the safest lane found is free of '
+        'hazards, the mean probability believed, the difference of that share from the first '
         'strategy in the same worlds, and the robots lost.'
     ),
     columns={
@@ -461,8 +463,9 @@ CERTIFICATES = Comparison(
     name='certificates',
     applies=certifies,
     caption=(
-        'Of missions that stopped at a confidence: the robots sent, the mean of the probabilities '
-        'stated, the share in which what was asked for is free of hazards, and this less that.'
+        'Missions that stopped at a confidence: the robots sent, the mean stated '
+        'probability, the share of goals that are free of hazards, and that share minus the '
+        'stated probability.'
     ),
     columns={
         **METHOD,
@@ -481,11 +484,11 @@ AREAS = Comparison(
     name='areas',
     applies=lambda scenario: asks_for(scenario, 'area'),
     caption=(
-        f'Cells are declared free at a probability of {DECLARED}. The share of worlds in which '
-        f'{SHARE_OF_AREA:.0%} of the area are declared free, after how many robots (all '
-        '{robots} if never), how many more these are than of the first strategy in the same '
-        'worlds, and the robots lost by then; the part of the area that is declared free at the '
-        'end, and the part of it that is so wrongly.'
+        f'Cells are declared free at a probability of {DECLARED}. The share of worlds in '
+        f'which {SHARE_OF_AREA:.0%} of the area is declared free; the robots needed for that '
+        '(all {robots} if never), and how many more than with the first strategy in the '
+        'same worlds; the robots lost by then; and the shares of the area declared free at '
+        'the end, in all and wrongly.'
     ),
     columns={
         **METHOD,

@@ -294,8 +294,8 @@ def summary_table(summary: dict[str, Any]) -> Table:
     if any('difference' in row for row in summary['rows']):
         columns.append('difference')
         caption += (
-            f' Difference: the log loss of `{summary["reference"]}` less that of the method, '
-            'trial by trial.'
+            f' Difference: the log loss of `{summary["reference"]}` minus that of the method, '
+            'paired by world.'
         )
     rows = []
     for row in summary['rows']:
