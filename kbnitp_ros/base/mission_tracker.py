@@ -11,7 +11,7 @@ from kbnitp_ros.base.rounds import Plans, Rounds
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.table import MAX_ROBOTS
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.log.record import EarlyError, read_newest_round, read_resumed, RecordedMission
+from kbnitp_ros.log.record import MissingError, read_newest_round, read_resumed, RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import report_message, Source
@@ -63,7 +63,7 @@ class MissionTracker:
         most = known + (self._unknown or 0)
         if snapshot.deployments > most and not is_first_of_one:
             why = f', and {remedy}' if authors > 1 else ''
-            raise EarlyError(
+            raise MissingError(
                 f'deployments is {snapshot.deployments}: the paths of only {most} are known{why}'
             )
         if self._rules is None or authors <= 1:

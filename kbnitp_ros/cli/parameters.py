@@ -13,7 +13,7 @@ from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known
 from kbnitp_ros.configuration.parameter import nearest, own_name
 from kbnitp_ros.log.record import first_belief
-from kbnitp_ros.log.replayed import RecordedGoal
+from kbnitp_ros.log.replay import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
 
 # The nodes of the demo.
@@ -113,5 +113,5 @@ def asked_on_record(log: MissionLog) -> RecordedGoal | None:
     with suppress(ValueError):
         first, planner = first_belief(log), recorded_planner(log)
         goal = make_goal(planner, first.grid) if first else None
-        return RecordedGoal(goal, planner['max_steps']) if goal else None
+        return (goal, planner['max_steps']) if goal else None
     return None

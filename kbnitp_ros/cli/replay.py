@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
+from math import isnan
 from pathlib import Path
 from typing import TypeVar
 
@@ -150,10 +151,9 @@ def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Itera
 
 def computed_with(log: str | Path, report: ReplayReport) -> Iterator[str]:
     """Yield by how much beliefs differ, and what the recorded ones were made with."""
-    yield (
-        f'equal to {TOLERANCE:g}, not identical: the largest difference is '
-        f'{report.largest_rounding:.2g}'
-    )
+    gaps = (each.largest for found in report.roundings for each in found.differences)
+    largest = max((gap for gap in gaps if not isnan(gap)), default=0.0)
+    yield f'equal to {TOLERANCE:g}, not identical: the largest difference is {largest:.2g}'
     here = numerical_environment()
     run = read_metadata(log, []).get(RUN, {})
     for name in ('kbnitp_ros', *here):

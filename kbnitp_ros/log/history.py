@@ -125,7 +125,7 @@ def read_history(
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     history, truth = History(evidence), {}
     for role, logged in log.read(*ROLES, corrupt=history.corrupt, progress=progress):
-        with log.leaving_out(role, logged):
+        with log.leaving_out(logged):
             message = logged.message
             stamp = from_stamp(message.header.stamp)
             if role.name in ('path', 'report', 'status'):
@@ -147,7 +147,7 @@ def read_history(
                 truth[role.name] = shown
             elif not isnan(message.upper_bound):
                 history.bounds[stamp] = message.upper_bound
-    evidence.refused += map(str, log.left_out.values())
+    evidence.refused += [f'{topic}: {why}' for (topic, _), why in log.left_out.items()]
     if len(truth) == len(TRUTH):
         history.world = World(*(truth[name] for name in TRUTH))
     return history

@@ -22,7 +22,7 @@ from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
-from kbnitp_ros.messages.beliefs import AssimilatedEvidence, Snapshot
+from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_path
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import (
@@ -33,8 +33,8 @@ from kbnitp_ros.messages.operator_actions import (
 from numpy.typing import ArrayLike
 
 
-class EarlyError(ValueError):
-    """A message refers to another one that has not arrived: a loss before its departure."""
+class MissingError(ValueError):
+    """A message refers to another one that has not arrived, or that the log lacks."""
 
 
 class Departures:
@@ -103,14 +103,14 @@ class Departures:
         return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a robot can have been lost; raises `EarlyError` if it never departed."""
+        """Check that a robot can have been lost; raises `MissingError` if it never departed."""
         if self.is_refused(key):
             raise ValueError(
                 f'deployment {key} is reported lost, and its robot stays at the base: '
                 f'{self._statuses[key].reason}'
             )
         if self.is_at_base(key) and key not in self._reported:
-            raise EarlyError(
+            raise MissingError(
                 f'deployment {key} is reported lost, and its agent has not reported its departure'
             )
 
@@ -180,10 +180,6 @@ def check_same_field(
                 'prior.log'
             )
     return belief
-
-
-class GapError(ValueError):
-    """The log lacks evidence needed to recompute a belief."""
 
 
 class RecordedMission(MissionRecord):
@@ -284,16 +280,17 @@ class RecordedMission(MissionRecord):
         """Return the first report of a deployment with this time, or else the one that counts."""
         return self._by_stamp[key].get(stamp, self.reports[key])
 
-    def named(self, evidence: AssimilatedEvidence, stamp: int) -> tuple[ArrayLike, Report]:
-        """Return the path and the report of a deployment that a belief of a time names."""
-        key = evidence.key
-        if (key, evidence.path) not in self._paths_read:
+    def named(
+        self, key: DeploymentKey, path: int, report: int, stamp: int
+    ) -> tuple[ArrayLike, Report]:
+        """Return the path and the report with these hashes, which a belief of a time names."""
+        if (key, path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')
-        if found := self._reports_read.get((key, evidence.report)):
-            return self._paths_read[key, evidence.path], found
+        if found := self._reports_read.get((key, report)):
+            return self._paths_read[key, path], found
         missing = f'report of deployment {key} is not on record'
         if min(self._by_stamp[key], default=stamp) > stamp:
-            raise GapError(f'{missing}, but a later one')
+            raise MissingError(f'{missing}, but a later one')
         raise ValueError(missing)
 
     @property
@@ -354,7 +351,7 @@ def read_resumed(
     if prior:
         record.allow(prior.max_steps, prior.robot_types)
     for role, logged in log.read('path', 'report', 'status', 'operator'):
-        with log.leaving_out(role, logged):
+        with log.leaving_out(logged):
             record.take(role, logged)
     return record
 

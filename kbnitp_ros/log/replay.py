@@ -11,28 +11,26 @@ So it is from a belief on whose report is missing, where the log has later ones 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Ledger
+from kbnitp_ros.core import DeploymentKey, Goal, HazardDraws, Ledger
 from kbnitp_ros.core.inference.record import ending_key
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import is_finished, LoggedMessage, read_changes
-from kbnitp_ros.log.record import begun, GapError, RecordedMission, required_belief
+from kbnitp_ros.log.record import begun, MissingError, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
     BeliefFinding,
     differences,
-    RecordedGoal,
-    ReplayedDecisions,
     ReplayedViews,
     ReplayReport,
     TOLERANCE,
 )
 from kbnitp_ros.log.roles import GRID, mission_log, MissionLog, MODEL, VIEWS
 from kbnitp_ros.messages.beliefs import (
-    AssimilatedEvidence,
     belief_fields,
     newest_deployment,
     read_assimilated,
@@ -40,10 +38,17 @@ from kbnitp_ros.messages.beliefs import (
     Snapshot,
 )
 from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
+from kbnitp_ros.messages.progress import decision_fields
 
 # Roles computed from the evidence, and all roles read.
 COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
 READ = (*COMPUTED, 'path', 'report', 'status', 'operator', 'progress')
+
+# Fields of a decision that other processors may round differently.
+ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
+
+# The goal of a mission, and the maximum number of steps of a lane.
+RecordedGoal = tuple[Goal, int]
 
 
 def replay(
@@ -63,40 +68,41 @@ def replay(
         elif role.type_name in (GRID, MODEL):
             fold.views.note(role, logged)
         elif role.name == 'decision':
-            fold.decisions.note(logged)
+            fold.note_decision(logged)
         else:
-            with log.leaving_out(role, logged):
+            with log.leaving_out(logged):
                 evidence.take(role, logged)
     report.changes = list(read_changes(log.path, log.roles.is_node))
     for _, logged in log.read('belief', corrupt=[], progress=progress):
         fold.take(logged)
     fold.finish()
-    for wrong in log.left_out.values():
-        if wrong.role.name in COMPUTED:
-            report.compared[wrong.topic] += 1
-            report.mismatches.append(BeliefFinding(wrong.topic, wrong.index, None, (), wrong.why))
+    for (topic, index), why in log.left_out.items():
+        if log.roles.by_topic[topic].name in COMPUTED:
+            report.compared[topic] += 1
+            report.mismatches.append(BeliefFinding(topic, index, None, (), why))
         else:
-            evidence.refused.append(str(wrong))
+            evidence.refused.append(f'{topic}: {why}')
     return report
 
 
 class Fold:
     """The belief that a log's evidence gives, up to one belief on record after another."""
 
-    def __init__(
-        self, report: ReplayReport, topic: str, asked: RecordedGoal | None = None
-    ) -> None:
+    def __init__(self, report: ReplayReport, topic: str, asked: RecordedGoal | None) -> None:
         self.report = report
         self._topic = topic
         self._ledger: Ledger | None = None
-        # What the ledger has assimilated; the digests of the belief that names it, empty if none
-        # does, and of the last one on record.
-        self._assimilated: dict[DeploymentKey, AssimilatedEvidence] = {}
+        # Evidence that the ledger has assimilated, as the hashes of path and report; the digests
+        # of the belief that names it, empty if none does, and of the last one on record.
+        self._assimilated: dict[DeploymentKey, tuple[int, int]] = {}
         self._held = self._last = b''
         self._index = -1
         self._seen: set[bytes] = set()
         self.views = ReplayedViews()
-        self.decisions = ReplayedDecisions(asked)
+        self._asked = asked
+        # Topic, index and message of the decisions not compared yet, by the stamp and the number
+        # of deployments of their belief.
+        self._decisions: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
 
     def take(self, logged: LoggedMessage) -> None:
         """Assimilate what a belief names, and compare it; errors are those of `replay`."""
@@ -125,15 +131,15 @@ class Fold:
             elif (belief.since and not follows) or not self._assimilate(
                 newest, read_assimilated(belief), not belief.since, stamp
             ):
-                raise GapError(
+                raise MissingError(
                     f'the belief of {belief.since} deployments that it adds to is missing'
                 )
             self._held = digest
             self._compare(belief, newest, stamp)
         except LogError:
             raise
-        except GapError as gap:
-            self._find(self.report.not_compared, newest, str(gap))
+        except MissingError as error:
+            self._find(self.report.not_compared, newest, str(error))
             self.views.pass_over(stamp)
         except ValueError as error:
             self.report.compared[self._topic] += 1
@@ -151,28 +157,27 @@ class Fold:
     def _assimilate(
         self,
         newest: DeploymentKey,
-        named: list[AssimilatedEvidence],
+        named: dict[DeploymentKey, tuple[int, int]],
         is_complete: bool,
         stamp: int,
     ) -> bool:
         """Assimilate what a belief names; raises ValueError if that cannot be."""
-        of = {each.key: each for each in named}
-        if newest not in of:
+        if newest not in named:
             raise ValueError(f'taken_in does not name {newest}, which it assimilated last')
-        if is_complete and self._assimilated.items() - of.items():
+        if is_complete and self._assimilated.items() - named.items():
             # An estimator that was restarted may hold less, or other reports of a deployment.
             assert self.report.evidence.prior is not None
             self._begin(self.report.evidence.prior)
         assert self._ledger is not None
-        for key, each in of.items():
-            if key != newest and self._assimilated.get(key) == each:
+        for key, hashes in named.items():
+            if key != newest and self._assimilated.get(key) == hashes:
                 continue
-            path, report = self.report.evidence.named(each, stamp)
-            self._ledger.record_path(key, path, each.path)
+            path, report = self.report.evidence.named(key, *hashes, stamp)
+            self._ledger.record_path(key, path, hashes[0])
             is_new = self._ledger.record_report(key, report)
             if not is_complete and not is_new:
                 return False
-            self._assimilated[key] = each
+            self._assimilated[key] = hashes
             if key == newest:
                 newest_stamp = report.stamp
         self._ledger.newest, self._ledger.newest_stamp = newest, newest_stamp
@@ -205,7 +210,33 @@ class Fold:
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
         self.views.expect(self._ledger, seen, newest, stamp)
         if not found:
-            self.decisions.compare(self._ledger, stamp, self.report)
+            self._compare_decisions(self._ledger, stamp)
+
+    def note_decision(self, logged: LoggedMessage) -> None:
+        """Keep a decision until its belief is computed."""
+        message = logged.message
+        key = from_stamp(message.header.stamp), message.deployments
+        self._decisions[key].append((logged.topic, logged.index, message))
+
+    def _compare_decisions(self, ledger: Ledger, stamp: int) -> None:
+        """Compare the decisions on a ledger's belief of this stamp."""
+        key = stamp, len(ledger.deployments)
+        if self._asked is None or key not in self._decisions:
+            return
+        goal, max_steps = self._asked
+        draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
+        decision = goal.decide(ledger.grid, draws, ledger.estimator.model, max_steps)
+        computed = decision_fields(decision, len(ledger.deployments))
+        computed.path = Fields(
+            poses=[
+                Fields(pose=Fields(position=Fields(x=x, y=y)))
+                for x, y in ledger.grid.centers(decision.path).tolist()
+            ]
+        )
+        for topic, index, message in self._decisions.pop(key):
+            self.report.compared[topic] += 1
+            if found := tuple(differences(message, computed, TOLERANCE, ROUNDED)):
+                self.report.add(BeliefFinding(topic, index, ledger.newest, found))
 
     def finish(self) -> None:
         """Compare the views with their beliefs, and find decisions and deployments left over."""
@@ -214,7 +245,16 @@ class Fold:
             estimator = self._ledger.estimator
             report.kinds, report.check = estimator.kinds, estimator.check
         self.views.compare(report)
-        self.decisions.finish(report)
+        reason = (
+            'the goal is not on record'
+            if self._asked is None
+            else 'the belief that it is made with is not reproduced or not on record'
+        )
+        report.not_compared += [
+            BeliefFinding(topic, index, None, reason=reason)
+            for left in self._decisions.values()
+            for topic, index, _ in left
+        ]
         for key in report.evidence.reports:
             if (
                 self._ledger

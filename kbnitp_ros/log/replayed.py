@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings of a replay: recorded views, models and decisions compared with computed ones."""
+"""Findings of a replay: recorded views and models compared with computed ones."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from hashlib import blake2b
-from math import isnan, nan
+from math import nan
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Goal, Grid, HazardDraws, Ledger, ModelCheck
+from kbnitp_ros.core import DeploymentKey, Grid, Ledger, ModelCheck
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role, VIEWS
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import Fields, from_stamp
-from kbnitp_ros.messages.progress import decision_fields, MissionStatus, model_fields, NOT_KNOWN
+from kbnitp_ros.messages.progress import MissionStatus, model_fields, NOT_KNOWN
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -204,12 +204,6 @@ class ReplayReport:
         """Return whether all are reproduced to the bit."""
         return self.grade == Grade.IDENTICAL
 
-    @property
-    def largest_rounding(self) -> float:
-        """Return the largest difference of numbers within `TOLERANCE`."""
-        gaps = (each.largest for found in self.roundings for each in found.differences)
-        return max((gap for gap in gaps if not isnan(gap)), default=0.0)
-
 
 # Fields of a grid.
 ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
@@ -284,63 +278,3 @@ def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
 def grid_digest(view: Any) -> bytes:
     """Return a digest of a nav_msgs/OccupancyGrid or its fields."""
     return blake2b(repr(list(_leaves(view, ANY_GRID))).encode(), digest_size=16).digest()
-
-
-# Numbers that other processors may round differently.
-ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
-
-
-@dataclass(frozen=True)
-class RecordedGoal:
-    """The goal of a recorded mission."""
-
-    goal: Goal
-    # Maximum number of steps of a lane.
-    max_steps: int
-
-
-class ReplayedDecisions:
-    """The recorded decisions that are not compared yet."""
-
-    def __init__(self, asked: RecordedGoal | None) -> None:
-        self._asked = asked
-        # Index and message of each, by topic, and stamp and deployments of its belief.
-        self._recorded: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
-
-    def note(self, logged: LoggedMessage) -> None:
-        """Keep a decision until its belief is computed."""
-        message = logged.message
-        key = from_stamp(message.header.stamp), message.deployments
-        self._recorded[key].append((logged.topic, logged.index, message))
-
-    def compare(self, ledger: Ledger, stamp: int, report: ReplayReport) -> None:
-        """Compare the decisions on a ledger's belief of this stamp."""
-        key = stamp, len(ledger.deployments)
-        if self._asked is None or key not in self._recorded:
-            return
-        draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
-        decision = self._asked.goal.decide(
-            ledger.grid, draws, ledger.estimator.model, self._asked.max_steps
-        )
-        computed = decision_fields(decision, len(ledger.deployments))
-        computed.path = Fields(
-            poses=[
-                Fields(pose=Fields(position=Fields(x=x, y=y)))
-                for x, y in ledger.grid.centers(decision.path).tolist()
-            ]
-        )
-        for topic, index, message in self._recorded.pop(key):
-            report.compared[topic] += 1
-            if found := tuple(differences(message, computed, TOLERANCE, ROUNDED)):
-                report.add(BeliefFinding(topic, index, ledger.newest, found))
-
-    def finish(self, report: ReplayReport) -> None:
-        """Report the decisions that are left over."""
-        reason = (
-            'the goal is not on record'
-            if self._asked is None
-            else 'the belief that it is made with is not reproduced or not on record'
-        )
-        for left in self._recorded.values():
-            for topic, index, _ in left:
-                report.not_compared.append(BeliefFinding(topic, index, None, reason=reason))

@@ -235,21 +235,6 @@ def roles_of_old(
     return Roles.of(root, dict.fromkeys([*(reader.agents if reader else ()), *found_agents]))
 
 
-@dataclass(frozen=True)
-class InvalidMessage:
-    """A message in a role of a mission that is not valid there."""
-
-    role: Role
-    topic: str
-    # Index of the message in its topic.
-    index: int
-    why: str
-
-    def __str__(self) -> str:
-        """Return the topic of the message and its defect."""
-        return f'{self.topic}: {self.why}'
-
-
 class MissionLog:
     """A log read by the roles of its topics; other topics are ignored."""
 
@@ -258,8 +243,8 @@ class MissionLog:
     ) -> None:
         self.path = Path(path)
         self.roles = roles_on_record(path, namespace, own)
-        # Invalid messages in roles of the mission, by topic and index.
-        self.left_out: dict[tuple[str, int], InvalidMessage] = {}
+        # Defects of invalid messages in roles of the mission, by topic and index.
+        self.left_out: dict[tuple[str, int], str] = {}
 
     def read(
         self,
@@ -277,7 +262,7 @@ class MissionLog:
             if role.name == 'belief':
                 check_version(self.path, logged.message)
             try:
-                with self.leaving_out(role, logged):
+                with self.leaving_out(logged):
                     logged = replace(logged, said=read_content(role, logged.message))
             except (AttributeError, TypeError) as error:
                 raise LogError(
@@ -287,15 +272,14 @@ class MissionLog:
                 yield role, logged
 
     @contextmanager
-    def leaving_out(self, role: Role, logged: LoggedMessage) -> Iterator[None]:
+    def leaving_out(self, logged: LoggedMessage) -> Iterator[None]:
         """Record a message as invalid if the body raises ValueError."""
         try:
             yield
         except LogError:
             raise
         except ValueError as error:
-            wrong = InvalidMessage(role, logged.topic, logged.index, str(error)[:MAX_SHOWN])
-            self.left_out[logged.topic, logged.index] = wrong
+            self.left_out[logged.topic, logged.index] = str(error)[:MAX_SHOWN]
 
     @cached_property
     def parameters(self) -> dict[str, dict[str, Any]]:

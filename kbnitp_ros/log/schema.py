@@ -30,16 +30,6 @@ SEPARATOR = '=' * 80
 INTERFACES = 'rosidl_interfaces'
 
 
-@dataclass(frozen=True)
-class TypeDescription:
-    """The description of a message type for readers."""
-
-    # The type's definition, followed by those of all types in it.
-    definition: str
-    # REP-2011 hash, 'RIHS01_' and 64 hex digits.
-    type_hash: str
-
-
 def check_installed(type_name: str) -> None:
     """Check that the ament index lists a message type."""
     package, _, interface = type_name.partition('/')
@@ -56,8 +46,8 @@ def check_installed(type_name: str) -> None:
         )
 
 
-def describe(type_name: str) -> TypeDescription:
-    """Return the description of an installed message type."""
+def describe(type_name: str) -> tuple[str, str]:
+    """Return the definition of an installed type with those of all types in it, and its hash."""
     check_installed(type_name)
     description = json.loads(installed_text(type_name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
@@ -67,7 +57,8 @@ def describe(type_name: str) -> TypeDescription:
         text = installed_text(referenced['type_name'], 'msg')
         short_name = referenced['type_name'].replace('/msg/', '/')
         sections.append(f'{SEPARATOR}\nMSG: {short_name}\n{text}')
-    return TypeDescription('\n'.join(sections), hashes[type_name])
+    # The REP-2011 hash: 'RIHS01_' and 64 hex digits.
+    return '\n'.join(sections), hashes[type_name]
 
 
 def installed_text(type_name: str, suffix: str) -> str:
@@ -84,7 +75,8 @@ def installed_text(type_name: str, suffix: str) -> str:
 @cache
 def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
     """Return the decoder of an installed message type."""
-    schema = Schema(1, describe(type_name).definition.encode(), ENCODING, type_name)
+    definition, _ = describe(type_name)
+    schema = Schema(1, definition.encode(), ENCODING, type_name)
     decoder = DecoderFactory().decoder_for('cdr', schema)
     assert decoder is not None
     return decoder

@@ -92,10 +92,9 @@ class LogWriter:
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
         """Add a topic before its first message, and again whenever its QoS changes."""
-        description = describe(type_name)
-        definition = type_name, SchemaEncoding.ROS2, description.definition.encode()
-        metadata = {QOS: qos_profiles_yaml, TYPE_HASH: description.type_hash}
-        self._topics[topic] = definition, metadata
+        text, type_hash = describe(type_name)
+        definition = type_name, SchemaEncoding.ROS2, text.encode()
+        self._topics[topic] = definition, {QOS: qos_profiles_yaml, TYPE_HASH: type_hash}
         self._add_channel(topic)
 
     def _add_channel(self, topic: str) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cache
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import (
     Belief,
@@ -48,15 +48,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     from kbnitp_msgs.msg import BeliefMaps
-
-
-class AssimilatedEvidence(NamedTuple):
-    """The evidence of one deployment that a belief names."""
-
-    key: DeploymentKey
-    # Hashes of the contents of the two messages.
-    path: int
-    report: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,14 +209,14 @@ def belief_maps(
     return message
 
 
-def read_assimilated(message: Any) -> list[AssimilatedEvidence]:
-    """Return the evidence that a kbnitp_msgs/BeliefMaps names."""
-    named = []
+def read_assimilated(message: Any) -> dict[DeploymentKey, tuple[int, int]]:
+    """Return the hashes of the path and the report of each deployment that a belief names."""
+    named = {}
     for number, each in enumerate(message.taken_in):
         if not each.agent:
             raise ValueError(f"taken_in[{number}].agent is '': it must name the agent")
         stamp = read_name(f'taken_in[{number}].deployment', each.deployment)
-        named.append(AssimilatedEvidence(DeploymentKey(each.agent, stamp), each.path, each.report))
+        named[DeploymentKey(each.agent, stamp)] = each.path, each.report
     return named
 
 

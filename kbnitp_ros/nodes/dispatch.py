@@ -16,7 +16,7 @@ from kbnitp_ros.configuration import value_for
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
 from kbnitp_ros.core.inference.record import make_observation
-from kbnitp_ros.log.record import EarlyError, RecordedMission
+from kbnitp_ros.log.record import MissingError, RecordedMission
 from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
@@ -179,7 +179,7 @@ class Dispatch:
                 path = self.in_flight[key].path
                 max_steps = value_for(self._values, 'max_steps', agent)
                 make_observation(report, key, path, self._node.grid, max_steps)
-        except EarlyError as error:
+        except MissingError as error:
             if not self._early.keep(deadline, agent, message):
                 self._node.diagnostics.refuse(f'{agent}/report', error)
             return

@@ -18,8 +18,8 @@ from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import (
     check_same_field,
     Departures,
-    EarlyError,
     is_of_mission,
+    MissingError,
     read_mission,
     record,
 )
@@ -176,7 +176,7 @@ class EstimatorNode(FieldNode):
                 self._departures.check_loss(key)
             named = replace(report, content=content_hash(message))
             changed = self._ledger.record_report(key, named)
-        except EarlyError as error:
+        except MissingError as error:
             if not self._early.keep(deadline, agent, message):
                 self._refuse(f'{agent}/report', error)
         except ValueError as error:

@@ -20,7 +20,7 @@ from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import PARAMETERS, RUN
-from kbnitp_ros.log.record import Departures, EarlyError, read_mission
+from kbnitp_ros.log.record import Departures, MissingError, read_mission
 from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import check_readable, qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
@@ -353,7 +353,7 @@ class RecorderNode(MissionNode):
                 return
             self._check(topic, data)
         except (ValueError, RuntimeError) as error:
-            is_early = isinstance(error, EarlyError)
+            is_early = isinstance(error, MissingError)
             if not (is_early and self._early.keep(deadline, message)):
                 self.diagnostics.refuse(topic.name, error)
             return
@@ -410,7 +410,7 @@ class RecorderNode(MissionNode):
         # Of two departures of one deployment, by two robots of one name, only the first is
         # acknowledged.
         if key not in self._ordered:
-            raise EarlyError(
+            raise MissingError(
                 f'deployment {key} is {status.state.name}, and its path is not on record'
             )
         self._departures.take(key, status)

@@ -196,7 +196,7 @@ def recorded_moments(
     """Return the recorded beliefs as moments, and remarks on missing ones."""
     place = {key: number for number, key in enumerate(keys)}
     ends = list(accumulate(part.stat().st_size for part in log_parts(log.path)))
-    is_any_left_out = any(each.role.name == 'belief' for each in log.left_out.values())
+    is_any_left_out = any(log.roles.by_topic[topic].name == 'belief' for topic, _ in log.left_out)
     moments: list[Moment] = []
     notes = []
     taken = set()

@@ -156,7 +156,7 @@ def check_same(read, written):
         assert one.publish_time in (None, original.publish_time)
         assert one.sequence in (None, original.sequence)
         assert one.qos == yaml.safe_load(original.channel.metadata['offered_qos_profiles'])
-        assert one.type_hash == describe(one.type_name).type_hash
+        assert one.type_hash == describe(one.type_name)[1]
         package, kind, name = one.type_name.split('/')
         message_class = getattr(import_module(f'{package}.{kind}'), name)
         assert same(one.message, deserialize_message(original.data, message_class))
@@ -179,12 +179,12 @@ def write_bag(folder, sent, storage='mcap', version=9, compression=None):
         connections = {}
         for message in sent:
             if message.topic not in connections:
-                description = describe(message.type_name)
+                definition, type_hash = describe(message.type_name)
                 connections[message.topic] = bag.add_connection(
                     message.topic,
                     message.type_name,
-                    msgdef=description.definition,
-                    rihs01=description.type_hash,
+                    msgdef=definition,
+                    rihs01=type_hash,
                     offered_qos_profiles=[QOS],
                 )
             bag.write(connections[message.topic], message.time + 500, message.data)

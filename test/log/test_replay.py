@@ -718,7 +718,7 @@ def rewritten(path, sent, edit):
         log = ros2.Writer(file)
         schemas = {}
         for name in {BELIEF, *(each.type_name for each in sent if each.topic != '/belief')}:
-            definition = describe(name).definition
+            definition, _ = describe(name)
             schemas[name] = log.register_msgdef(
                 name, edit(definition) if name == BELIEF else definition
             )
@@ -785,8 +785,8 @@ def test_a_type_with_another_field_is_refused(
         known = describe(name)
         if name != type_name:
             return known
-        assert field in known.definition
-        return replace(known, definition=known.definition.replace(field, other, 1))
+        assert field in known[0]
+        return known[0].replace(field, other, 1), known[1]
 
     monkeypatch.setattr(writer, 'describe', described)
     path = record(tmp_path / 'mission.mcap', whole_mission.sent)

@@ -5,7 +5,7 @@ from copy import deepcopy
 
 from kbnitp_ros.core import Area, HazardDraws, Lane
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replayed import Grade, RecordedGoal
+from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import decision_message
 from laws import for_each
@@ -46,7 +46,7 @@ def decided(goal, method='kappa_bnitp'):
 
 
 def replayed(folder, sent, goal=LANE):
-    return replay(record(folder / 'mission.mcap', sent), asked=RecordedGoal(goal, MAX_STEPS))
+    return replay(record(folder / 'mission.mcap', sent), asked=(goal, MAX_STEPS))
 
 
 @for_each('goal, method', [(LANE, 'kappa_bnitp_sampled'), (Area([5, 6]), 'kappa_bnitp')])

@@ -120,7 +120,7 @@ def from_log(message: object, data: bytes) -> object:
     """Return a message decoded by the log's reader, without packages of ROS."""
     package = type(message).__module__.partition('.')[0]
     type_name = f'{package}/msg/{type(message).__name__}'
-    definition = describe(type_name).definition.encode()
+    definition = describe(type_name)[0].encode()
     schema = Schema(id=1, name=type_name, encoding=ENCODING, data=definition)
     decode = DecoderFactory().decoder_for('cdr', schema)
     assert decode is not None
