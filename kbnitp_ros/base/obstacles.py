@@ -202,7 +202,10 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.ACTION_UNRECORDED:
             return now.unrecorded_action
         case Obstacle.NO_BELIEF:
-            return first_belief(now)
+            start = 'its estimator waits for the nodes in its parameter await_nodes'
+            return f'the belief on {belief_topic(now)}: ' + (
+                start if now.estimators else 'start an estimator'
+            )
         case Obstacle.UNREPORTED:
             return report(now)
         case Obstacle.BELIEF_BEHIND:
@@ -253,14 +256,6 @@ def not_repeated(kept: int) -> str:
         f', and publishers keep only the last {kept} of each agent: restart the estimator with '
         'the parameter resume set to the log'
     )
-
-
-def first_belief(now: PlannerState) -> str:
-    """Describe the wait for the first belief."""
-    wait = f'the belief on {belief_topic(now)}'
-    if not now.estimators:
-        return f'{wait}: start an estimator'
-    return f'{wait}: its estimator waits for the nodes in its parameter await_nodes'
 
 
 def next_belief(now: PlannerState) -> str:

@@ -5,17 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from threading import Thread
 import time
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_plan
-from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_round, RobotType, Team
+from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_round, Team
 from kbnitp_ros.core.decision.rounds import why_worthless
 from kbnitp_ros.core.planning.planners import count_visits
 from kbnitp_ros.core.planning.regions import keepout_cells
@@ -43,8 +43,9 @@ def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Futur
     return future
 
 
-class SearchRequest(NamedTuple):
-    """A request for the paths of a round."""
+@dataclass(frozen=True)
+class Search:
+    """A search for the paths of a round; two are equal if they are for the same round."""
 
     # The stamp of the belief, nanoseconds, and its number of deployments.
     belief: tuple[int, int]
@@ -54,22 +55,22 @@ class SearchRequest(NamedTuple):
     refused: int
     # Number of parameter changes.
     changes: int
+    # The result; None before the start.
+    found: Future[PlannedRound] | None = field(default=None, compare=False)
 
-    def lasts(self, now: SearchRequest, is_rolling: bool) -> bool:
-        """Return whether plans found for this may still be used."""
+    @property
+    def is_running(self) -> bool:
+        """Return whether the result is missing."""
+        return self.found is not None and not self.found.done()
+
+    def lasts(self, now: Search, is_rolling: bool) -> bool:
+        """Return whether its plans may still be used for the present round."""
         # Where robots leave one by one, they do not wait for the newest belief.
         return (
             (is_rolling or self.belief == now.belief)
             and {*self.agents} <= {*now.agents}
             and (self.refused, self.changes) == (now.refused, now.changes)
         )
-
-
-class Search(NamedTuple):
-    """A running search for the paths of the next round."""
-
-    request: SearchRequest
-    found: Future[PlannedRound]
 
 
 # In flight together, by deployment.
@@ -123,10 +124,9 @@ class Rounds:
         noted: Sequence[NDArray[np.intp]] = (),
     ) -> Callable[[], PlannedRound]:
         """Start the search for the paths of a round."""
-
-        def robot_type(agent: str) -> RobotType:
-            return type_to_plan(self._values, agent, self._grid, known.robot_types)
-
+        robot_type = partial(
+            type_to_plan, self._values, grid=self._grid, believed=known.robot_types
+        )
         types = tuple(map(robot_type, agents))
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = self._knowledge.goal, make_stop(self._values)

@@ -14,13 +14,13 @@ from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.configuration.table import MAX_SIDE
 from kbnitp_ros.core import Grid, World
 from kbnitp_ros.files import read_yaml
-from kbnitp_ros.maps import Datum, Map, read_map
+from kbnitp_ros.maps import Map, read_map
 from kbnitp_ros.messages.grids import rounded_resolution, rounded_yaw
 import numpy as np
 from numpy.typing import NDArray
 
 
-def make_grid(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
+def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
     """Return the grid that these parameters describe."""
     position = values['grid.base_position']
     if position and len(position) != 2:
@@ -29,9 +29,9 @@ def make_grid(values: Mapping[str, Any], heard: Map | None = None) -> Grid:
         )
     if values['map'] and values['map_topic']:
         raise ValueError('parameters map and map_topic are both given: give one of them')
-    if heard is None and values['map_topic']:
+    if received is None and values['map_topic']:
         raise ValueError('parameter map_topic is given, but no map was received on it')
-    field = read_map(values['map']) if values['map'] else heard
+    field = read_map(values['map']) if values['map'] else received
     side = rounded_resolution(values['grid.resolution'])
     corners = values['grid.corners']
     steps = {
@@ -92,11 +92,6 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
                 f'base {grid.base} of the mission: choose a cell that is joined to it'
             )
     return grid
-
-
-def make_datum(values: Mapping[str, Any]) -> Datum | None:
-    """Return the geographic datum of these parameters, or None; ValueError if off the earth."""
-    return Datum.of(values['datum'])
 
 
 PRESENT = {'.': False, 'x': True}

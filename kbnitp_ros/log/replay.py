@@ -140,7 +140,7 @@ class Fold:
             raise
         except MissingError as error:
             self._find(self.report.not_compared, newest, str(error))
-            self.views.pass_over(stamp)
+            self.views.unknown[stamp] += 1
         except ValueError as error:
             self.report.compared[self._topic] += 1
             self._find(self.report.mismatches, newest, str(error))

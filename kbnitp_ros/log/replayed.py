@@ -221,7 +221,7 @@ class ReplayedViews:
         # Computed views by role and stamp; beliefs may share a stamp.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
         # Number of recorded beliefs of a stamp that were not computed.
-        self._unknown: Counter[int] = Counter()
+        self.unknown: Counter[int] = Counter()
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
         """Keep a view until all beliefs are computed; of a grid only a digest."""
@@ -241,10 +241,6 @@ class ReplayedViews:
             del fields.reason
             self._expected['model', stamp].append((newest, fields))
 
-    def pass_over(self, stamp: int) -> None:
-        """Record a belief that was not computed, so that its views are unknown."""
-        self._unknown[stamp] += 1
-
     def compare(self, report: ReplayReport) -> None:
         """Compare each view with the beliefs of its stamp; some may be missing."""
         for (role, topic), views in self._recorded.items():
@@ -262,7 +258,7 @@ class ReplayedViews:
                         others.append((index, view))
                         continue
                     report.compared[topic] += 1
-                del others[: self._unknown[stamp]]
+                del others[: self.unknown[stamp]]
                 for (index, view), (newest, computed) in zip(others, unseen):
                     report.compared[topic] += 1
                     report.add(BeliefFinding(topic, index, newest, differs(view, computed)))

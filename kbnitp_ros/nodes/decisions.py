@@ -65,12 +65,13 @@ class Decisions:
                 self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:
-        """Use a belief, the newest."""
+        """Decide on a belief, the newest, and act."""
         if not newest.deployments:
             self.knowledge.begin(newest)
         self._newest = newest
         self.review()
         self._decide()
+        self._act()
 
     def review(self) -> None:
         """Request a new decision at the next poll."""

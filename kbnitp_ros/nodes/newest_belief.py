@@ -49,11 +49,6 @@ class NewestBelief:
         self._subscription: Subscription | None = None
         node.subscribe_to_diagnostics(self._on_diagnostics)
 
-    @property
-    def newest(self) -> Snapshot | None:
-        """Return the newest belief; None before the first."""
-        return self.tracker.newest
-
     def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
         evidence = tuple(f'{agent}/' for agent in self._agents)
         said = values.get(LAST_REFUSAL, '')

@@ -10,7 +10,7 @@ from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
 from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.base.rounds import describe_plan, Plans, SearchRequest
+from kbnitp_ros.base.rounds import describe_plan, Plans, Search
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.deployments import path_message
@@ -34,59 +34,34 @@ from std_srvs.srv import SetBool, Trigger
 Response = Any
 
 
-class Proposals:
-    """The plans of the next round, on AGENT/proposal until they are approved or refused."""
-
-    def __init__(self, node: MissionNode, grid: Grid, agents: Sequence[str]) -> None:
-        # Empty when there is no proposal; and the request that it answers.
-        self.plans: Plans = {}
-        self.made_for: SearchRequest | None = None
-        self._node = node
-        self._grid = grid
-        self._publishers = {
-            agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
-            for agent in agents
-        }
-
-    def show(self, plans: Plans, request: SearchRequest) -> None:
-        """Propose the plans found for a request."""
-        self.withdraw()
-        self.plans, self.made_for = plans, request
-        for key, plan in plans.items():
-            self._publishers[key.agent].publish(path_message(self._grid, plan.path, key.stamp))
-            self._node.get_logger().info(
-                f'proposed for {key.agent}: {describe_plan(self._grid, plan)}'
-            )
-
-    def withdraw(self) -> None:
-        """Withdraw the proposals."""
-        for key in self.plans:
-            self._publishers[key.agent].publish(Path(header=header(key.stamp)))
-        self.plans = {}
-
-
 class Operator:
-    """The services of the operator, who takes one action at a time."""
+    """The services of the operator, who takes one action at a time, and the proposed plans."""
 
     def __init__(
         self,
         node: MissionNode,
         grid: Grid,
+        agents: Sequence[str],
         in_flight: DeploymentsInFlight,
-        proposals: Proposals,
         hold: Callable[[bool], None],
         act: Callable[[OperatorAction], None],
     ) -> None:
         self.state = OperatorState()
+        # The plans of the next round that wait for approval, and the search that found them.
+        self.proposed: Plans = {}
+        self.proposed_by: Search | None = None
         self._node = node
         self._grid = grid
         self._in_flight = in_flight
-        self._proposals = proposals
         self._hold = hold
         self._act = act
         # The action that is not on disk yet, and the hash of its message.
         self._pending: tuple[OperatorAction, int, Response, Future] | None = None
         self._publisher = node.create_publisher(OperatorActionMessage, 'operator', qos.EVIDENCE)
+        self._proposals = {
+            agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
+            for agent in agents
+        }
         node.create_service(SetBool, 'pause', self._on_pause)
         node.create_service(SetBool, 'approve', self._on_approve)
         node.create_service(GiveUp, 'give_up', self._on_give_up)
@@ -98,6 +73,22 @@ class Operator:
         """Restore an action on record, and publish it again for nodes that join late."""
         if self.state.apply(action):
             self._publisher.publish(data)
+
+    def propose(self, plans: Plans, search: Search) -> None:
+        """Publish the plans that a search found on AGENT/proposal."""
+        self.withdraw()
+        self.proposed, self.proposed_by = plans, search
+        for key, plan in plans.items():
+            self._proposals[key.agent].publish(path_message(self._grid, plan.path, key.stamp))
+            self._node.get_logger().info(
+                f'proposed for {key.agent}: {describe_plan(self._grid, plan)}'
+            )
+
+    def withdraw(self) -> None:
+        """Withdraw the proposals."""
+        for key in self.proposed:
+            self._proposals[key.agent].publish(Path(header=header(key.stamp)))
+        self.proposed = {}
 
     @property
     def awaited(self) -> str:
@@ -118,7 +109,7 @@ class Operator:
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)
 
     def _on_approve(self, request: SetBool.Request, response: Response) -> Response | Future:
-        paths = {key: plan.path for key, plan in self._proposals.plans.items()}
+        paths = {key: plan.path for key, plan in self.proposed.items()}
         if not paths:
             why = '' if self._node.values['approval'] else ': the parameter approval is false'
             if self.state.is_paused:

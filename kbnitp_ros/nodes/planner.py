@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 from kbnitp_ros.base.checks import (
@@ -16,7 +17,7 @@ from kbnitp_ros.base.checks import (
 from kbnitp_ros.base.deployments_in_flight import check_periods
 from kbnitp_ros.base.mission_tracker import missing_plans, read_planner_record
 from kbnitp_ros.base.obstacles import AgentPresence, describe_obstacle, Obstacle, PlannerState
-from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search, SearchRequest
+from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search
 from kbnitp_ros.configuration import agent_names
 from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
 from kbnitp_ros.configuration.mission import check_search
@@ -30,7 +31,7 @@ from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
-from kbnitp_ros.nodes.operator_services import Operator, Proposals
+from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.presence import HoldPublisher, Peers
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -58,20 +59,19 @@ class PlannerNode(FieldNode):
         self._rounds = Rounds(self.grid, self.values, self.get_logger().warning, knowledge)
         self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
         self._in_flight = self._dispatch.in_flight
-        self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._on_newest)
+        self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._decisions.take)
         self._bounds = BoundedProgress(self) if self.values['bound'] else None
         self._peers = Peers(self, self._agents)
-        self._proposals = Proposals(self, self.grid, self._agents)
         # The search for the next round; its result is kept while robots must wait.
         self._search: Search | None = None
         # Number of parameter changes.
         self._changes = 0
-        # The request for which no path was worth a robot, and why.
-        self._worthless_for: SearchRequest | None = None
+        # The search that found no path worth a robot, and why.
+        self._worthless_for: Search | None = None
         self._why_worthless = ''
         self._holding = HoldPublisher(self)
         self._operator = Operator(
-            self, self.grid, self._in_flight, self._proposals, self._holding.publish, self._act
+            self, self.grid, self._agents, self._in_flight, self._holding.publish, self._act
         )
         self._has_subscribers = False
         self._end_logged = ''
@@ -98,7 +98,8 @@ class PlannerNode(FieldNode):
         # A round of one robot, or of robots that leave independently, has no missing part.
         has_rounds = len(self._agents) > 1 and not self.values['rolling']
         if has_rounds and (missing := missing_plans(log, record, self._agents, self._rounds)):
-            self._send(*missing)
+            plans, mission = missing
+            self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
         self._decisions.restore(record)
 
     def _log_reachability(self) -> None:
@@ -115,7 +116,7 @@ class PlannerNode(FieldNode):
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
         """Refuse parameters that a running mission cannot change to."""
         new = {each.name: each.value for each in changes}
-        newest = self._beliefs.newest
+        newest = self._beliefs.tracker.newest
         believed = newest.robot_types if newest else {}
         try:
             check_changes(new, self.values, self.grid, believed, self._sent)
@@ -137,10 +138,6 @@ class PlannerNode(FieldNode):
         self._dispatch.give_up_overdue()
         self._deploy()
 
-    def _on_newest(self, belief: Snapshot) -> None:
-        self._decisions.take(belief)
-        self._deploy()
-
     @property
     def _sent(self) -> int:
         """Return the number of robots sent, those that only the belief knows of included."""
@@ -156,7 +153,7 @@ class PlannerNode(FieldNode):
 
     def _planner_state(self) -> PlannerState:
         """Return the state that decides whether robots leave."""
-        newest = self._beliefs.newest
+        newest = self._beliefs.tracker.newest
         return PlannerState(
             values=self.values,
             agents={
@@ -181,9 +178,9 @@ class PlannerNode(FieldNode):
             missing_listeners=self._missing_listeners,
             topic=self.resolve_topic_name,
             service=self.resolve_service_name,
-            searched=self._search.request.agents if self._search else (),
+            searched=self._search.agents if self._search else (),
             why_worthless=self._why_worthless,
-            proposed=tuple(self._proposals.plans),
+            proposed=tuple(self._operator.proposed),
         )
 
     def _missing_listeners(self) -> str:
@@ -205,12 +202,12 @@ class PlannerNode(FieldNode):
         if obstacle := now.obstacle:
             self._publish_obstacle(now, obstacle)
             if obstacle is not Obstacle.ACTION_UNRECORDED:
-                self._proposals.withdraw()
+                self._operator.withdraw()
             is_over = obstacle.is_end and not self.values['keep_running']
             if is_over and not self._dispatch.late:
                 self.end()
             return
-        newest = self._beliefs.newest
+        newest = self._beliefs.tracker.newest
         assert newest is not None
         try:
             plans = self._next_plans(newest, now.free_agents[: now.robots - now.sent])
@@ -226,8 +223,8 @@ class PlannerNode(FieldNode):
         if self.values['approval'] and not self._are_approved(plans):
             self._publish_obstacle(self._planner_state(), Obstacle.UNAPPROVED)
             return
-        self._proposals.withdraw()
-        self._send(plans, newest.mission)
+        self._operator.withdraw()
+        self._dispatch.send(plans, self._beliefs.tracker.begin(newest.mission))
 
     def _publish_obstacle(self, now: PlannerState, obstacle: Obstacle) -> None:
         """Show what blocks the next deployment, and publish a new state of the mission at once."""
@@ -262,20 +259,20 @@ class PlannerNode(FieldNode):
         """Return the plans of the next robots: the proposed ones if they still apply."""
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
-        now = SearchRequest(belief, agents, len(refused), self._changes)
-        if self._proposals.plans and self._proposals.made_for == now:
-            return self._proposals.plans
+        now = Search(belief, agents, len(refused), self._changes)
+        if self._operator.proposed and self._operator.proposed_by == now:
+            return self._operator.proposed
         search = self._search
-        if self._worthless_for == now or (search is not None and not search.found.done()):
+        if self._worthless_for == now or (search and search.is_running):
             return {}
-        if search and not search.request.lasts(now, self.values['rolling']):
+        if search and not search.lasts(now, self.values['rolling']):
             self.get_logger().info(
-                f'discarding the plan for {some(search.request.agents)}: the belief, the team, a '
+                f'discarding the plan for {some(search.agents)}: the belief, the team, a '
                 'parameter or a refusal of the operator changed during the search'
             )
             search = None
         if search is None:
-            self._proposals.withdraw()
+            self._operator.withdraw()
             # The stamp of the belief: a restarted planner then sends the same message again.
             held = -1 if newest.newest is None else newest.newest.stamp
             last = self._dispatch.last_stamp
@@ -283,18 +280,19 @@ class PlannerNode(FieldNode):
             paths = self._in_flight.paths
             find = self._rounds.search(newest, agents, paths, stamp, refused)
             found = computed(find, partial(self.call_next, self._on_search_over))
-            self._search = Search(now, found)
+            self._search = replace(now, found=found)
             return {}
         self._search = None
+        assert search.found is not None
         planned = search.found.result()
         self._rounds.warn_if_slow(planned)
         self._decisions.not_worth = planned.why_not_worth
         if planned.why_worthless:
-            self._worthless_for = search.request
+            self._worthless_for = search
             self._why_worthless = planned.why_worthless
             return {}
         if self.values['approval'] and not self._are_approved(planned.plans):
-            self._proposals.show(planned.plans, search.request)
+            self._operator.propose(planned.plans, search)
         for plan in planned.plans.values():
             if self._bounds and plan.upper_bound is not None:
                 self._bounds.show(newest.stamp, plan.upper_bound)
@@ -302,19 +300,15 @@ class PlannerNode(FieldNode):
 
     def _on_search_over(self) -> None:
         self._deploy()
-        if self._search and self._search.found.done():
+        if self._search and not self._search.is_running:
             self.get_logger().info(
-                f'the plan for {some(self._search.request.agents)} is ready, and kept: '
+                f'the plan for {some(self._search.agents)} is ready, and kept: '
                 f'{self.diagnostics.state}'
             )
 
     def _are_approved(self, plans: Plans) -> bool:
         paths = {key: plan.path for key, plan in plans.items()}
         return self._operator.state.is_approved(self._in_flight.sent, paths)
-
-    def _send(self, plans: Plans, mission: int) -> None:
-        """Publish the paths of robots that leave now; the first ones begin a mission."""
-        self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
 
 
 main = partial(run, 'planner', PlannerNode)

@@ -39,6 +39,8 @@ class RecordedPaths(Generic[P]):
     ) -> None:
         self._node = node
         self.agent = agent
+        # Whether paths are accepted.
+        self.is_listening = False
         self._read = read
         self._take = take
         # Paths that are not acknowledged, by stamp and content.
@@ -51,6 +53,7 @@ class RecordedPaths(Generic[P]):
 
     def listen(self) -> None:
         """Subscribe to the paths."""
+        self.is_listening = True
         self._node.subscribe_to_agent(Path, self.agent, self._on_path)
         if self._node.values['recorded']:
             self._recorded = self._subscribe_to_recorded()
@@ -158,18 +161,11 @@ class PendingPaths(RecordedPaths[Deployment]):
         refuse: Callable[[Deployment, str], object],
     ) -> None:
         super().__init__(node, agent, self._read_path, self._take_path)
-        # Whether paths are accepted.
-        self.is_listening = False
         self._journal = journal
         self._accept = accept
         self._refuse_order = refuse
         self._pending: dict[int, Deployment] = {}
         self._last = 0.0
-
-    def listen(self) -> None:
-        """Subscribe to the paths."""
-        self.is_listening = True
-        super().listen()
 
     def _read_path(self, message: Path) -> Deployment | None:
         key, path = self._node.read_path(self.agent, message)
@@ -186,22 +182,17 @@ class PendingPaths(RecordedPaths[Deployment]):
 
     def _take_path(self, deployment: Deployment) -> None:
         self._last = time.monotonic()
-        if why := self._why_earlier(deployment.mission):
-            self._refuse_order(deployment, why)
+        own = self._journal.mission
+        if own is not None and deployment.mission < own:
+            self._refuse_order(
+                deployment,
+                f'it belongs to {named(deployment.mission)}, and journal {self._journal.path} to '
+                f'{named(own)}, which is later (was a clock set back?): for this mission name '
+                'another file by the parameter journal',
+            )
             return
         self._pending[deployment.stamp] = deployment
         self._accept(deployment)
-
-    def _why_earlier(self, mission: int) -> str:
-        """Return that a mission is older than the journal's; empty if it is not."""
-        own = self._journal.mission
-        if own is None or mission >= own:
-            return ''
-        return (
-            f'it belongs to {named(mission)}, and journal {self._journal.path} to {named(own)}, '
-            'which is later (was a clock set back?): for this mission name another file by the '
-            'parameter journal'
-        )
 
     @property
     def newest(self) -> Deployment | None:

@@ -156,14 +156,10 @@ class RecorderNode(MissionNode):
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
-            self._show_life()
-
-    def _show_life(self) -> None:
-        """Publish diagnostics while writing a backlog, or another recorder may take over."""
-        now = time.monotonic()
-        if now > self._shown_at + PERIOD:
-            self._shown_at = now
-            self.diagnostics.publish()
+            # A silent recorder is taken for dead, and another one may take over.
+            if time.monotonic() > self._shown_at + PERIOD:
+                self._shown_at = time.monotonic()
+                self.diagnostics.publish()
 
     def close(self) -> None:
         """Finish the file."""

@@ -82,19 +82,14 @@ class Transforms:
                     f'the last transform from {parent!r} to {frame!r} is older than {oldest} s '
                     '(parameter tf_timeout)'
                 )
-            place = translation + rotated(place, rotation)
+            axis, w = rotation[:3], rotation[3]
+            turn = 2 * np.cross(axis, np.cross(axis, place) + w * place)
+            place = translation + (place + turn)
             frame, stamp = parent, min(stamp, changed)
             odometry = since if odometry is None else odometry
         return Place(
             float(place[0]), float(place[1]), stamp, now if odometry is None else odometry
         )
-
-
-def rotated(vector: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotate a vector by a unit quaternion x, y, z, w."""
-    axis, w = by[:3], by[3]
-    turned: NDArray[np.float64] = vector + 2 * np.cross(axis, np.cross(axis, vector) + w * vector)
-    return turned
 
 
 # Values of sensor_msgs/NavSatFix: the lowest status of a fix, and no known covariance.

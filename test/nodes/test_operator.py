@@ -189,7 +189,7 @@ def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
     request.addfinalizer(rclpy.shutdown)
     node = MissionNode('planner')
     ignore = lambda _: None  # noqa: E731
-    operator = Operator(node, GRID, DeploymentsInFlight({}, 1), None, ignore, ignore)
+    operator = Operator(node, GRID, [], DeploymentsInFlight({}, 1), ignore, ignore)
 
     def call(data):
         return operator._on_pause(SetBool.Request(data=data), SetBool.Response())

@@ -87,7 +87,6 @@ def test_a_recorder_with_a_backlog_publishes_diagnostics(monkeypatch):
         _shown_at=0.0,
         diagnostics=SimpleNamespace(publish=lambda: heard.append(0.5 * len(written))),
     )
-    node._show_life = lambda: recorder.RecorderNode._show_life(node)
     waiting = SimpleNamespace(arrived=lambda: [iter(arrived)])
     recorder.RecorderNode._write_arrived_on(node, [waiting])
     assert len(written) == 100
