@@ -65,33 +65,30 @@ SERIES = (
 RETURNED, LOST = SERIES[0], SERIES[1]
 
 
-@dataclass(frozen=True)
-class Scale:
-    """The colours of a probability, which diverge at the prior."""
+# Colours of a probability at 0, half way to the prior, at it, half way from it to 1, and at 1, as
+# '#rrggbb'.
+Scale = tuple[str, str, str, str, str]
 
-    # At 0, half way to the prior, at it, half way from it to 1, and at 1, as '#rrggbb'.
-    colours: tuple[str, str, str, str, str]
 
-    def stops(self, prior: float) -> list[tuple[float, str]]:
-        """Return the position of each colour from 0 to 1, for a `prior`."""
-        middle = min(max(prior, NARROWEST), 1.0 - NARROWEST)
-        places = (0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0)
-        return list(zip(places, self.colours))
+def stops(scale: Scale, prior: float) -> list[tuple[float, str]]:
+    """Return the position of each colour from 0 to 1, diverging at the prior."""
+    middle = min(max(prior, NARROWEST), 1.0 - NARROWEST)
+    return list(zip((0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0), scale))
 
 
 # Minimum width of each half of a scale.
 NARROWEST = 0.1
 
 # Colours of the maps, on light paper and on a dark screen: no news has neither colour.
-MAPS = {
-    'hazard': Scale(('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d')),
-    'target': Scale(('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b')),
-    'kappa': Scale(('#f0a94e', '#fad6a5', '#f7f7f7', '#a48cc4', '#40004b')),
+MAPS: dict[str, Scale] = {
+    'hazard': ('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d'),
+    'target': ('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b'),
+    'kappa': ('#f0a94e', '#fad6a5', '#f7f7f7', '#a48cc4', '#40004b'),
 }
-DARK_MAPS = {
-    'hazard': Scale(('#3a7fb5', '#315878', '#2e3238', '#a3523a', '#ffab8c')),
-    'target': Scale(('#80602c', '#58492f', '#2e3238', '#3f7f4a', '#a5f3b0')),
-    'kappa': Scale(('#a8702a', '#6b5230', '#2e3238', '#77609b', '#e3c8ff')),
+DARK_MAPS: dict[str, Scale] = {
+    'hazard': ('#3a7fb5', '#315878', '#2e3238', '#a3523a', '#ffab8c'),
+    'target': ('#80602c', '#58492f', '#2e3238', '#3f7f4a', '#a5f3b0'),
+    'kappa': ('#a8702a', '#6b5230', '#2e3238', '#77609b', '#e3c8ff'),
 }
 
 # Colours of the number of robots lost in a cell, from none to the most.
@@ -196,7 +193,7 @@ def draw_map(
 ) -> None:
     """Draw one probability for each cell, seen from above, bases as white squares."""
     image = np.where(grid.free, values, np.nan).reshape(grid.height, grid.width)
-    colours = LinearSegmentedColormap.from_list(title, scale.stops(prior))
+    colours = LinearSegmentedColormap.from_list(title, stops(scale, prior))
     drawn = axes.imshow(
         image,
         origin='lower',
@@ -287,9 +284,9 @@ def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], styl
             alpha=max(0.08, DARKEST / max(1, len(observations)) ** 0.5),
         )
     )
-    heard = [each.path[each.steps_survived] for each in observations if each.steps_survived]
-    if heard:
-        axes.plot(*grid.centers(heard).T, style.marker, color=style.colour, markersize=3)
+    contacts = [each.path[each.steps_survived] for each in observations if each.steps_survived]
+    if contacts:
+        axes.plot(*grid.centers(contacts).T, style.marker, color=style.colour, markersize=3)
 
 
 # Quantiles of the bands, and their opacities.

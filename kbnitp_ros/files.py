@@ -107,10 +107,6 @@ class NotYamlError(ValueError):
     """A text is no YAML, for example since it was cut off."""
 
 
-class KeyTwiceError(ValueError):
-    """A mapping has a key twice."""
-
-
 def read_yaml(path: str | Path) -> Any:
     """Return the content of a YAML file; raise OSError or as `parse_yaml`."""
     with naming(path):
@@ -118,22 +114,17 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def parse_yaml(text: str | bytes) -> Any:
-    """Return the content of a YAML text; raise NotYamlError or KeyTwiceError."""
+    """Return the content of a YAML text; raise NotYamlError, or ValueError for a repeated key."""
     try:
-        loader = Loader(text)
-        try:
-            node = loader.get_single_node()
-            if node is None:
-                return None
-            check_keys(node, set())
-            return loader.construct_document(node)
-        finally:
-            loader.dispose()
-    except KeyTwiceError:
-        raise
+        node = yaml.compose(text, Loader)
+        if node is None:
+            return None
+        content = Loader('').construct_document(node)
     except Exception as error:
         # PyYAML raises many types on a value that does not match its tag.
         raise NotYamlError(f'it is not YAML: {" ".join(str(error).split())}') from error
+    check_keys(node, set())
+    return content
 
 
 def check_keys(node: yaml.Node, seen: set[int]) -> None:
@@ -149,7 +140,7 @@ def check_keys(node: yaml.Node, seen: set[int]) -> None:
             if isinstance(key, yaml.ScalarNode):
                 line = key.start_mark.line + 1
                 if key.value in lines:
-                    raise KeyTwiceError(
+                    raise ValueError(
                         f'the key {key.value!r} stands in line {line} and in line '
                         f'{lines[key.value]}'
                     )

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import argparse
+from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from functools import partial
 from itertools import pairwise
 from math import inf
@@ -258,72 +259,55 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
             # The progress bar says it.
             levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
             processes.start(node, {**parameters[node], **awaited}, levels=levels)
-        with observed(domain) as observer:
-            observer.watch(parameters['planner']['robots'], processes)
+        watch(parameters['planner']['robots'], processes, domain)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
         raise RuntimeError(f'nodes did not end well, by exit code: {failed}')
 
 
-@contextmanager
-def observed(domain: int) -> Iterator[Observer]:
-    """Yield an observer of the mission on the domain."""
+def most_left(progress: Progress | None, robots: int) -> float:
+    """Return the longest wait for the next change, in seconds."""
+    now = progress or Progress()
+    # The reason is empty unless the estimator refuses evidence.
+    if now.reason.startswith(BELIEF_AWAITED):
+        return OPERATOR_WAIT
+    if now.out:
+        return inf
+    if now.state in (MissionState.DONE, MissionState.ENDED):
+        return 0.0
+    # Nobody can call the services of the planner, which may be about to search again.
+    if now.reason.startswith(OPERATOR_AWAITED):
+        return OPERATOR_WAIT
+    return END_WAIT if progress and now.deployments >= robots else inf
+
+
+def watch(robots: int, processes: Processes, domain: int) -> None:
+    """Show the progress of a mission until it is over, or waits for an operator."""
     os.environ.update(environment(domain))
     rclpy.init(
         args=['--ros-args', '--enclave', '/observer'],
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    observer = Observer('observer')
+    node, executor = Node('observer'), SingleThreadedExecutor()
+    # The last message; empty until the first belief.
+    received = deque[Progress](maxlen=1)
+    node.create_subscription(
+        Progress, 'progress', lambda message: received.append(message), qos.LATCHED
+    )
+    executor.add_node(node)
+    now, known, since = None, (0, ''), time.monotonic()
     try:
-        yield observer
-    finally:
-        observer.destroy_node()
-        try_shutdown()
-
-
-class Observer(Node):
-    """Show a mission's progress."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        # None until the first belief.
-        self._progress: Progress | None = None
-        self.create_subscription(Progress, 'progress', self._on_progress, qos.LATCHED)
-
-    def _on_progress(self, message: Progress) -> None:
-        self._progress = message
-
-    def _most_left(self, robots: int) -> float:
-        """Return the longest wait for the next change, in seconds."""
-        now = self._progress or Progress()
-        # The reason is empty unless the estimator refuses evidence.
-        if now.reason.startswith(BELIEF_AWAITED):
-            return OPERATOR_WAIT
-        if now.out:
-            return inf
-        if now.state in (MissionState.DONE, MissionState.ENDED):
-            return 0.0
-        # Nobody can call the services of the planner, which may be about to search again.
-        if now.reason.startswith(OPERATOR_AWAITED):
-            return OPERATOR_WAIT
-        return END_WAIT if self._progress and now.deployments >= robots else inf
-
-    def watch(self, robots: int, processes: Processes) -> None:
-        """Wait until the mission is over, or only an operator could go on with it."""
-        executor = SingleThreadedExecutor()
-        executor.add_node(self)
-        known, since = (0, ''), time.monotonic()
         with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
-            while time.monotonic() <= since + self._most_left(robots):
+            while time.monotonic() <= since + most_left(now, robots):
                 executor.spin_once(timeout_sec=0.2)
                 if processes.ended():
                     raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
-                now = self._progress
-                if now is None:
-                    present = self.get_node_names()
+                if not received:
+                    present = node.get_node_names()
                     absent = [name for name in NODES if name not in present]
                     bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
                     continue
+                now = received[0]
                 bar.set_description('deploying', refresh=False)
                 entropy = f'{now.hazard_entropy + now.target_entropy:.1f} nats'
                 bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
@@ -332,6 +316,9 @@ class Observer(Node):
                     since = time.monotonic()
         if now is not None and now.deployments < robots:
             say(now.reason)
+    finally:
+        node.destroy_node()
+        try_shutdown()
 
 
 def conclude(log: Path, note: str) -> int:

@@ -11,8 +11,8 @@ from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
-from kbnitp_ros.report.comparison import check_one_field, comparison_page, Pair
-from kbnitp_ros.report.folder import check_is_free, PARTS, write_comparison, write_report
+from kbnitp_ros.report.comparison import check_one_field, comparison_page
+from kbnitp_ros.report.folder import check_is_free, PARTS, whole_folder, write_report
 from kbnitp_ros.report.mission import Mission, read_mission
 from kbnitp_ros.report.tables import mission_curves
 from tqdm import tqdm
@@ -90,8 +90,9 @@ def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
     """Write the page of two missions, with progress bars on a terminal."""
     missions = [read(first), read(second)]
     check_one_field(*missions)
-    page = comparison_page(*(Pair(each, mission_curves(each, CURVES)) for each in missions))
-    write_comparison(folder, page)
+    page = comparison_page(*((each, mission_curves(each, CURVES)) for each in missions))
+    with whole_folder(folder) as new:
+        new.joinpath('comparison.html').write_text(page, encoding='utf-8')
     say(f'wrote {folder / "comparison.html"}')
     return missions
 

@@ -29,12 +29,7 @@ from kbnitp_ros.messages.deployments import read_path_name, read_report, read_st
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import mission_of_path, read_stamp
 from kbnitp_ros.messages.operator_actions import read_action_name
-from kbnitp_ros.messages.progress import (
-    check_decision,
-    MissionState,
-    MissionStatus,
-    read_model_belief,
-)
+from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 DECISION = 'kbnitp_msgs/msg/Decision'
@@ -328,7 +323,7 @@ def read_content(role: Role, message: Any) -> Any:
             return check_decision(message)
         case 'progress':
             read_stamp('header.stamp', message.header.stamp)
-            return MissionStatus(MissionState(message.state), message.reason)
+            return MissionState(message.state), message.reason
     return read_occupancy_grid(message) if role.type_name == GRID else None
 
 

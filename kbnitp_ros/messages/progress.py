@@ -39,14 +39,10 @@ class MissionState(IntEnum):
     ENDED = 4
 
 
-class MissionStatus(NamedTuple):
-    """The state of a mission and its reason; empty where the state says all."""
+# The state of a mission and its reason; empty where the state says all.
+MissionStatus = tuple[MissionState, str]
 
-    state: MissionState
-    reason: str
-
-
-NOT_KNOWN = MissionStatus(MissionState.UNKNOWN, '')
+NOT_KNOWN: MissionStatus = (MissionState.UNKNOWN, '')
 
 
 def progress_message(
@@ -55,7 +51,7 @@ def progress_message(
     world: World | None,
     stamp: int,
     out: int,
-    standing: MissionStatus = NOT_KNOWN,
+    status: MissionStatus = NOT_KNOWN,
 ) -> msg.Progress:
     """Return a ledger's progress message; `before` is its estimator one deployment earlier."""
     from kbnitp_msgs import msg
@@ -81,8 +77,8 @@ def progress_message(
         hazard_log_loss=log_loss(belief.hazard, world.hazard) if world else nan,
         target_log_loss=log_loss(belief.target, world.target) if world else nan,
         upper_bound=nan,
-        state=standing.state,
-        reason=standing.reason,
+        state=status[0],
+        reason=status[1],
     )
 
 

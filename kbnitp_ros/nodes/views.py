@@ -12,7 +12,7 @@ from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import MissionState, MissionStatus, NOT_KNOWN, progress_message
+from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -103,7 +103,7 @@ class Views:
         # ledger is shown, so it still holds that belief then.
         self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
         self._message = Progress()
-        self._standing = NOT_KNOWN
+        self._status = NOT_KNOWN
         # Number of robots in flight.
         self.out = 0
         self._is_progress_pending = False
@@ -126,10 +126,10 @@ class Views:
         state = MissionState.__members__.get(values.get(MISSION_STATE, ''))
         if state is None or name.rpartition('/')[0] != own:
             return
-        standing = MissionStatus(state, values.get(MISSION_REASON, ''))
-        if standing != self._standing:
-            self._standing = standing
-            self._message.state, self._message.reason = standing
+        status = state, values.get(MISSION_REASON, '')
+        if status != self._status:
+            self._status = status
+            self._message.state, self._message.reason = status
             # There is none before the first belief.
             self._is_progress_pending = self._newest is not None
             self._publish_or_wait()
@@ -180,9 +180,7 @@ class Views:
                 values = getattr(ledger.belief, name)
                 publisher.publish(occupancy_grid(ledger.grid, values, stamp))
             world = World(**self._truth) if len(self._truth) == 2 else None
-            self._message = progress_message(
-                ledger, before, world, stamp, self.out, self._standing
-            )
+            self._message = progress_message(ledger, before, world, stamp, self.out, self._status)
         if self._pending or self._is_progress_pending:
             self._progress.publish(self._message)
         self._pending, self._is_progress_pending = None, False

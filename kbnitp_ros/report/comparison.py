@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import json
-from typing import Any, NamedTuple
+from typing import Any
 
-from kbnitp_ros.figures import DARK_MAPS, MAPS
+from kbnitp_ros.figures import DARK_MAPS, MAPS, stops
 from kbnitp_ros.files import counted
 from kbnitp_ros.report.answers import (
     answer_tiles,
@@ -37,12 +37,8 @@ from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
 
-
-class Pair(NamedTuple):
-    """A mission with its curves."""
-
-    mission: Mission
-    curves: Curves
+# A mission with its curves.
+Pair = tuple[Mission, Curves]
 
 
 def check_one_field(first: Mission, second: Mission) -> None:
@@ -97,15 +93,16 @@ def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
 
 def differences(first: Pair, second: Pair) -> Iterator[str]:
     """Yield the differences for each tile of two missions; empty where there is none."""
-    one, other = (classify_cells(each.mission) for each in (first, second))
+    missions, curves = (first[0], second[0]), (first[1], second[1])
+    one, other = map(classify_cells, missions)
     yield alone(one.free, other.free, 'free')
-    yield found_alone(first.mission, second.mission, 'target', FOUND)
-    yield found_alone(first.mission, second.mission, 'hazard', SUSPECTED)
+    yield found_alone(*missions, 'target', FOUND)
+    yield found_alone(*missions, 'hazard', SUSPECTED)
     yield alone(one.entered, other.entered, 'entered')
-    yield lanes(first.mission, second.mission)
-    yield uncertainty(first.curves, second.curves)
-    yield cost(first.mission, second.mission)
-    yield where(first.mission, second.mission)
+    yield lanes(*missions)
+    yield uncertainty(*curves)
+    yield cost(*missions)
+    yield where(*missions)
     # The next thing to do follows from each mission alone.
     yield ''
 
@@ -207,7 +204,7 @@ SIDES = ('A', 'B')
 
 def comparison_page(first: Pair, second: Pair) -> str:
     """Return the page of two missions that have passed `check_one_field`."""
-    missions = first.mission, second.mission
+    missions = first[0], second[0]
     titles = [mission_title(each.log) for each in missions]
     maps = list(compared_maps(*missions))
     panels = dict(compared_panels(first, second))
@@ -217,9 +214,12 @@ def comparison_page(first: Pair, second: Pair) -> str:
         'comparison',
         title=f'{titles[0]} and {titles[1]}',
         summaries=[
-            (side, pair.mission.log, summary(*pair)) for side, pair in zip(SIDES, (first, second))
+            (side, pair[0].log, summary(*pair)) for side, pair in zip(SIDES, (first, second))
         ],
-        notes=list(comparison_notes(*missions)),
+        notes=[
+            *reservations(*missions),
+            *(f'{side}: {note}' for side, each in zip(SIDES, missions) for note in each.notes),
+        ],
         tiles=list(compared(first, second)),
         maps=maps,
         obstacle=OBSTACLE,
@@ -233,13 +233,6 @@ def comparison_page(first: Pair, second: Pair) -> str:
         data=json.dumps(comparison_data(*missions, maps)).replace('<', '\\u003c'),
         plots=in_json(plots),
     )
-
-
-def comparison_notes(first: Mission, second: Mission) -> Iterator[str]:
-    """Yield remarks on both missions, and on each."""
-    yield from reservations(first, second)
-    for side, mission in zip(SIDES, (first, second)):
-        yield from (f'{side}: {note}' for note in mission.notes)
 
 
 def compared(first: Pair, second: Pair) -> Iterator[tuple[str, list[tuple[str, Tile]], str]]:
@@ -287,8 +280,8 @@ def comparison_data(
     for name in MAPS:
         # No change has the colour of the paper, half way between -1 and 1.
         scales[f'change-{name}'] = {
-            'light': MAPS[name].stops(0.5),
-            'dark': DARK_MAPS[name].stops(0.5),
+            'light': stops(MAPS[name], 0.5),
+            'dark': stops(DARK_MAPS[name], 0.5),
         }
     entered = {side: each.visited().tolist() for side, each in zip(SIDES, (first, second))}
     believed = {f'{side}-{name}' for side in SIDES for name in MAPS}
@@ -315,10 +308,10 @@ def compared_panels(first: Pair, second: Pair) -> Iterator[tuple[str, str]]:
             'robots lost': curves.lost.astype(np.float64),
         }.items():
             panels.setdefault(label, {})[side] = values
-    for name in first.mission.moments[-1].state.numbers | second.mission.moments[-1].state.numbers:
+    missions = first[0], second[0]
+    for name in {name: 0 for each in missions for name in each.moments[-1].state.numbers}:
         panels[f'{name.replace("_", " ")} (median)'] = {
-            side: learnt_quantiles(pair.mission, name)[:, 2]
-            for side, pair in zip(SIDES, (first, second))
+            side: learnt_quantiles(each, name)[:, 2] for side, each in zip(SIDES, missions)
         }
     for label, lines in panels.items():
         known = {side: values for side, values in lines.items() if not np.isnan(values).all()}

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from kbnitp_ros.figures import draw_map, draw_paths, hatch, LOST, MAPS, RETURNED, SERIES
 from kbnitp_ros.files import counted
 from kbnitp_ros.report.mission import Mission
@@ -18,52 +16,27 @@ from numpy.typing import NDArray
 COLUMNS = 2
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A panel of a figure."""
-
-    # Title, with the unit.
-    label: str
-    # Curves by name, one value for each moment.
-    lines: dict[str, NDArray[np.float64]]
+# Curves of a panel by name, one value for each moment.
+Lines = dict[str, NDArray[np.float64]]
 
 
-def mission_panels(curves: Curves) -> list[Panel]:
-    """Return the panels of a mission."""
-    panels = [
-        Panel(
-            'entropy (nats)',
-            {
-                'H(Z) + H(X), all': curves.entropy,
-                'H(Z), hazards': curves.hazard_entropy,
-                'H(X), targets': curves.target_entropy,
-                'H(Z, X), joint': curves.joint_entropy,
-            },
-        )
-    ]
-    if not np.isnan(curves.hazard_loss).all():
-        panels.append(
-            Panel(
-                'log loss (nats)',
-                {'hazard map': curves.hazard_loss, 'target map': curves.target_loss},
-            )
-        )
-    panels.append(
-        Panel(
-            'information so far (nats)',
-            {
-                'expected': np.nancumsum(curves.expected),
-                'gained': np.nancumsum(curves.gained),
-            },
-        )
-    )
-    panels.append(
-        Panel(
-            'robots',
-            {'lost': curves.lost.astype(np.float64), 'out': curves.out.astype(np.float64)},
-        )
-    )
-    return panels
+def mission_panels(curves: Curves) -> dict[str, Lines]:
+    """Return the curves of each panel of a mission, by its title with the unit."""
+    log_loss = {'hazard map': curves.hazard_loss, 'target map': curves.target_loss}
+    return {
+        'entropy (nats)': {
+            'H(Z) + H(X), all': curves.entropy,
+            'H(Z), hazards': curves.hazard_entropy,
+            'H(X), targets': curves.target_entropy,
+            'H(Z, X), joint': curves.joint_entropy,
+        },
+        **({} if np.isnan(curves.hazard_loss).all() else {'log loss (nats)': log_loss}),
+        'information so far (nats)': {
+            'expected': np.nancumsum(curves.expected),
+            'gained': np.nancumsum(curves.gained),
+        },
+        'robots': {'lost': curves.lost.astype(np.float64), 'out': curves.out.astype(np.float64)},
+    }
 
 
 def progress_figure(mission: Mission, curves: Curves) -> Figure:
@@ -78,8 +51,12 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
         0.09, 0.55 / height, 0.985, 1.0 - 0.12 / height, wspace=0.24, hspace=0.2
     )
     places = iter(grid.flat)
-    for panel, axes in zip(panels, places):
-        draw_panel(axes, panel)
+    for (label, lines), axes in zip(panels.items(), places):
+        for (name, values), style in zip(lines.items(), SERIES):
+            axes.plot(values, **style.line(len(values)), label=name)
+        axes.set_ylabel(label)
+        axes.set_ylim(bottom=np.nanmin([0.0, *map(np.nanmin, lines.values())]))
+        axes.legend(fontsize='small', framealpha=0.8)
     for name, axes in zip(names, places):
         draw_number(axes, name, learnt_quantiles(mission, name), mission.numbers.get(name))
     for axes in places:
@@ -92,16 +69,6 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
         axes.grid(alpha=0.3)
     figure.supxlabel('reports taken in')
     return figure
-
-
-def draw_panel(axes: Axes, panel: Panel) -> None:
-    """Draw some lines, each with its own colour, line style and marker."""
-    for (name, values), style in zip(panel.lines.items(), SERIES):
-        axes.plot(values, **style.line(len(values)), label=name)
-    axes.set_ylabel(panel.label)
-    lowest = np.nanmin([0.0, *(np.nanmin(values) for values in panel.lines.values())])
-    axes.set_ylim(bottom=lowest)
-    axes.legend(fontsize='small', framealpha=0.8)
 
 
 def learnt_quantiles(mission: Mission, name: str) -> NDArray[np.float64]:

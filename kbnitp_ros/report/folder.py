@@ -49,13 +49,6 @@ def write_report(
     return left_out
 
 
-def write_comparison(folder: Path, page: str) -> None:
-    """Write the page of two missions to a folder of its own; raises OSError if impossible."""
-    check_is_free(folder)
-    with whole_folder(folder) as new:
-        new.joinpath('comparison.html').write_text(page, encoding='utf-8')
-
-
 # Of PNG files, for screens: SVG files are for print.
 DPI = 150
 

@@ -203,8 +203,8 @@ def recorded_moments(
     known: set[DeploymentKey] = set()
     before: Moment | None = None
     is_restarted = False
-    for heard in history.moments:
-        said = heard.snapshot
+    for moment in history.moments:
+        said = moment.snapshot
         name = said.deployments, said.newest, said.stamp
         if moments and (said.deployments < max(moments[-1].held, 1) or name in taken):
             is_restarted |= said.newest is None
@@ -213,7 +213,7 @@ def recorded_moments(
         missing = said.deployments - moments[-1].held - 1 if moments else 0
         if missing > 0:
             assert before is not None
-            is_later_part = any(before.position < end <= heard.position for end in ends)
+            is_later_part = any(before.position < end <= moment.position for end in ends)
             which = f'{moments[-1].held + 1} to {said.deployments - 1}'
             if missing == 1:
                 which = f'{said.deployments - 1}'
@@ -230,7 +230,7 @@ def recorded_moments(
             )
         moments.append(
             replace(
-                heard,
+                moment,
                 deployment=place.get(said.newest) if said.newest else None,
                 outcome=reported_outcome(history.evidence, said.newest, said.stamp),
                 is_late=said.newest in known,
@@ -241,7 +241,7 @@ def recorded_moments(
         )
         if said.newest:
             known.add(said.newest)
-        before, is_restarted = heard, False
+        before, is_restarted = moment, False
     return moments, notes
 
 

@@ -16,7 +16,7 @@ import zlib
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from kbnitp_ros.core import Belief, Grid, Observation
-from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED
+from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED, stops
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import NAME
 from kbnitp_ros.report.answers import (
@@ -308,8 +308,11 @@ def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:
     """Return the colours of each map on light paper and on a dark screen."""
     assumed = mission.assumed
     scales = {
-        name: {'light': scale.stops(assumed[name]), 'dark': DARK_MAPS[name].stops(assumed[name])}
-        for name, scale in MAPS.items()
+        name: {
+            'light': stops(MAPS[name], assumed[name]),
+            'dark': stops(DARK_MAPS[name], assumed[name]),
+        }
+        for name in MAPS
     }
     counts = {theme: list(zip((0.0, 0.5, 1.0), colours)) for theme, colours in COUNTS.items()}
     return {**scales, 'robots-lost': counts, 'used-up': counts}
@@ -323,7 +326,7 @@ def page_data(
     shown: list[int],
 ) -> dict[str, Any]:
     """Return the data of the page besides the beliefs, as JSON values."""
-    grid, world = mission.grid, mission.world
+    grid, world, last = mission.grid, mission.world, mission.moments[-1].belief
     colours = map_colours(mission)
     out = out_at(mission)
     needed = {*shown, *(int(each) for place in kept for each in out[place])}
@@ -331,7 +334,7 @@ def page_data(
         'grid': field_data(grid),
         'site': mission.site
         and {name: getattr(mission.site, name) for name in ('source', 'width', 'height')},
-        'cell': int(np.argmax(mission.moments[-1].belief.hazard)),
+        'cell': int(np.argmax(last.hazard)),
         'scales': colour_scales(mission),
         'colours': colours,
         'ends': {
@@ -347,7 +350,9 @@ def page_data(
         'walks': WALKS,
         'truth': world
         and {name: values.astype(int).tolist() for name, values in vars(world).items()},
-        'exact': exact(mission.moments[-1].belief) if grid.cells <= MAX_EXACT else None,
+        'exact': {name: np.round(getattr(last, name), 6).tolist() for name in NAMES}
+        if grid.cells <= MAX_EXACT
+        else None,
         # Longitude and latitude of each cell, as in RFC 7946.
         'earth': mission.datum.on_earth(grid.centers(range(grid.cells)))[:, ::-1].tolist()
         if mission.datum and grid.cells <= MAX_EXACT
@@ -371,11 +376,6 @@ def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, 
         'path': deployment.path.tolist(),
         'lost': None if lost is None else np.round(lost, 6).tolist(),
     }
-
-
-def exact(belief: Belief) -> dict[str, list[float]]:
-    """Return the maps of a belief with six decimals."""
-    return {name: np.round(getattr(belief, name), 6).tolist() for name in NAMES}
 
 
 def field_data(grid: Grid) -> dict[str, Any]:
@@ -432,7 +432,7 @@ def moment_data(
         'deployment': deployment,
         'survived': None if seen is None else seen.survived,
         'known': 0 if seen is None else seen.steps_survived,
-        'heard': heard_on(seen),
+        'likely': likely_steps(seen),
         'walk': walk,
         'readings': readings,
         'out': out.tolist(),
@@ -441,7 +441,7 @@ def moment_data(
     }
 
 
-def heard_on(seen: Observation | None) -> tuple[int, int] | None:
+def likely_steps(seen: Observation | None) -> tuple[int, int] | None:
     """Return the first and last likely step of a loss; None if all steps are alike."""
     if seen is None or seen.lost_at is None:
         return None
@@ -484,8 +484,8 @@ def moment_facts(
             yield 'outcome', f'lost on a path of {counted(seen.steps, "step")}'
             if seen.steps_survived:
                 yield 'last contact', f'after {counted(seen.steps_survived, "step")}'
-            if heard := heard_on(seen):
-                yield 'lost where heard', f'in steps {heard[0] + 1} to {heard[1]}'
+            if likely := likely_steps(seen):
+                yield 'most likely lost', f'in steps {likely[0] + 1} to {likely[1]}'
         if mission.rules['dynamics'] == 'used_up' and place:
             yield 'hazards used up', f'{used_up_at(mission, place).sum():.2f} expected'
     for name, values in (('expected', curves.expected), ('gained', curves.gained)):

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from plotly import graph_objects
 
 # Traces that the page updates, by index in its map.
-TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'heard')
+TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'likely')
 
 # Traces of the path, and of its end for either outcome; the page fills these.
 WALKS = {
@@ -174,9 +174,9 @@ def curve_plots(
     mission: Mission, curves: Curves, kept: NDArray[np.intp]
 ) -> Iterator[tuple[str, str]]:
     """Yield the title of each panel of curves, and the panel in Plotly's JSON."""
-    for panel in mission_panels(curves):
-        lines = {name: (kept, values[kept]) for name, values in panel.lines.items()}
-        yield panel.label, lines_plot(panel.label, lines)
+    for label, lines in mission_panels(curves).items():
+        shown = {name: (kept, values[kept]) for name, values in lines.items()}
+        yield label, lines_plot(label, shown)
     for name in mission.moments[-1].state.numbers:
         low, _, middle, _, high = learnt_quantiles(mission, name)[kept].T
         known = {'x': kept, 'mode': 'lines', 'hovertemplate': '%{y:.3f}'}

@@ -11,7 +11,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import log_loss, Observation, path_information, Plan
+from kbnitp_ros.core import log_loss, Observation, Plan
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.maps import quantise_belief, write_probabilities
@@ -78,8 +78,8 @@ def mission_curves(
     gained = np.concatenate([[nan], -np.diff(joint_entropy)])
     gained[gaps] = nan
     with interpreted(len(moments) < MAX_INTERPRETED):
-        expected = np.array([expected_at(mission, at) for at in progress(range(len(moments)))])
-        gap = np.array([gap_at(mission, place, worth) for place, worth in enumerate(expected)])
+        information = [information_at(mission, place) for place in progress(range(len(moments)))]
+    expected, gap = np.array(information).T
     unknown = np.full(len(moments), nan)
     return Curves(
         hazard_entropy=np.array([binary_entropy(each.hazard).sum() for each in beliefs]),
@@ -93,33 +93,22 @@ def mission_curves(
         else unknown,
         expected=expected,
         gained=gained,
-        gap=gap,
+        gap=np.maximum(0.0, gap),
         lost=lost_by(mission),
         out=np.array([each.size for each in out_at(mission)], dtype=np.intp),
     )
 
 
-def expected_at(mission: Mission, place: int) -> float:
-    """Return the expected information of a moment's deployment, in nats."""
+def information_at(mission: Mission, place: int) -> tuple[float, float]:
+    """Return the expected information of a moment's deployment, and its gap to the bound, nats."""
     moment = mission.moments[place]
     if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
-        return nan
+        return nan, nan
     before, deployment = mission.moments[place - 1], mission.deployments[moment.deployment]
-    return path_information(
-        before.belief, before.agent_model(deployment.key.agent), deployment.path
-    )
-
-
-def gap_at(mission: Mission, place: int, expected: float) -> float:
-    """Return the gap of a moment's path to the upper bound, in nats."""
-    moment = mission.moments[place]
-    before = mission.moments[place - 1]
-    if isnan(expected) or isnan(before.upper_bound) or moment.deployment is None:
-        return nan
-    deployment = mission.deployments[moment.deployment]
-    plan = Plan.along(deployment.path, before.belief, before.agent_model(deployment.key.agent))
-    cost = mission.loss_cost(deployment.key.agent) * (1.0 - plan.survival)
-    return max(0.0, before.upper_bound - expected + cost)
+    agent = deployment.key.agent
+    plan = Plan.along(deployment.path, before.belief, before.agent_model(agent))
+    cost = mission.loss_cost(agent) * (1.0 - plan.survival)
+    return plan.information, before.upper_bound - plan.information + cost
 
 
 def lost_by(mission: Mission) -> NDArray[np.intp]:
@@ -183,6 +172,8 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
     for number, deployment in enumerate(mission.deployments):
         seen = deployment.outcome
         at, began = deployment.moment, first.get(number)
+        # 1 where a target was read, 0 where none was, -1 without a reading.
+        read = None if seen is None or seen.readings is None else seen.readings.astype(int)
         table.append(
             {
                 'deployment': number + 1,
@@ -193,8 +184,8 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
                 'outcome': 'out' if seen is None else 'returned' if seen.survived else 'lost',
                 'steps': deployment.path.size - 1 if seen is None else seen.steps,
                 'steps_survived': steps_survived(seen),
-                'detected': None if not (seen and seen.survived) else readings(seen).count(1),
-                'looked': None if not (seen and seen.survived) else looked(seen),
+                'detected': None if read is None else int((read == 1).sum()),
+                'looked': None if read is None else int((read >= 0).sum()),
                 'information_expected': known(curves.expected, began),
                 'information_gained': known(curves.gained, began),
                 'gap': known(curves.gap, began),
@@ -202,9 +193,9 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
                 'held': None if at is None else mission.moments[at].held,
                 'entropy': known(entropy, at),
                 'log_loss': known(loss, at),
-                'path': text(deployment.path.tolist()),
-                'walk': text(seen.path.tolist()) if seen and seen.survived else None,
-                'readings': text(readings(seen)) if seen and seen.survived else None,
+                'path': text(deployment.path),
+                'walk': text(seen.path) if seen and seen.survived else None,
+                'readings': None if read is None else text(read),
             }
         )
     return table
@@ -217,25 +208,14 @@ def steps_survived(seen: Observation | None) -> int | None:
     return seen.steps if seen.survived else seen.steps_survived or None
 
 
-def readings(seen: Observation) -> list[int]:
-    """Return the readings of a returned robot by step: 1, 0, or -1 where it did not look."""
-    assert seen.readings is not None
-    return [int(each) for each in seen.readings]
-
-
-def looked(seen: Observation) -> int:
-    """Return the number of steps with a reading."""
-    return sum(each >= 0 for each in readings(seen))
-
-
 def known(values: NDArray[np.float64], place: int | None) -> float | None:
     """Return a value; None if it is NaN."""
     return None if place is None or isnan(values[place]) else float(values[place])
 
 
-def text(numbers: list[int]) -> str:
+def text(numbers: NDArray[np.integer]) -> str:
     """Return numbers separated by blanks."""
-    return ' '.join(map(str, numbers))
+    return ' '.join(map(str, numbers.tolist()))
 
 
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:

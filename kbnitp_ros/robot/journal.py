@@ -72,10 +72,6 @@ VERSION = 2
 FIELD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
 
 
-class JournalError(ValueError):
-    """A file is no journal, or not that of this robot on this field."""
-
-
 class Journal:
     """A journal in a file, which is made if it is missing."""
 
@@ -99,7 +95,7 @@ class Journal:
         self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             self._lock()
-            is_of_this_field = self._read(self._heading)
+            is_of_this_field = self._read()
         except BaseException:
             os.close(self._file)
             raise
@@ -129,68 +125,50 @@ class Journal:
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise JournalError(
+            raise ValueError(
                 f'journal {self.path} is in use by another process: each robot needs its own'
             ) from error
 
-    def _read(self, expected: dict[str, Any]) -> bool:
+    def _read(self) -> bool:
         """Read the file; cut off what is corrupt, and keep it in another file."""
-        of_another: JournalError | None = None
+        no_journal = f'{self.path} is no journal of a robot: name another file, or move it away'
+        heading = self._heading
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
         *lines, rest = content.split(b'\n')
         for number, line in enumerate(lines):
             try:
-                entry = self._checked(line)
+                entry = json.loads(line[9:])
+                if journal_line(entry, self._check)[0] != line + b'\n':
+                    raise ValueError('the check sum is another')
                 if number:
                     self._take(entry)
                 else:
-                    of_another = self._check_heading(entry, expected)
-            except JournalError:
-                raise
+                    heading = {name: entry[name] for name in self._heading}
             except (ValueError, KeyError, TypeError, IndexError) as error:
                 if not number:
-                    raise JournalError(self._no_journal) from error
+                    raise ValueError(no_journal) from error
                 break
             self._check = int(line[:8], 16)
             self._size += len(line) + 1
         # A power loss can leave the start of the first line, or zeros in place of the rest.
-        if not lines and not journal_line(expected, 0)[0].startswith(rest.rstrip(b'\0')):
-            raise JournalError(self._no_journal)
-        if of_another and self.under_way:
-            raise of_another
+        if not lines and not journal_line(heading, 0)[0].startswith(rest.rstrip(b'\0')):
+            raise ValueError(no_journal)
+        differing = [name for name, wanted in self._heading.items() if heading[name] != wanted]
+        # A robot that is at home may begin on another field.
+        if differing and (differing != ['grid'] or self.under_way):
+            name = differing[0]
+            raise ValueError(
+                f'journal {self.path} has {name} {json.dumps(heading[name])}: here it is '
+                f'{json.dumps(self._heading[name])}; name another file, or move it away'
+            )
         whole = self._size
         self._cut(content[whole:])
         if self._size == 0:
-            self._append(expected)
+            self._append(heading)
             # A new file survives a power loss only once its folder is on the disk.
             sync_folder(self.path.parent)
-        return of_another is None
-
-    @property
-    def _no_journal(self) -> str:
-        return f'{self.path} is no journal of a robot: name another file, or move it away'
-
-    def _checked(self, line: bytes) -> Any:
-        entry = json.loads(line[9:])
-        if journal_line(entry, self._check)[0] != line + b'\n':
-            raise ValueError('the check sum is another')
-        return entry
-
-    def _check_heading(
-        self, entry: dict[str, Any], expected: dict[str, Any]
-    ) -> JournalError | None:
-        """Return that the journal is of another field; raise that if it is of another robot."""
-        for name, wanted in expected.items():
-            if entry[name] != wanted:
-                other = JournalError(
-                    f'journal {self.path} has {name} {json.dumps(entry[name])}: here it is '
-                    f'{json.dumps(wanted)}; name another file, or move it away'
-                )
-                if name == 'grid':
-                    return other
-                raise other
-        return None
+        return not differing
 
     def _take(self, entry: dict[str, Any]) -> None:
         """Apply a line of the file."""

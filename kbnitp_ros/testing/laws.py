@@ -159,8 +159,8 @@ def draw_outcome(
     survived, read, _ = world.steps(path, model, rng)
     if survived.all():
         return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
-    heard = int(rng.integers(0, survived.argmin() + 1)) if rng.random() < 0.4 else 0
-    return Observation(path, False, steps_survived=heard)
+    contact = int(rng.integers(0, survived.argmin() + 1)) if rng.random() < 0.4 else 0
+    return Observation(path, False, steps_survived=contact)
 
 
 def draw_mission(seed: int, robots: int = 6) -> MissionCase:

@@ -6,7 +6,7 @@ import json
 
 from colorspacious import cspace_convert, deltaE
 from kbnitp_ros.core import Belief, Grid, Unknowns
-from kbnitp_ros.figures import COUNTS, DARK_MAPS, draw_map, MAPS, plot, save, SERIES
+from kbnitp_ros.figures import COUNTS, DARK_MAPS, draw_map, MAPS, plot, save, SERIES, stops
 from kbnitp_ros.report.figures import draw_number, maps_figure, progress_figure
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.plots import curve_plots
@@ -127,7 +127,7 @@ APART = 15.0
 @for_each('maps', [MAPS, DARK_MAPS])
 def test_low_unknown_and_high_differ_for_every_colour_vision(maps):
     for scale in maps.values():
-        low, _, unknown, _, high = map(to_rgb, scale.colours)
+        low, _, unknown, _, high = map(to_rgb, scale)
         for vision in (None, *VISIONS):
             for one, other in combinations((low, unknown, high), 2):
                 seen = [as_seen(colour, vision) for colour in (one, other)]
@@ -138,8 +138,8 @@ def test_the_prior_has_the_colour_of_the_paper():
     for maps, paper in ((MAPS, '#f7f7f7'), (DARK_MAPS, '#2e3238')):
         for scale in maps.values():
             for prior in (0.15, 0.5, 0.8):
-                assert dict(scale.stops(prior))[prior] == paper
-            places = [place for place, _ in scale.stops(0.0)]
+                assert dict(stops(scale, prior))[prior] == paper
+            places = [place for place, _ in stops(scale, 0.0)]
             assert places == sorted(set(places))
     assert [colours[0] for colours in COUNTS.values()] == ['#f7f7f7', '#2e3238']
 

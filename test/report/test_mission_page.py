@@ -23,7 +23,7 @@ from kbnitp_ros.report.answers import (
     list_findings,
     used_up_at,
 )
-from kbnitp_ros.report.comparison import comparison_page, Pair
+from kbnitp_ros.report.comparison import comparison_page
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.tables import mission_curves
@@ -749,7 +749,7 @@ def two(shown, tmp_path_factory):
     folder = tmp_path_factory.mktemp('two')
     missions = shown[0], read_mission(single(folder / 'mission.mcap', 12))
     page = folder / 'comparison.html'
-    page.write_text(comparison_page(*(Pair(each, mission_curves(each)) for each in missions)))
+    page.write_text(comparison_page(*((each, mission_curves(each)) for each in missions)))
     return missions, page
 
 

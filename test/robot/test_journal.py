@@ -9,7 +9,7 @@ from disk import mounted, room_for
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot.journal import Deployment, Journal, JournalError, Step
+from kbnitp_ros.robot.journal import Deployment, Journal, Step
 from laws import for_each
 import pytest
 
@@ -106,7 +106,7 @@ def test_a_journal_of_another_robot_is_refused_by_name(tmp_path):
     path = tmp_path / 'folder' / 'journal'
     opened(path).close()
     content = path.read_bytes()
-    with pytest.raises(JournalError, match=r'journal .*folder/journal has agent "scout_1": here'):
+    with pytest.raises(ValueError, match=r'journal .*folder/journal has agent "scout_1": here'):
         opened(path, 'scout_2')
     assert path.read_bytes() == content
 
@@ -124,7 +124,7 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
         content = path.read_bytes()
         journal.close()
         # A robot in flight is in that field.
-        with pytest.raises(JournalError, match=r'has grid .*here it is '):
+        with pytest.raises(ValueError, match=r'has grid .*here it is '):
             opened(path, grid=Grid(6, 6))
         assert path.read_bytes() == content
         journal = opened(path, grid=grid)
@@ -137,14 +137,14 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
 def test_other_files_are_refused_and_left_alone(tmp_path, content):
     path = tmp_path / 'letters'
     path.write_bytes(content)
-    with pytest.raises(JournalError, match='letters is no journal of a robot'):
+    with pytest.raises(ValueError, match='letters is no journal of a robot'):
         opened(path)
     assert path.read_bytes() == content
 
 
 def test_two_processes_never_write_one_journal(tmp_path):
     journal = opened(tmp_path / 'journal')
-    with pytest.raises(JournalError, match='in use by another process'):
+    with pytest.raises(ValueError, match='in use by another process'):
         opened(tmp_path / 'journal')
     journal.close()
     opened(tmp_path / 'journal').close()

@@ -138,8 +138,8 @@ async function start(signal, kept, main) {
     const look = mission.walks[survived ? 'returned' : 'lost'];
     traces.casing = line([path]);
     traces.walk = { ...line([path]), line: { width: 3, color: look.color, dash: look.dash } };
-    const heard = mission.moments[moment].heard;
-    traces.heard = line(heard ? [path.slice(heard[0], heard[1] + 1)] : []);
+    const likely = mission.moments[moment].likely;
+    traces.likely = line(likely ? [path.slice(likely[0], likely[1] + 1)] : []);
     const marked = { detected: [], nothing: [] };
     (mission.moments[moment].readings || []).forEach((reading, step) => {
       if (reading >= 0) marked[reading ? 'detected' : 'nothing'].push([path[step + 1]]);
