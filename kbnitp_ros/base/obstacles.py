@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import auto, Enum
-from typing import Any, NamedTuple
+from typing import Any
 
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.core import DeploymentKey
@@ -41,24 +41,13 @@ class Obstacle(Enum):
         return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
 
 
-class AgentPresence(NamedTuple):
-    """The state of an agent, as the planner sees it."""
-
-    # Whether a node answers for the agent.
-    is_present: bool
-    # Whether the agent reports departures.
-    says_status: bool
-    # Whether the agent refused its last order, and must not be sent another one yet.
-    is_left_alone: bool
-
-
 @dataclass(frozen=True)
 class PlannerState:
     """The state that decides whether robots leave."""
 
     # The planner's parameters by name.
     values: Mapping[str, Any]
-    agents: Mapping[str, AgentPresence]
+    agents: Sequence[str]
     # The deployments in flight.
     in_flight: DeploymentsInFlight
     # The state set by the operator's actions.
@@ -92,6 +81,11 @@ class PlannerState:
     why_worthless: str = ''
     # The plans that wait for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
+    # Agents that no node answers for, those whose nodes do not report departures, and those that
+    # refused their last order and must not be sent another one yet.
+    absent: Collection[str] = ()
+    silent: Collection[str] = ()
+    left_alone: Collection[str] = ()
 
     @property
     def reported(self) -> int:
@@ -113,37 +107,21 @@ class PlannerState:
         # depart delay the end.
         left_out = self.in_flight.undeparted if self.operator.is_ended else ()
         return [
-            key
-            for key in self.in_flight
-            if self.agents[key.agent].is_present and key not in left_out
+            key for key in self.in_flight if key.agent not in self.absent and key not in left_out
         ]
-
-    @property
-    def absent(self) -> list[str]:
-        """Return the agents that no node answers for."""
-        return [name for name, agent in self.agents.items() if not agent.is_present]
 
     @property
     def mute(self) -> list[str]:
         """Return the agents that do not report departures where these are needed."""
         if self.values['presume_departure'] or not self.values['silent_loss']:
             return []
-        return [
-            name
-            for name, agent in self.agents.items()
-            if agent.is_present and not agent.says_status
-        ]
-
-    @property
-    def left_alone(self) -> list[str]:
-        """Return the agents that refused their last order and must not be sent another one yet."""
-        return [name for name, agent in self.agents.items() if agent.is_left_alone]
+        return [agent for agent in self.silent if agent not in self.absent]
 
     @property
     def free_agents(self) -> list[str]:
         """Return the agents that are present and have no robot in flight."""
         taken = {*self.in_flight.agents, *self.absent, *self.mute, *self.left_alone}
-        return [name for name in self.agents if name not in taken]
+        return [agent for agent in self.agents if agent not in taken]
 
     @property
     def obstacle(self) -> Obstacle | None:
@@ -284,7 +262,7 @@ def report(now: PlannerState) -> str:
             f'{wait}: it may leave when the recorder acknowledges its path on {agent}/recorded '
             '(parameter recorded)'
         )
-    if not now.in_flight.has_departed(key) and now.agents[key.agent].says_status:
+    if not now.in_flight.has_departed(key) and key.agent not in now.silent:
         return f'{key} to depart: its agent reports that on {agent}/status'
     if now.values['silent_loss']:
         deadline = now.values['return_deadline']

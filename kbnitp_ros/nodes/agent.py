@@ -8,10 +8,11 @@ from functools import partial
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
+from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.simulation import AgentPaths, PATIENCE, SimulatedAgent, Simulation
+from kbnitp_ros.nodes.simulation import PATIENCE, SimulatedAgent, Simulation
 
 
 class AgentNode(FieldNode):
@@ -34,7 +35,15 @@ class AgentNode(FieldNode):
         self._agents = [SimulatedAgent(simulation, name, record) for name in played]
         # Robots of other nodes change the field as well, unless hazards stay.
         others = () if simulation.is_static else set(team).difference(played)
-        self._others = [AgentPaths(simulation, name, record.mission) for name in sorted(others)]
+        self._others = [
+            RecordedPaths(
+                self,
+                other,
+                partial(simulation.read_path, other),
+                lambda sent: simulation.take(simulation.accept(sent)),
+            )
+            for other in sorted(others)
+        ]
         self._is_deaf = True
         self.create_poll(self._look)
 

@@ -32,44 +32,6 @@ from rclpy.task import Future
 PERIOD = 1.0  # Seconds between two requests.
 
 
-class Lifecycle:
-    """The lifecycle state of another node, requested by its full name."""
-
-    def __init__(self, node: MissionNode, name: str) -> None:
-        self._node = node
-        self._name = name
-        self._client = node.create_client(GetState, f'{name}/get_state')
-        self._state: State | None = None
-        self._asked_at = 0.0
-
-    @property
-    def is_there(self) -> bool:
-        """Return whether the node exists and has a lifecycle."""
-        return self._client.service_is_ready()
-
-    @property
-    def awaited(self) -> str:
-        """Return the state that is awaited; empty if the node is active, or has no lifecycle."""
-        if not self.is_there:
-            return ''
-        now = time.monotonic()
-        if now > self._asked_at + PERIOD:
-            if now > self._asked_at + 2 * PERIOD:
-                # A state from before a pause in the requests may be outdated.
-                self._state = None
-            self._asked_at = now
-            answer = self._client.call_async(GetState.Request())
-            answer.add_done_callback(self._node.guarded(self._on_answer))
-        if self._state is None:
-            return f'{self._name} to report its lifecycle state'
-        if self._state.id == State.PRIMARY_STATE_ACTIVE:
-            return ''
-        return f'{self._name} to be active: its lifecycle state is {shown(self._state.label)}'
-
-    def _on_answer(self, answer: Future) -> None:
-        self._state = answer.result().current_state
-
-
 # From linux/sockios.h and linux/if.h.
 SIOCGIFFLAGS, SIOCGIFADDR = 0x8913, 0x8915
 IFF_LOOPBACK, IFF_RUNNING = 0x8, 0x40
@@ -197,7 +159,11 @@ class Driver:
         self.name = node.resolve_topic_name(f'{above}/{name}' if namespace else name)
         self._goal_along = partial(goal_along, action)
         self._client = ActionClient(node, action, self.name)
-        self._lifecycle = Lifecycle(node, f'{self.name.rpartition("/")[0]}/{server}')
+        # The node of the action server, and its lifecycle state.
+        self._server = f'{self.name.rpartition("/")[0]}/{server}'
+        self._states = node.create_client(GetState, f'{self._server}/get_state')
+        self._state: State | None = None
+        self._asked_at = 0.0
         # Whether the last goal was accepted; None before the answer.
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
@@ -216,10 +182,10 @@ class Driver:
     def not_ready(self, place: tuple[float, float], stamp: int) -> str:
         """Describe the condition of Nav2 that blocks the first goal; empty if there is none."""
         # An action server of Nav2 exists before it is active, and rejects goals until then.
-        if awaited := self.awaited or self._lifecycle.awaited:
+        if awaited := self.awaited:
             return awaited
-        if self._lifecycle.is_there:
-            return ''
+        if self._states.service_is_ready():
+            return self._not_active()
         # A server without a lifecycle is tried with a goal that ends where the robot is.
         if self._takes_goals:
             self._takes_goals = None
@@ -233,6 +199,25 @@ class Driver:
         if self._takes_goals is None:
             return f'the action server {self.name} to answer'
         return f'Nav2 to be ready: the action server {self.name} rejects goals'
+
+    def _not_active(self) -> str:
+        """Describe the lifecycle state of the action server's node; empty if it is active."""
+        now = time.monotonic()
+        if now > self._asked_at + PERIOD:
+            if now > self._asked_at + 2 * PERIOD:
+                # A state from before a pause in the requests may be outdated.
+                self._state = None
+            self._asked_at = now
+            answer = self._states.call_async(GetState.Request())
+            answer.add_done_callback(self._node.guarded(self._on_state))
+        if self._state is None:
+            return f'{self._server} to report its lifecycle state'
+        if self._state.id == State.PRIMARY_STATE_ACTIVE:
+            return ''
+        return f'{self._server} to be active: its lifecycle state is {shown(self._state.label)}'
+
+    def _on_state(self, answer: Future) -> None:
+        self._state = answer.result().current_state
 
     def _on_tried(self, answer: Future) -> None:
         handle = answer.result()

@@ -16,7 +16,7 @@ from kbnitp_ros.base.checks import (
 )
 from kbnitp_ros.base.deployments_in_flight import check_periods
 from kbnitp_ros.base.mission_tracker import missing_plans, read_planner_record
-from kbnitp_ros.base.obstacles import AgentPresence, describe_obstacle, Obstacle, PlannerState
+from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search
 from kbnitp_ros.configuration import agent_names
 from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
@@ -156,14 +156,7 @@ class PlannerNode(FieldNode):
         newest = self._beliefs.tracker.newest
         return PlannerState(
             values=self.values,
-            agents={
-                agent: AgentPresence(
-                    self._peers.is_present(agent),
-                    self._peers.says_status(agent),
-                    self._dispatch.is_left_alone(agent),
-                )
-                for agent in self._agents
-            },
+            agents=self._agents,
             in_flight=self._in_flight,
             operator=self._operator.state,
             unrecorded_action=self._operator.awaited,
@@ -181,6 +174,9 @@ class PlannerNode(FieldNode):
             searched=self._search.agents if self._search else (),
             why_worthless=self._why_worthless,
             proposed=tuple(self._operator.proposed),
+            absent=[each for each in self._agents if not self._peers.is_present(each)],
+            silent=[each for each in self._agents if not self._peers.says_status(each)],
+            left_alone=[each for each in self._agents if self._dispatch.is_left_alone(each)],
         )
 
     def _missing_listeners(self) -> str:

@@ -43,6 +43,10 @@ from visualization_msgs.msg import Marker
 PATIENCE = 5.0
 
 
+# A deployment, the cells of its path, and the start of its mission.
+SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
+
+
 class Simulation:
     """The hidden field of a team, and the outcomes of its robots as in core's run_mission."""
 
@@ -67,6 +71,9 @@ class Simulation:
         self._seeds = np.random.SeedSequence(values['seed'])
         # The present field.
         self._world = self._first_world()
+        # The recorded paths, and the mission of each agent's paths.
+        self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self._missions = dict.fromkeys(self.agents, record.mission)
         # The known paths, and the number of robots that left, by agent; and waiting paths.
         self._known = dict.fromkeys(self.agents, 0)
         self._left = dict.fromkeys(self.agents, 0)
@@ -124,11 +131,32 @@ class Simulation:
                 return other
         return ''
 
-    def take(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+    def read_path(self, agent: str, message: Path) -> SentPath | None:
+        """Return what a path of an agent says; None if the path is known."""
+        key, path = self.node.read_path(agent, message)
+        mission = mission_of_path(message)
+        check_mission(mission, self._missions[agent])
+        known = self.paths.get(key)
+        if known is not None and not np.array_equal(known, path):
+            raise ValueError(f'deployment {key} is known with another path: the first path counts')
+        if known is not None:
+            return None
+        self.node.diagnostics.accepted += 1
+        return key, path, mission
+
+    def accept(self, sent: SentPath) -> DeploymentKey:
+        """Accept a path that is durably recorded."""
+        key, path, mission = sent
+        check_mission(mission, self._missions[key.agent])
+        self._missions[key.agent] = mission
+        self.paths[key] = path
+        return key
+
+    def take(self, key: DeploymentKey) -> None:
         """Start a deployment once all earlier ones that can change the field have started."""
         self._moving.add(key)
         if key not in self._outcomes:
-            self._add_path(key, path)
+            self._add_path(key, self.paths[key])
         self._leave_all()
 
     def _add_path(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
@@ -195,45 +223,7 @@ class Simulation:
         )
 
 
-# A deployment, the cells of its path, and the start of its mission.
-SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
-
-
-class AgentPaths(RecordedPaths[SentPath]):
-    """The paths of one agent, each passed to the simulation."""
-
-    def __init__(self, simulation: Simulation, name: str, mission: int | None) -> None:
-        super().__init__(simulation.node, name, self._read_path, self._take_path)
-        self._simulation = simulation
-        self._mission = mission
-        self._known: dict[DeploymentKey, NDArray[np.intp]] = {}
-
-    def _read_path(self, message: Path) -> SentPath | None:
-        key, path = self._node.read_path(self.agent, message)
-        mission = mission_of_path(message)
-        check_mission(mission, self._mission)
-        known = self._known.get(key)
-        if known is not None and not np.array_equal(known, path):
-            raise ValueError(f'deployment {key} is known with another path: the first path counts')
-        if known is not None:
-            return None
-        self._node.diagnostics.accepted += 1
-        return key, path, mission
-
-    def _take_path(self, sent: SentPath) -> None:
-        """Accept a path that is durably recorded."""
-        key, path, mission = sent
-        check_mission(mission, self._mission)
-        self._mission = mission
-        self._known[key] = path
-        self._follow(key)
-
-    def _follow(self, key: DeploymentKey) -> None:
-        """Add a recorded path to the simulation."""
-        self._simulation.take(key, self._known[key])
-
-
-class SimulatedAgent(AgentPaths):
+class SimulatedAgent(RecordedPaths[SentPath]):
     """A simulated robot for each path of one agent, and its reports."""
 
     def __init__(
@@ -242,7 +232,10 @@ class SimulatedAgent(AgentPaths):
         name: str,
         record: RecordedMission,
     ) -> None:
-        super().__init__(simulation, name, record.mission)
+        super().__init__(
+            simulation.node, name, partial(simulation.read_path, name), self._take_path
+        )
+        self._simulation = simulation
         simulation.leave[name] = self._leave
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
@@ -259,7 +252,7 @@ class SimulatedAgent(AgentPaths):
             outcome = record.outcome(key)
             if key.agent == name and outcome is not None and simulation.is_over(outcome):
                 # Its report is published again, and its robot not sent a second time.
-                self._known[key] = record.paths[key]
+                simulation.paths[key] = record.paths[key]
                 self._publish_status(key, OrderState.DEPARTED)
                 stamp = record.reports[key].stamp
                 self.reports.publish(report_message(key, outcome, stamp))
@@ -278,8 +271,9 @@ class SimulatedAgent(AgentPaths):
         """Describe the wait of the agent's robots; empty if there is none."""
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
-    def _follow(self, key: DeploymentKey) -> None:
+    def _take_path(self, sent: SentPath) -> None:
         """Let a robot depart when it may, or at once if its departure is on record."""
+        key = self._simulation.accept(sent)
         self._at_home.append(key)
         self._publish_status(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
@@ -303,7 +297,7 @@ class SimulatedAgent(AgentPaths):
         if key in self._at_home:
             # The recorder had its departure before this node restarted.
             self._depart(key)
-        super()._follow(key)
+        self._simulation.take(key)
 
     def _publish_status(self, key: DeploymentKey, state: OrderState) -> None:
         """Publish the status of an order; a restarted agent publishes the same again."""

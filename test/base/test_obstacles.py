@@ -8,12 +8,7 @@ from kbnitp_ros.base.checks import check_changes, check_robots, cut_off_note, re
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.obstacles import (
-    AgentPresence,
-    describe_obstacle,
-    Obstacle,
-    PlannerState,
-)
+from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
 from kbnitp_ros.base.rounds import Rounds
 from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel, Unknowns
@@ -31,7 +26,6 @@ VALUES = {
     'robots': 3, 'rolling': False, 'recorded': False, 'silent_loss': True,
     'presume_departure': False, 'return_deadline': 10.0, 'step_period': 1.0,
 }  # fmt: skip
-HERE = AgentPresence(is_present=True, says_status=True, is_left_alone=False)
 
 
 def in_flight(*keys, kept=2):
@@ -51,7 +45,7 @@ def operator(*actions):
 # One robot was deployed, two are left, and nothing blocks the next deployment.
 CLEAR = PlannerState(
     values=VALUES,
-    agents={'scout_1': HERE},
+    agents=['scout_1'],
     in_flight=in_flight(),
     operator=operator(),
     unrecorded_action='',
@@ -79,7 +73,7 @@ MADE_BY = {
     Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
     Obstacle.NO_SUBSCRIBER: {'missing_listeners': lambda: 'the estimator'},
     Obstacle.PAUSED: {'operator': operator(Action.PAUSE)},
-    Obstacle.NO_FREE_AGENT: {'agents': {'scout_1': HERE._replace(is_present=False)}},
+    Obstacle.NO_FREE_AGENT: {'absent': ['scout_1']},
 }
 
 
@@ -112,11 +106,10 @@ def test_the_goal_is_looked_at_only_when_robots_could_leave():
 
 
 def test_where_robots_leave_one_by_one_only_the_free_ones_do():
-    agents = {'scout_1': HERE, 'scout_2': HERE}
     rolling = replace(
         CLEAR,
         values={**VALUES, 'rolling': True},
-        agents=agents,
+        agents=['scout_1', 'scout_2'],
         in_flight=in_flight(key(1)),
         sent=2,
     )
@@ -127,27 +120,26 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
 
 
 @for_each('change, free', [
-    ({'is_left_alone': True}, False),
-    ({'says_status': False}, False),
-    ({'is_present': False}, False),
+    ({'left_alone': ['scout_1']}, False),
+    ({'silent': ['scout_1']}, False),
+    ({'absent': ['scout_1']}, False),
     ({}, True),
 ])  # fmt: skip
 def test_agents_that_answer_and_take_orders_are_free(change, free):
-    agents = {'scout_1': HERE._replace(**change)}
-    assert bool(replace(CLEAR, agents=agents).free_agents) is free
+    assert bool(replace(CLEAR, **change).free_agents) is free
 
 
 @for_each('change', [{'silent_loss': False}, {'presume_departure': True}])
 def test_silent_agents_are_sent_where_silence_does_not_count(change):
-    agents = {'scout_1': HERE._replace(says_status=False)}
-    assert replace(CLEAR, agents=agents, values=VALUES | change).free_agents == ['scout_1']
+    silent = replace(CLEAR, silent=['scout_1'], values=VALUES | change)
+    assert silent.free_agents == ['scout_1']
 
 
 def test_an_ended_mission_waits_for_departed_robots_only():
     ended = replace(
         CLEAR,
         operator=operator(Action.END),
-        agents={'scout_1': HERE, 'scout_2': HERE},
+        agents=['scout_1', 'scout_2'],
         in_flight=in_flight(key(1), key(2, 'scout_2')),
         sent=3,
     )
@@ -178,7 +170,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (Obstacle.UNREPORTED, {}, 'scout_1 at 1.000000000 to depart: its agent reports that on'),
     (
         Obstacle.UNREPORTED,
-        {'agents': {'scout_1': HERE._replace(says_status=False)}},
+        {'silent': ['scout_1']},
         'to be reported on /a/scout_1/report, at most until 10.0 s after it is due',
     ),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
@@ -195,7 +187,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (Obstacle.NO_FREE_AGENT, {}, 'nobody publishes /a/scout_1/report (parameter agents)'),
     (
         Obstacle.NO_FREE_AGENT,
-        {'agents': {'scout_1': HERE._replace(says_status=False)}},
+        {'silent': ['scout_1']},
         'nobody publishes /a/scout_1/status, so a robot that never left',
     ),
 ])  # fmt: skip

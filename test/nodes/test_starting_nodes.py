@@ -185,7 +185,7 @@ def test_a_node_ends_while_it_reads_a_log(monkeypatch):
     items = MissionNode.log_progress(None, range(9), 'taking in a log')
     assert next(items) == 0
     signals.SIGNALS.append(signal.SIGINT)
-    with pytest.raises(signals.StoppedError):
+    with pytest.raises(KeyboardInterrupt):
         next(items)
 
 

@@ -31,7 +31,7 @@ from kbnitp_ros.nodes.runtime.graph import (
     listening_roles,
     NAMELESS,
 )
-from kbnitp_ros.nodes.runtime.signals import stop_on_signal, StoppedError
+from kbnitp_ros.nodes.runtime.signals import stop_on_signal
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 from numpy.typing import NDArray
@@ -256,7 +256,7 @@ class MissionNode(Node):
         def call(*arguments: Any) -> Any:
             try:
                 return callback(*arguments)
-            except (Exception, StoppedError) as error:
+            except (Exception, KeyboardInterrupt) as error:
                 # rclpy itself subscribes to the clock and serves parameters.
                 frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][1:]
                 rooms = [frame.f_globals.get('__name__', '').partition('.')[0] for frame in frames]

@@ -22,7 +22,6 @@ from kbnitp_ros.nodes.runtime.signals import (
     note_signals,
     SIGNALS,
     stop_on_signal,
-    StoppedError,
 )
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
@@ -71,7 +70,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         parser.parse_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
-    except StoppedError:
+    except KeyboardInterrupt:
         _leave(0)
         return 0
     except START_ERRORS as error:
@@ -101,7 +100,7 @@ def _live(node: MissionNode, executor: Executor, linger: float) -> Exception | N
     """Run a node until a signal, and close it; return the exception that ended it, if any."""
     broken: Exception | None = None
     try:
-        with suppress(StoppedError):
+        with suppress(KeyboardInterrupt):
             while not (SIGNALS or node.is_over):
                 spin_once(node, executor, SPIN)
             end = time.monotonic() + linger

@@ -11,10 +11,6 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 SIGNALS: list[int] = []
 
 
-class StoppedError(BaseException):
-    """A signal arrived before the node was made or while it compiles; not an error to handle."""
-
-
 def note_signals() -> None:
     """Record the signals of `ENDING` from now on, in `SIGNALS`."""
     SIGNALS.clear()
@@ -23,9 +19,9 @@ def note_signals() -> None:
 
 
 def stop_on_signal() -> None:
-    """End a long operation after a signal, such as a compilation of up to a minute."""
+    """End a long operation after any signal, such as a compilation of up to a minute."""
     if SIGNALS:
-        raise StoppedError
+        raise KeyboardInterrupt
 
 
 def ignore_signals() -> None:
