@@ -119,31 +119,35 @@ def parse_yaml(text: str | bytes) -> Any:
         node = yaml.compose(text, Loader)
         if node is None:
             return None
-        content = Loader('').construct_document(node)
+        # Construction merges mappings, so the keys are looked at before.
+        if not (repeated := repeated_key(node, set())):
+            return Loader('').construct_document(node)
     except Exception as error:
         # PyYAML raises many types on a value that does not match its tag.
         raise NotYamlError(f'it is not YAML: {" ".join(str(error).split())}') from error
-    check_keys(node, set())
-    return content
+    raise ValueError(repeated)
 
 
-def check_keys(node: yaml.Node, seen: set[int]) -> None:
-    """Check that no mapping has a key twice; aliases lead to nodes seen before."""
+def repeated_key(node: yaml.Node, seen: set[int]) -> str:
+    """Describe the first key that a mapping has twice; aliases lead to nodes seen before."""
     if id(node) in seen or isinstance(node, yaml.ScalarNode):
-        return
+        return ''
     seen.add(id(node))
     lines: dict[str, int] = {}
     for child in node.value:
         if isinstance(node, yaml.MappingNode):
             key, value = child
-            check_keys(key, seen)
+            if found := repeated_key(key, seen):
+                return found
             if isinstance(key, yaml.ScalarNode):
                 line = key.start_mark.line + 1
                 if key.value in lines:
-                    raise ValueError(
+                    return (
                         f'the key {key.value!r} stands in line {line} and in line '
                         f'{lines[key.value]}'
                     )
                 lines[key.value] = line
             child = value
-        check_keys(child, seen)
+        if found := repeated_key(child, seen):
+            return found
+    return ''

@@ -14,7 +14,7 @@ from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.configuration.table import MAX_SIDE
 from kbnitp_ros.core import Grid, World
 from kbnitp_ros.files import read_yaml
-from kbnitp_ros.maps import Map, read_map
+from kbnitp_ros.maps import Datum, Map, read_map
 from kbnitp_ros.messages.grids import rounded_resolution, rounded_yaw
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,11 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
                 f'base {grid.base} of the mission: choose a cell that is joined to it'
             )
     return grid
+
+
+def make_datum(values: Mapping[str, Any]) -> Datum | None:
+    """Return the geographic datum of these parameters, or None; ValueError if off the earth."""
+    return Datum.of(values['datum'])
 
 
 PRESENT = {'.': False, 'x': True}

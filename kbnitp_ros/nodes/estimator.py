@@ -11,6 +11,7 @@ from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBeli
 from kbnitp_ros.base.checks import density_note
 from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
+from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
@@ -23,7 +24,6 @@ from kbnitp_ros.log.record import (
     record,
 )
 from kbnitp_ros.log.roles import MissionLog, resumed_log
-from kbnitp_ros.maps import Datum
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report, read_status
 from kbnitp_ros.messages.grids import check_filter, filter_info
@@ -52,7 +52,7 @@ class EstimatorNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('estimator')
         # The report reads it from the log, so errors are found before the mission.
-        Datum.of(self.values['datum'])
+        make_datum(self.values)
         estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)

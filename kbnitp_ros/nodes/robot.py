@@ -14,10 +14,10 @@ from typing import Any
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.core.inference.record import MAX_WALK
 from kbnitp_ros.files import in_words
-from kbnitp_ros.maps import Datum
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
@@ -75,7 +75,7 @@ class RobotNode(FieldNode):
         # The source of the robot's pose, and its name.
         self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
         self._whereis: Transforms | Fixes
-        datum, frame = Datum.of(values['datum']), values['base_frame']
+        datum, frame = make_datum(values), values['base_frame']
         if values['position'] == 'tf':
             self._whereis = Transforms(FRAME, frame)
         elif datum is not None:
