@@ -72,12 +72,12 @@ Scale = tuple[str, str, str, str, str]
 
 def stops(scale: Scale, prior: float) -> list[tuple[float, str]]:
     """Return the position of each colour from 0 to 1, diverging at the prior."""
-    middle = min(max(prior, NARROWEST), 1.0 - NARROWEST)
+    middle = min(max(prior, MIN_HALF), 1.0 - MIN_HALF)
     return list(zip((0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0), scale))
 
 
 # Minimum width of each half of a scale.
-NARROWEST = 0.1
+MIN_HALF = 0.1
 
 # Colours of the maps, on light paper and on a dark screen: no news has neither colour.
 MAPS: dict[str, Scale] = {
@@ -144,7 +144,7 @@ def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path
 MAX_LINED = 20
 
 # Opacity of a single path; many show through each other.
-DARKEST = 0.9
+MAX_OPACITY = 0.9
 
 
 def plot(
@@ -281,7 +281,7 @@ def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], styl
             colors=style.colour,
             linestyles=[style.dash],
             linewidths=1.0,
-            alpha=max(0.08, DARKEST / max(1, len(observations)) ** 0.5),
+            alpha=max(0.08, MAX_OPACITY / max(1, len(observations)) ** 0.5),
         )
     )
     contacts = [each.path[each.steps_survived] for each in observations if each.steps_survived]

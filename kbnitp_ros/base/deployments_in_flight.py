@@ -21,7 +21,7 @@ K = TypeVar('K')
 V = TypeVar('V')
 
 # Maximum number of recorded or unknown deployments remembered until their paths arrive.
-MAX_UNHEARD = 1000
+MAX_REMEMBERED = 1000
 
 
 @dataclass
@@ -228,5 +228,5 @@ def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
 def remember(known: OrderedDict[K, V], key: K, value: V) -> None:
     """Add an entry, and drop the oldest of too many."""
     known[key] = value
-    if len(known) > MAX_UNHEARD:
+    if len(known) > MAX_REMEMBERED:
         known.popitem(last=False)

@@ -151,7 +151,7 @@ class PlannerState:
         return None if self.free_agents else Obstacle.NO_FREE_AGENT
 
     def is_plain(self, obstacle: Obstacle) -> bool:
-        """Return whether every mission meets a condition for a while."""
+        """Return whether a condition is a normal part of missions, and needs no explanation."""
         if obstacle is Obstacle.BELIEF_BEHIND:
             return not self.refusal
         return obstacle in (

@@ -111,7 +111,7 @@ class Rounds:
         self._visited = count_visits(grid, [])
 
     def count_path(self, path: NDArray[np.intp], robots: int = 1) -> None:
-        """Count the path of a robot sent, shape (steps + 1,); with -1 of one that stays."""
+        """Count the visits of a path, shape (steps + 1,); -1 takes those of a refused one back."""
         np.add.at(self._visited, path[1:], robots)
 
     def search(

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import pairwise
 from math import inf
@@ -259,10 +259,27 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
             # The progress bar says it.
             levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
             processes.start(node, {**parameters[node], **awaited}, levels=levels)
-        watch(parameters['planner']['robots'], processes, domain)
+        with observed(domain) as observer:
+            watch(observer, parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
         raise RuntimeError(f'nodes did not end well, by exit code: {failed}')
+
+
+@contextmanager
+def observed(domain: int) -> Iterator[Node]:
+    """Yield a node that observes the mission on the domain."""
+    os.environ.update(environment(domain))
+    rclpy.init(
+        args=['--ros-args', '--enclave', '/observer'],
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    observer = Node('observer')
+    try:
+        yield observer
+    finally:
+        observer.destroy_node()
+        try_shutdown()
 
 
 def most_left(progress: Progress | None, robots: int) -> float:
@@ -281,44 +298,35 @@ def most_left(progress: Progress | None, robots: int) -> float:
     return END_WAIT if progress and now.deployments >= robots else inf
 
 
-def watch(robots: int, processes: Processes, domain: int) -> None:
+def watch(observer: Node, robots: int, processes: Processes) -> None:
     """Show the progress of a mission until it is over, or waits for an operator."""
-    os.environ.update(environment(domain))
-    rclpy.init(
-        args=['--ros-args', '--enclave', '/observer'],
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
-    node, executor = Node('observer'), SingleThreadedExecutor()
     # The last message; empty until the first belief.
     received = deque[Progress](maxlen=1)
-    node.create_subscription(
+    observer.create_subscription(
         Progress, 'progress', lambda message: received.append(message), qos.LATCHED
     )
-    executor.add_node(node)
+    executor = SingleThreadedExecutor()
+    executor.add_node(observer)
     now, known, since = None, (0, ''), time.monotonic()
-    try:
-        with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
-            while time.monotonic() <= since + most_left(now, robots):
-                executor.spin_once(timeout_sec=0.2)
-                if processes.ended():
-                    raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
-                if not received:
-                    present = node.get_node_names()
-                    absent = [name for name in NODES if name not in present]
-                    bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
-                    continue
-                now = received[0]
-                bar.set_description('deploying', refresh=False)
-                entropy = f'{now.hazard_entropy + now.target_entropy:.1f} nats'
-                bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
-                bar.update(now.deployments - bar.n)
-                if known != (known := (now.deployments, now.reason)):
-                    since = time.monotonic()
-        if now is not None and now.deployments < robots:
-            say(now.reason)
-    finally:
-        node.destroy_node()
-        try_shutdown()
+    with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
+        while time.monotonic() <= since + most_left(now, robots):
+            executor.spin_once(timeout_sec=0.2)
+            if processes.ended():
+                raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
+            if not received:
+                present = observer.get_node_names()
+                absent = [name for name in NODES if name not in present]
+                bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
+                continue
+            now = received[0]
+            bar.set_description('deploying', refresh=False)
+            entropy = f'{now.hazard_entropy + now.target_entropy:.1f} nats'
+            bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
+            bar.update(now.deployments - bar.n)
+            if known != (known := (now.deployments, now.reason)):
+                since = time.monotonic()
+    if now is not None and now.deployments < robots:
+        say(now.reason)
 
 
 def conclude(log: Path, note: str) -> int:

@@ -19,7 +19,7 @@ from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.page import mission_page, mission_title, rendered, without_library
+from kbnitp_ros.report.page import library, mission_page, mission_title, rendered
 from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
@@ -214,7 +214,8 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path == '/':
             self._answer(self._follower.page)
         elif self.path == '/update':
-            self._answer(without_library(self._follower.page))
+            # The browser has Plotly already.
+            self._answer(self._follower.page.replace(library(), ''))
         elif self.path == '/events':
             self._send_changes()
         else:

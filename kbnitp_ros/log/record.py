@@ -216,7 +216,7 @@ class RecordedMission(MissionRecord):
         self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)
 
     def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
-        """Accept paths as long as the estimator of this belief does."""
+        """Accept paths up to the step limits of the estimator of a belief."""
         if (rules := (max_steps, own_steps(robot_types))) not in self._rules:
             self._rules.append(rules)
         self.max_steps = max(self.max_steps, max_steps)

@@ -3,10 +3,9 @@
 Compute a log's beliefs again from its paths and reports.
 
 A belief on record names the evidence that was assimilated since the belief before it. A replay
-assimilates that as well, and compares what it then believes with what is on record, field by
-field.
-Where a belief is missing, those after it are not compared, up to one that names all that it holds.
-So it is from a belief on whose report is missing, where the log has later ones of the deployment.
+assimilates the same evidence, and compares its belief with the one on record, field by field.
+After a missing belief none is compared until one that names all of its evidence. The same holds
+after a belief whose report is missing, if the log has later reports of that deployment.
 """
 
 from __future__ import annotations
@@ -86,7 +85,7 @@ def replay(
 
 
 class Fold:
-    """The belief that a log's evidence gives, up to one belief on record after another."""
+    """The belief recomputed from a log's evidence, compared with each recorded belief in turn."""
 
     def __init__(self, report: ReplayReport, topic: str, asked: RecordedGoal | None) -> None:
         self.report = report
@@ -105,19 +104,19 @@ class Fold:
         self._decisions: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
 
     def take(self, logged: LoggedMessage) -> None:
-        """Assimilate what a belief names, and compare it; errors are those of `replay`."""
+        """Assimilate the evidence that a belief names, and compare the beliefs."""
         self._index = logged.index
         belief = logged.message
         newest = newest_deployment(belief)
         digest = blake2b(logged.data, digest_size=16).digest()
-        # The counts of an estimator that was started again come to the same numbers again.
+        # A restarted estimator counts from the start, so equal counts alone prove nothing.
         follows = self._held == self._last and belief.since == len(self._assimilated)
         self._last = digest
         if digest in self._seen:
             self._find(self.report.repeated, newest, 'it is on record before')
             return
         if newest is None:
-            # An estimator that was started again may say the same again.
+            # A restarted estimator may publish the same beliefs again.
             self._seen.clear()
         self._seen.add(digest)
         self._held = b''
@@ -161,11 +160,11 @@ class Fold:
         is_complete: bool,
         stamp: int,
     ) -> bool:
-        """Assimilate what a belief names; raises ValueError if that cannot be."""
+        """Assimilate the named evidence; return False if the log lacks a belief before it."""
         if newest not in named:
             raise ValueError(f'taken_in does not name {newest}, which it assimilated last')
         if is_complete and self._assimilated.items() - named.items():
-            # An estimator that was restarted may hold less, or other reports of a deployment.
+            # A restarted estimator may hold less, or other reports of a deployment.
             assert self.report.evidence.prior is not None
             self._begin(self.report.evidence.prior)
         assert self._ledger is not None
@@ -184,11 +183,11 @@ class Fold:
         return True
 
     def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compare a belief with that of the ledger, and remember the views of it."""
+        """Compare a belief with that of the ledger, and compute its views."""
         assert self._ledger is not None
         prior = self.report.evidence.prior
         assert prior is not None
-        # That of the paths, which may state none.
+        # The mission of the paths, which may state none.
         states_mission = read_stamp('mission', belief.mission) != NO_MISSION
         mission = prior.mission if states_mission else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
@@ -206,7 +205,7 @@ class Fold:
             found += tuple(differences(belief, own, 0.0))
         if found:
             self.report.add(BeliefFinding(self._topic, self._index, newest, found))
-        # The grids of a belief that was rounded otherwise show that one.
+        # The grids of a belief with other rounding were made from that belief.
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
         self.views.expect(self._ledger, seen, newest, stamp)
         if not found:

@@ -35,8 +35,7 @@ class LogWriter:
     """
     Writer of CDR messages to a new log, or with `resume` to a new part of an old one.
 
-    What was written is on the disk after `sync`. After an OSError the log is closed as it was last
-    written.
+    All messages written are on the disk after `sync`. An OSError closes the log at its last write.
     """
 
     def __init__(

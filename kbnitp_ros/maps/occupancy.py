@@ -39,10 +39,10 @@ def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[n
     return np.where(share > ON_THE_EDGE, share, 0.0)
 
 
-HIGHEST = {'latitude': 90.0, 'longitude': 180.0}
+MAX_DEGREES = {'latitude': 90.0, 'longitude': 180.0}
 
 # A quarter of a meridian, in metres.
-FARTHEST = 1e7
+MAX_DISTANCE = 1e7
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Datum:
     heading: float
 
     def __post_init__(self) -> None:
-        for name, most in HIGHEST.items():
+        for name, most in MAX_DEGREES.items():
             if not abs(value := getattr(self, name)) <= most:
                 raise ValueError(
                     f'datum has {name} {value}: it must be from {-most:g} to {most:g}, in degrees'
@@ -85,10 +85,10 @@ class Datum:
     def on_earth(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return latitude and longitude, WGS84 in degrees, of points of the map in metres."""
         at = np.exp(1j * self.heading) * (np.asarray(points) @ (1, 1j))
-        if at.size and abs(at).max() > FARTHEST:
+        if at.size and abs(at).max() > MAX_DISTANCE:
             raise ValueError(
-                f'the field is {abs(at).max():.4g} m from the datum: at most {FARTHEST:g} m are '
-                'shown on the earth'
+                f'the field is {abs(at).max():.4g} m from the datum: at most {MAX_DISTANCE:g} m '
+                'are shown on the earth'
             )
         east, north = at.real.tolist(), at.imag.tolist()
         longitude, latitude = self._projection(east, north, inverse=True)

@@ -44,16 +44,14 @@ class AgentNode(FieldNode):
             )
             for other in sorted(others)
         ]
-        self._is_deaf = True
         self.create_poll(self._look)
 
     def _look(self) -> None:
         """Accept paths, which are kept until then, once the reports have subscribers."""
-        if self._is_deaf:
+        if not self._agents[0].is_listening:
             if missing := self.missing_listeners([agent.reports for agent in self._agents]):
                 self.diagnostics.state = waiting_for(missing)
                 return
-            self._is_deaf = False
             for agent in (*self._agents, *self._others):
                 agent.listen()
         awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]

@@ -271,7 +271,7 @@ class RecorderNode(MissionNode):
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = RecordedTopic(name, type_name, role)
         if role is not None and role.name in ('path', 'status'):
-            # Each with its own history, as deep as DDS has it.
+            # Each agent has a publisher, with a history as deep as DDS allows.
             name = f'{role.agent}/recorded'
             topic.recorded = self.create_publisher(Recorded, name, qos.EVIDENCE)
         elif role is not None and role.name == 'operator':
@@ -299,23 +299,22 @@ class RecorderNode(MissionNode):
         )
 
     def _subscribe(self, topic: RecordedTopic, profile: QoSProfile) -> Subscription:
-        def look_again(_: Any) -> None:
-            self._settled.discard(topic.name)
-
+        events = SubscriptionEventCallbacks(
+            matched=lambda _: self._settled.discard(topic.name), use_default_callbacks=False
+        )
+        events.incompatible_qos = events.matched
         return self.create_subscription(
             message_class(topic.type_name),
             topic.name,
             partial(self._on_message, topic),
             profile,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(
-                matched=look_again, incompatible_qos=look_again, use_default_callbacks=False
-            ),
+            event_callbacks=events,
         )
 
     def _on_message(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         role = topic.role.name if topic.role else ''
-        # So many messages delay nobody; only the paths read with them do.
+        # Nobody waits for the record of these, unless paths that were read with them do.
         is_seldom_awaited = role in ('belief', 'status')
         if is_seldom_awaited:
             # They are checked against the known paths, and callbacks come in any order.

@@ -30,7 +30,7 @@ from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot.journal import Deployment, Journal, Step
 from kbnitp_ros.robot.way import Itinerary, MARGIN, shortest_way, Walk, without_loops
-from kbnitp_ros.robot.whereabouts import Fixes, NONE, Place, Transforms, Whereabouts
+from kbnitp_ros.robot.whereabouts import Fixes, NO_STEP, Place, Transforms, Whereabouts
 from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
@@ -53,8 +53,8 @@ class RobotNode(FieldNode):
 
     def __init__(self) -> None:
         # The network addresses that DDS knows. A node that starts without a link listens on lo
-        # alone, and stays deaf when one comes up. A node whose address changes is not found under
-        # the new one.
+        # alone, and stays unreachable when one comes up. A node whose address changes is not found
+        # under the new one.
         self._addresses = addresses()
         super().__init__('robot')
         values = self.values
@@ -209,7 +209,7 @@ class RobotNode(FieldNode):
     def _lose(self, time_lost: int, error: ValueError) -> None:
         """Discard detections while the robot's place is unknown, and say why."""
         if self._deployment is not None:
-            self._whereabouts.note(time_lost, NONE)
+            self._whereabouts.note(time_lost, NO_STEP)
         self._publish_trouble(self._source, str(error))
 
     def _enter(self, cells: Sequence[int]) -> None:
@@ -245,7 +245,7 @@ class RobotNode(FieldNode):
         if trouble and not self._troubles.get(about):
             self.get_logger().warning(f'{about}: {trouble}')
         elif not trouble and self._troubles.get(about):
-            self.get_logger().info(f'{about}: all is well')
+            self.get_logger().info(f'{about}: the problem is over')
         self._troubles[about] = trouble
         self.diagnostics.warning = '; '.join(filter(None, self._troubles.values()))
 
@@ -285,7 +285,7 @@ class RobotNode(FieldNode):
             number = self._whereabouts.step_within(since, until)
             if number is None:
                 self._unread.append((since, until, seen))
-            elif number != NONE and not deployment.is_doubted:
+            elif number != NO_STEP and not deployment.is_doubted:
                 step = deployment.steps[number - 1]
                 # All detections in a cell make one reading: whether anything was seen.
                 if step.reading < seen:
@@ -420,7 +420,8 @@ class RobotNode(FieldNode):
                 return waiting_for(f'TF to place the robot after driving {goal}')
             self._is_driving, self._ended_at = False, 0
             self._end_leg(self._place)
-        if itinerary.heads_home and self._is_at_base(self._place):
+        tolerance = self.values['arrival_tolerance']
+        if itinerary.heads_home and self._distance(self._place) <= tolerance:
             self._come_home(deployment)
             return f'home from {self._key(deployment)}'
         if itinerary.is_stay and self._walk.cell == itinerary.destination:
@@ -459,7 +460,9 @@ class RobotNode(FieldNode):
                 failure = f'{self._driver.name} reports that the goal is reached, but {error}'
             else:
                 is_there = cell == itinerary.destination
-                if is_there and (not itinerary.heads_home or self._is_at_base(place)):
+                if itinerary.heads_home:
+                    is_there &= self._distance(place) <= self.values['arrival_tolerance']
+                if is_there:
                     self._enter(self._walk.settle(place.x, place.y))
                 else:
                     failure = (
@@ -486,12 +489,8 @@ class RobotNode(FieldNode):
         ((x, y),) = self.grid.centers([self.grid.base]).tolist()
         return hypot(place.x - x, place.y - y)
 
-    def _is_at_base(self, place: Place) -> bool:
-        tolerance: float = self.values['arrival_tolerance']
-        return self._distance(place) <= tolerance
-
     def _stay(self) -> str:
-        """Wait where the robot is, and look again."""
+        """Stay in the cell for the parameter stay_time; return the state of the robot."""
         now = self.now()
         if self._stays_until is None:
             self._stays_until = now + int(self.values['stay_time'] * SECOND)

@@ -22,7 +22,7 @@ FREE, SUSPECTED = 0.05, 0.5
 FOUND, LISTED = 0.95, 0.5
 
 # Robots that give the pace of a mission: its last quarter, and at least so many.
-LAST, FEWEST = 0.25, 5
+LAST, MIN_ROBOTS = 0.25, 5
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def pace(mission: Mission) -> tuple[str, str]:
         return 'Stop', 'Every cell is free of a hazard, or has one, with 95 % or more.'
     if len(moments) < 2:
         return 'Send robots', f'No robot was sent, and {counted(left, "cell")} are undecided.'
-    robots = min(len(moments) - 1, max(FEWEST, int(LAST * (len(moments) - 1))))
+    robots = min(len(moments) - 1, max(MIN_ROBOTS, int(LAST * (len(moments) - 1))))
     decided = undecided(mission, -1 - robots) - left
     since = {each.deployment: each.outcome for each in moments[-robots:] if each.outcome}
     lost = sum(not each.survived for each in since.values())

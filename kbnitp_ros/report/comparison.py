@@ -100,8 +100,15 @@ def differences(first: Pair, second: Pair) -> Iterator[str]:
     yield found_alone(*missions, 'hazard', SUSPECTED)
     yield alone(one.entered, other.entered, 'entered')
     yield lanes(*missions)
-    yield uncertainty(*curves)
-    yield cost(*missions)
+    entropies = [float(each.entropy[-1]) for each in curves]
+    losses = [float(each.log_loss[-1]) for each in curves]
+    left = f'{more(entropies[1] - entropies[0], "nats", ".1f")} left in B.'
+    if not np.isnan(losses).any():
+        left += f' Log loss: {losses[0]:.1f} nats in A, {losses[1]:.1f} in B.'
+    yield left
+    sent = [len(each.deployments) for each in missions]
+    lost = [sum(not seen.survived for seen in each.ended) for each in missions]
+    yield f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
     yield where(*missions)
     # The next thing to do follows from each mission alone.
     yield ''
@@ -140,23 +147,6 @@ def lanes(first: Mission, second: Mission) -> str:
         return 'The goals are different.'
     points = 100.0 * (other.p_free - one.p_free)
     return f'{more(points, "points", ".1f")} in B.'
-
-
-def uncertainty(first: Curves, second: Curves) -> str:
-    """Return the differences of remaining entropies, and of log losses where known."""
-    entropies = [float(each.entropy[-1]) for each in (first, second)]
-    losses = [float(each.log_loss[-1]) for each in (first, second)]
-    said = f'{more(entropies[1] - entropies[0], "nats", ".1f")} left in B.'
-    if not np.isnan(losses).any():
-        said += f' Log loss: {losses[0]:.1f} nats in A, {losses[1]:.1f} in B.'
-    return said
-
-
-def cost(first: Mission, second: Mission) -> str:
-    """Return the differences of the robots sent and lost."""
-    sent = [len(each.deployments) for each in (first, second)]
-    lost = [sum(not seen.survived for seen in each.ended) for each in (first, second)]
-    return f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
 
 
 def where(first: Mission, second: Mission) -> str:

@@ -180,6 +180,9 @@ def filled(
     table = rows(mission, curves)
     shown = deployments_shown(mission, kept)
     labels, panels = zip(*curve_plots(mission, curves, kept))
+    north = None if mission.datum is None else pi / 2 - mission.datum.heading
+    plots = {'map': map_plot(mission.grid, north=north), 'cell': cell_plot()}
+    plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
     tables = {'Versions': mission.run, **mission.parameters}
     return rendered(
         'page',
@@ -218,7 +221,7 @@ def filled(
         ),
         # Differences modulo 256: negative ones wrap around, as they do in the page.
         frames=packed(np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1])).tobytes()),
-        plots=in_json(page_plots(mission, panels)),
+        plots=in_json(plots),
     )
 
 
@@ -236,11 +239,6 @@ def rendered(name: str, **values: object) -> str:
 def library() -> str:
     """Return Plotly's script for pages."""
     return str(get_plotlyjs()).replace('</script', '<\\/script')
-
-
-def without_library(page: str) -> str:
-    """Return a page without Plotly, for a browser that has it already."""
-    return page.replace(library(), '')
 
 
 def in_json(plots: Mapping[str, str]) -> str:
@@ -293,15 +291,6 @@ def map_colours(mission: Mission) -> dict[str, str]:
         for name, words in COLOURS.items()
         if name != 'used-up' or mission.rules['dynamics'] == 'used_up'
     }
-
-
-def page_plots(mission: Mission, panels: tuple[str, ...]) -> dict[str, str]:
-    """Return all plots, each in JSON."""
-    north = None if mission.datum is None else pi / 2 - mission.datum.heading
-    plots = {'map': map_plot(mission.grid, north=north)}
-    plots |= {f'curve-{number}': panel for number, panel in enumerate(panels)}
-    plots['cell'] = cell_plot()
-    return plots
 
 
 def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:

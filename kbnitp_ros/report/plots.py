@@ -46,7 +46,10 @@ def map_plot(
     north: float | None = None,
 ) -> str:
     """Return a map in Plotly's JSON; the page sets its colours."""
-    directions = arrow_directions(grid, north)
+    # Of arrows beside the map, rad from the right.
+    directions = {'x': -grid.yaw, 'y': pi / 2 - grid.yaw} if grid.yaw else {}
+    if north is not None:
+        directions['N'] = north - grid.yaw
     place = (
         'along the rows %{x:.4g} m, across %{y:.4g} m'
         if grid.yaw
@@ -128,14 +131,6 @@ def map_plot(
 def as_drawn(grid: Grid) -> Grid:
     """Return a grid as a page draws it."""
     return replace(grid, origin=(0.0, 0.0), yaw=0.0) if grid.yaw else grid
-
-
-def arrow_directions(grid: Grid, north: float | None) -> dict[str, float]:
-    """Return the directions of the arrows beside a map by name, rad from the right."""
-    directions = {'x': 0.0, 'y': pi / 2} if grid.yaw else {}
-    if north is not None:
-        directions['N'] = north
-    return {name: angle - grid.yaw for name, angle in directions.items()}
 
 
 def arrow(name: str, angle: float) -> dict[str, Any]:

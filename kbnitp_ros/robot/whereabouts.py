@@ -146,11 +146,11 @@ class Fixes:
 
 
 # The step of a robot near the edge of its cell, whose detections may be of another one.
-NONE = 0
+NO_STEP = 0
 
 
 # A span of time throughout which the robot was in one step: its first and last time, nanoseconds,
-# and the step of the walk, counted from 1, or `NONE`.
+# and the step of the walk, counted from 1, or `NO_STEP`.
 Span = tuple[int, int, int]
 
 
@@ -164,7 +164,7 @@ class Whereabouts:
         self._spans: deque[Span] = deque()
 
     def note(self, time: int, step: int) -> None:
-        """Record the step, from 1, or `NONE`, of the robot at a time."""
+        """Record the step, from 1, or `NO_STEP`, of the robot at a time."""
         spans = self._spans
         if spans and time < spans[-1][1]:
             spans.clear()
@@ -179,10 +179,10 @@ class Whereabouts:
             spans.popleft()
 
     def step_within(self, since: int, until: int) -> int | None:
-        """Return the step of the robot between two times, or `NONE`; None if it is too soon."""
+        """Return the step of the robot between two times, or `NO_STEP`; None if it is too soon."""
         if not self._spans or until > self._spans[-1][1]:
             return None
         for first, last, step in reversed(self._spans):
             if first <= since:
-                return step if until <= last else NONE
-        return NONE
+                return step if until <= last else NO_STEP
+        return NO_STEP

@@ -187,7 +187,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (Obstacle.NO_FREE_AGENT, {}, 'nobody publishes /a/scout_1/report (parameter agents)'),
     (
         Obstacle.NO_FREE_AGENT,
-        {'silent': ['scout_1']},
+        {'absent': [], 'silent': ['scout_1']},
         'nobody publishes /a/scout_1/status, so a robot that never left',
     ),
 ])  # fmt: skip

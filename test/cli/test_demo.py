@@ -16,7 +16,7 @@ from demo_mission import demo_mission
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli import demo_mission as demo_mission_module
 from kbnitp_ros.cli.demo import main, parse
-from kbnitp_ros.cli.demo_mission import chosen_parameters, observed, recorded_parameters
+from kbnitp_ros.cli.demo_mission import chosen_parameters, observed, recorded_parameters, watch
 from kbnitp_ros.cli.parameters import NODES
 from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
@@ -463,7 +463,7 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
         spinning = Thread(target=executor.spin)
         spinning.start()
         begun = time.monotonic()
-        observer.watch(1, Processes(domain))
+        watch(observer, 1, Processes(domain))
         assert until - 0.25 < time.monotonic() - begun < until + 5.0
         executor.shutdown()
         spinning.join()

@@ -225,7 +225,7 @@ def test_detections_at_1_khz_and_none_at_all(field):
 def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     fleet, reports = Fleet.simulated(field)
     fleet.start()
-    field.until(lambda: '/tf: all is well' in field.said('/scout_1/robot'), 'TF')
+    field.until(lambda: '/tf: the problem is over' in field.said('/scout_1/robot'), 'TF')
     paths = field.talk(PathMessage, '/scout_1/path', qos.EVIDENCE)
     other = Grid(30, 30, base=899)
     paths.publish(path_message(other, [899, 898, 899], 10**9, 5))

@@ -12,7 +12,7 @@ import time
 
 from ament_index_python.packages import get_package_share_directory
 from kbnitp_ros.cli.processes import environment, free_domain
-from kbnitp_ros.nodes.runtime.graph import deaf_to_server, PROFILES, udp_only
+from kbnitp_ros.nodes.runtime.graph import discovery_warning, PROFILES, udp_only
 from kbnitp_ros.nodes.runtime.node import MissionNode, spin_once
 from kbnitp_ros.nodes.runtime.qos import EVIDENCE
 import pytest
@@ -237,9 +237,9 @@ def test_settings_of_the_user_are_kept():
 @pytest.mark.processes
 def test_a_node_warns_of_a_discovery_server_that_hides_nodes(tmp_path):
     server = {'ROS_DISCOVERY_SERVER': '127.0.0.1:11811'}
-    told = deaf_to_server(server)
+    told = discovery_warning(server)
     for client in ({}, server | {'ROS_SUPER_CLIENT': 'TRUE'}, {'ROS_SUPER_CLIENT': 'FALSE'}):
-        assert not deaf_to_server(client)
+        assert not discovery_warning(client)
     with free_domain() as domain:
         recorder = subprocess.Popen(
             [sys.executable, '-m', 'kbnitp_ros', 'recorder'],

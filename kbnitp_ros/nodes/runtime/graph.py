@@ -39,7 +39,7 @@ def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
     return variables
 
 
-def deaf_to_server(environment: Mapping[str, str]) -> str:
+def discovery_warning(environment: Mapping[str, str]) -> str:
     """Return why nodes behind a discovery server see too little; empty if they do not."""
     server = environment.get('ROS_DISCOVERY_SERVER')
     if not server or environment.get('ROS_SUPER_CLIENT', '').lower() in ('true', '1'):

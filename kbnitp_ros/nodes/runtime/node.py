@@ -25,8 +25,8 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
 from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, TOPIC, WAITING, waiting_for
 from kbnitp_ros.nodes.runtime.graph import (
-    deaf_to_server,
     decodable,
+    discovery_warning,
     full_name,
     listening_roles,
     NAMELESS,
@@ -119,7 +119,7 @@ class MissionNode(Node):
         self._awaited = ''
         self._log_at = 0.0
         self.create_poll(self._log_wait)
-        if warning := deaf_to_server(os.environ):
+        if warning := discovery_warning(os.environ):
             self.get_logger().warning(warning)
 
     def now(self) -> int:
@@ -212,13 +212,13 @@ class MissionNode(Node):
 
     def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
         """Return the nodes in `await_nodes` that do not subscribe yet; empty if all do."""
-        deaf: dict[str, list[str]] = {}
+        unread: dict[str, list[str]] = {}
         topics = [publisher.topic_name for publisher in publishers]
         for topic, listening in listening_roles(self, topics).items():
             for awaited in self.values['await_nodes']:
                 if awaited not in listening:
-                    deaf.setdefault(awaited, []).append(topic)
-        missing = [f'{awaited} to listen to {some(topics)}' for awaited, topics in deaf.items()]
+                    unread.setdefault(awaited, []).append(topic)
+        missing = [f'{awaited} to listen to {some(topics)}' for awaited, topics in unread.items()]
         return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
 
     def _log_wait(self) -> None:
