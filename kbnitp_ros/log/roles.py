@@ -135,7 +135,14 @@ class Roles:
     @cached_property
     def by_topic(self) -> dict[str, Role]:
         """Return the role of each topic that has one."""
-        return {topic: role for name, topic in self.names.items() if (role := find_role(name))}
+        roles = {}
+        for name, topic in self.names.items():
+            agent, _, own = name.partition('/')
+            if name in OF_MISSION:
+                roles[topic] = Role(name, '', OF_MISSION[name])
+            elif own in OF_AGENT:
+                roles[topic] = Role(own, agent, OF_AGENT[own])
+        return roles
 
     @property
     def record(self) -> dict[str, str]:
@@ -170,14 +177,6 @@ class Roles:
             if own != topic:
                 return f'{role} is {topic}, and not {own}'
         return ''
-
-
-def find_role(name: str) -> Role | None:
-    """Return the role of a name such as `belief` or `scout_1/path`; None if it is unknown."""
-    if name in OF_MISSION:
-        return Role(name, '', OF_MISSION[name])
-    agent, _, own = name.partition('/')
-    return Role(own, agent, OF_AGENT[own]) if own in OF_AGENT else None
 
 
 def roles_on_record(

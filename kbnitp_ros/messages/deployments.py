@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from itertools import count
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
@@ -108,27 +107,23 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
         raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
     stamp = read_stamp('header.stamp', message.header.stamp)
     key = DeploymentKey(message.agent, read_name('deployment', message.deployment))
-    readings = tuple(map(_read_reading, message.readings, count()))
+    readings = []
+    for number, each in enumerate(message.readings):
+        if each.detected and each.not_looked:
+            raise ValueError(
+                f'readings[{number}] has detected and not_looked: nothing is detected without a '
+                'look'
+            )
+        readings.append((int(each.cell), -1 if each.not_looked else int(each.detected)))
     if message.source not in list(Source):
         raise ValueError(f'source is {message.source}: it must be from 0 to {max(Source)}')
     return key, Report(
         bool(message.survived),
-        readings,
+        tuple(readings),
         stamp,
         int(message.steps_survived),
         lost_at=tuple(map(float, message.lost_at)),
     )
-
-
-def _read_reading(message: Any, number: int) -> tuple[int, int]:
-    """Return the cell and the reading of a kbnitp_msgs/TargetReading, the n-th of a report."""
-    if not message.not_looked:
-        return int(message.cell), int(message.detected)
-    if message.detected:
-        raise ValueError(
-            f'readings[{number}] has detected and not_looked: nothing is detected without a look'
-        )
-    return int(message.cell), -1
 
 
 # Maximum number of characters of a reason.

@@ -1,18 +1,343 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node of simulated agents, whose robots enter a hidden world."""
+"""The node of simulated agents, whose robots enter a hidden world that they and time change."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+import time
 
-from kbnitp_ros.configuration.agents import make_robot_types
+from kbnitp_msgs.msg import AgentStatus, DeploymentReport
+from kbnitp_ros.configuration import agent_names, value_for
+from kbnitp_ros.configuration.agents import (
+    make_execution,
+    make_robot_types,
+    make_sensor_model,
+    true_dynamics,
+)
+from kbnitp_ros.configuration.field import read_world
+from kbnitp_ros.core import DeploymentKey, Observation, World
+from kbnitp_ros.core.field.world import Traverse
+from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
+from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
+from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.messages.headers import check_mission, mission_of_path
+from kbnitp_ros.messages.markers import pose_message, readings_marker
+from kbnitp_ros.nodes.presence import HoldSubscription
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
+from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.simulation import PATIENCE, SimulatedAgent, Simulation
+from nav_msgs.msg import OccupancyGrid, Path
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
+
+# Seconds that a robot waits for paths that may come before its own: missing acknowledgements are
+# requested again after 1 s and 2 s.
+PATIENCE = 5.0
+
+
+# A deployment, the cells of its path, and the start of its mission.
+SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
+
+
+class Simulation:
+    """The hidden field of a team, and the outcomes of its robots as in core's run_mission."""
+
+    # Hazards that change are a fold of all paths in deployment order, so a robot leaves when those
+    # before it are known. Where all agents take part in each round in their order, robot n of an
+    # agent, from 0, waits for n + 1 paths of each agent before it and n of each after it. An agent
+    # whose robot is out or waits gets no earlier path. Of others it may never come, as at the end
+    # of a mission or when agents leave one by one, so nobody waits for longer than `PATIENCE`.
+
+    def __init__(self, node: FieldNode, record: RecordedMission) -> None:
+        self.node = node
+        self.grid = node.grid
+        values = node.values
+        common = make_sensor_model(values)
+        robot_types = make_robot_types(values, self.grid)
+        self._models = {agent: each.model(common) for agent, each in robot_types.items()}
+        self.agents = agent_names(values, self.grid)
+        dynamics = self._dynamics = true_dynamics(values)
+        # Whether hazards stay.
+        self.is_static = dynamics.effect == 'static'
+        self._execution = make_execution(values)
+        self._seeds = np.random.SeedSequence(values['seed'])
+        # The present field.
+        self._world = self._first_world()
+        # The recorded paths, and the mission of each agent's paths.
+        self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
+        self._missions = dict.fromkeys(self.agents, record.mission)
+        # The known paths, and the number of robots that left, by agent; and waiting paths.
+        self._known = dict.fromkeys(self.agents, 0)
+        self._left = dict.fromkeys(self.agents, 0)
+        self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
+        # When these became known.
+        self._since: dict[DeploymentKey, float] = {}
+        # Agents whose robots have left and are not back.
+        self.out: set[str] = set()
+        self._truth = {
+            name: node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
+            for name in ('hazard', 'target')
+            if values['publish_truth']
+        }
+        # Outcomes of robots that leave at once, and robots that move once their outcome is known.
+        self._outcomes: dict[DeploymentKey, Traverse] = {}
+        self._moving: set[DeploymentKey] = set()
+        for key in record.orders:
+            self._restore(key, record)
+        self._publish_truth()
+        # Callbacks with the outcomes, by agent; agents of other nodes have none.
+        self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
+        if not self.is_static:
+            node.create_poll(self._leave_all)
+
+    def _first_world(self) -> World:
+        """Return the world before the first deployment, from a file or drawn."""
+        values = self.node.values
+        if file := values['world.file']:
+            return read_world(file, self.grid)
+        return World.random(
+            self.grid,
+            np.random.default_rng(self._seeds),
+            values['world.hazard_density'],
+            values['world.kappa'],
+            values['world.target_background'],
+        )
+
+    def _publish_truth(self) -> None:
+        for name, publisher in self._truth.items():
+            truth = getattr(self._world, name)
+            publisher.publish(occupancy_grid(self.grid, truth, self.node.now()))
+
+    @property
+    def awaited(self) -> str:
+        """Return the agent whose path the next robot waits for; empty if there is none."""
+        if not self._waiting or self.is_static:
+            return ''
+        first = min(self._waiting, key=deployment_order)
+        if time.monotonic() > self._since[first] + PATIENCE:
+            return ''
+        place, robot = self.agents.index(first.agent), self._left[first.agent]
+        settled = {*self.out, *(key.agent for key in self._waiting)}
+        for number, other in enumerate(self.agents):
+            if self._known[other] < robot + (number < place) and other not in settled:
+                return other
+        return ''
+
+    def read_path(self, agent: str, message: Path) -> SentPath | None:
+        """Return what a path of an agent says; None if the path is known."""
+        key, path = self.node.read_path(agent, message)
+        mission = mission_of_path(message)
+        check_mission(mission, self._missions[agent])
+        known = self.paths.get(key)
+        if known is not None and not np.array_equal(known, path):
+            raise ValueError(f'deployment {key} is known with another path: the first path counts')
+        if known is not None:
+            return None
+        self.node.diagnostics.accepted += 1
+        return key, path, mission
+
+    def accept(self, sent: SentPath) -> DeploymentKey:
+        """Accept a path that is durably recorded."""
+        key, path, mission = sent
+        check_mission(mission, self._missions[key.agent])
+        self._missions[key.agent] = mission
+        self.paths[key] = path
+        return key
+
+    def take(self, key: DeploymentKey) -> None:
+        """Start a deployment once all earlier ones that can change the field have started."""
+        self._moving.add(key)
+        if key not in self._outcomes:
+            self._add_path(key, self.paths[key])
+        self._leave_all()
+
+    def _add_path(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+        if key not in self._waiting:
+            self._known[key.agent] += 1
+            self._waiting[key] = path
+            self._since[key] = time.monotonic()
+
+    def _leave_all(self) -> None:
+        before = self._world
+        self._traverse_all()
+        if not np.array_equal(before.hazard, self._world.hazard):
+            self._publish_truth()
+        for key in sorted(self._moving & self._outcomes.keys(), key=deployment_order):
+            self._moving.remove(key)
+            made = self._outcomes.pop(key)
+            if key.agent in self.leave:
+                self.leave[key.agent](key, made)
+
+    def _traverse_all(self) -> None:
+        """Compute the outcomes of the robots that leave now."""
+        while self._waiting and not self.awaited:
+            key = min(self._waiting, key=deployment_order)
+            is_first = not any(self._left.values())
+            path = self._waiting.pop(key)
+            del self._since[key]
+            # Robots are counted from 0 in departure order.
+            child = self._left[key.agent] * len(self.agents) + self.agents.index(key.agent)
+            seeds = np.random.SeedSequence(self._seeds.entropy, spawn_key=(child,))
+            made = self._execution.traverse(
+                self._world,
+                self.grid.at(int(path[0])),
+                path,
+                self._models[key.agent],
+                np.random.default_rng(seeds),
+                self._dynamics,
+                changing=None if is_first else self.grid.may_be_hazardous,
+            )
+            self._left[key.agent] += 1
+            self._world = made.world
+            self._outcomes[key] = made
+
+    def is_over(self, observation: Observation | None) -> bool:
+        """Return whether a robot on record is done."""
+        # A silent robot was only given up, and may be on its way home.
+        return observation is not None and (
+            observation.survived or not self.node.values['silent_loss']
+        )
+
+    def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
+        """Restore a deployment on record, unless its robot is still to depart."""
+        is_at_home = self.is_static and not record.has_departed(key)
+        if record.departures.is_refused(key) or is_at_home:
+            return
+        if self.is_static and self.is_over(record.outcome(key)):
+            self._known[key.agent] += 1
+            self._left[key.agent] += 1
+            return
+        self._add_path(key, record.paths[key])
+        self._traverse_all()
+
+
+class SimulatedAgent(RecordedPaths[SentPath]):
+    """A simulated robot for each path of one agent, and its reports."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        name: str,
+        record: RecordedMission,
+    ) -> None:
+        super().__init__(
+            simulation.node, name, partial(simulation.read_path, name), self._take_path
+        )
+        self._simulation = simulation
+        simulation.leave[name] = self._leave
+        self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
+        self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
+        self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
+        # Paths whose robots may not depart yet.
+        self._at_home: list[DeploymentKey] = []
+        # Paths whose robots have departed, by the log.
+        self._departed = {key for key in record.orders if record.has_departed(key)}
+        self._hold = HoldSubscription(self._node, self._depart_all)
+        self._node.create_poll(self._depart_all)
+        if self._node.values['publish_pose']:
+            self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
+        for key in record.orders:
+            outcome = record.outcome(key)
+            if key.agent == name and outcome is not None and simulation.is_over(outcome):
+                # Its report is published again, and its robot not sent a second time.
+                simulation.paths[key] = record.paths[key]
+                self._publish_status(key, OrderState.DEPARTED)
+                stamp = record.reports[key].stamp
+                self.reports.publish(report_message(key, outcome, stamp))
+
+    def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
+        name = f'{self._node.above}/{self.agent}/{topic}'
+        return self._node.create_publisher(message_type, name, profile)
+
+    @property
+    def pending(self) -> int:
+        """Return the number of its robots that have not departed yet."""
+        return super().pending + len(self._at_home)
+
+    @property
+    def awaited(self) -> str:
+        """Describe the wait of the agent's robots; empty if there is none."""
+        return (self._hold.awaited if self._at_home else '') or super().awaited
+
+    def _take_path(self, sent: SentPath) -> None:
+        """Let a robot depart when it may, or at once if its departure is on record."""
+        key = self._simulation.accept(sent)
+        self._at_home.append(key)
+        self._publish_status(key, OrderState.ACCEPTED)
+        if self._node.values['recorded']:
+            departure = status_message(key, OrderState.DEPARTED, key.stamp)
+            self.when_recorded(departure, partial(self._move, key))
+        self._depart_all()
+
+    def _depart_all(self) -> None:
+        """Let the robots at home depart: all if they may, else those that had departed."""
+        is_held = bool(self._at_home and self._hold.awaited)
+        for key in [key for key in self._at_home if not is_held or key in self._departed]:
+            self._depart(key)
+            if not self._node.values['recorded']:
+                self._move(key)
+
+    def _depart(self, key: DeploymentKey) -> None:
+        self._at_home.remove(key)
+        self._publish_status(key, OrderState.DEPARTED)
+
+    def _move(self, key: DeploymentKey) -> None:
+        if key in self._at_home:
+            # The recorder had its departure before this node restarted.
+            self._depart(key)
+        self._simulation.take(key)
+
+    def _publish_status(self, key: DeploymentKey, state: OrderState) -> None:
+        """Publish the status of an order; a restarted agent publishes the same again."""
+        self._statuses.publish(status_message(key, state, key.stamp))
+
+    def _leave(self, key: DeploymentKey, made: Traverse) -> None:
+        self._simulation.out.add(self.agent)
+        period = value_for(self._node.values, 'step_period', self.agent)
+        if period == 0.0:
+            self._return(key, made.observation)
+            return
+        self._after(period * (len(made.walk) - 1), partial(self._return, key, made.observation))
+        if self._node.values['publish_pose']:
+            for step, cell in enumerate(made.walk[: made.steps_made + 1].tolist()):
+                self._after(period * step, partial(self._show, cell))
+
+    def _after(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Call back once, after a time on the simulated clock, or else on a steady one."""
+
+        def once() -> None:
+            self._node.destroy_timer(timer)
+            callback()
+
+        is_simulated = self._node.get_parameter('use_sim_time').value
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        clock = self._node.get_clock() if is_simulated else steady
+        timer = self._node.create_timer(seconds, once, clock=clock)
+
+    def _show(self, cell: int) -> None:
+        pose = pose_message(self._simulation.grid, self.agent, cell, self._node.now())
+        self._poses.publish(pose)
+
+    def _return(self, key: DeploymentKey, observation: Observation) -> None:
+        """Report the outcome of a robot after its time away."""
+        self._simulation.out.discard(self.agent)
+        if not observation.survived and self._node.values['silent_loss']:
+            return
+        stamp = self._node.now()
+        self.reports.publish(report_message(key, observation, stamp))
+        if observation.survived:
+            self._readings.publish(readings_marker(self._simulation.grid, observation, stamp))
 
 
 class AgentNode(FieldNode):

@@ -108,19 +108,14 @@ DRIVERS: dict[str, tuple[Any, str]] = {
 
 def goal_along(action: Any, points: NDArray[np.float64], stamp: int) -> Any:
     """Return the goal of driving from the first of these points along the others, shape (n, 2)."""
-    if action is FollowPath:
-        poses = poses_along(dense(points), stamp)
-        return action.Goal(path=Path(header=header(stamp), poses=poses))
-    return action.Goal(poses=poses_along(points, stamp)[1:])
-
-
-def dense(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return points on the straight lines between these, at most `SPACING` apart."""
+    if action is not FollowPath:
+        return action.Goal(poses=poses_along(points, stamp)[1:])
     stretches = [
         np.linspace(start, end, max(1, ceil(hypot(*(end - start)) / SPACING)), endpoint=False)
         for start, end in pairwise(points)
     ]
-    return np.concatenate([*stretches, points[-1:]])
+    dense = np.concatenate([*stretches, points[-1:]])
+    return action.Goal(path=Path(header=header(stamp), poses=poses_along(dense, stamp)))
 
 
 def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's proposals, and the services of its operator."""
+"""The services of the planner's operator, its proposals, and its hold on departures."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
+import time
 from typing import Any
 
 from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
@@ -24,18 +26,26 @@ from kbnitp_ros.messages.operator_actions import (
     Paths,
     REPEATED,
 )
+from kbnitp_ros.nodes.presence import BOOL, HOLD
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
 from rclpy.task import Future
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
+
+# Minimum seconds between two answers to other values of `hold`.
+MIN_PAUSE = 0.1
+
+# Seconds that the graph may take to name the author of a message.
+MAX_UNNAMED = 30.0
 
 # The response of any of the services: success and message.
 Response = Any
 
 
 class Operator:
-    """The services of the operator, who takes one action at a time, and the proposed plans."""
+    """The services of the operator, who takes one action at a time, with proposals and hold."""
 
     def __init__(
         self,
@@ -43,7 +53,6 @@ class Operator:
         grid: Grid,
         agents: Sequence[str],
         in_flight: DeploymentsInFlight,
-        hold: Callable[[bool], None],
         act: Callable[[OperatorAction], None],
     ) -> None:
         self.state = OperatorState()
@@ -53,8 +62,12 @@ class Operator:
         self._node = node
         self._grid = grid
         self._in_flight = in_flight
-        self._hold = hold
         self._act = act
+        # The published value of `hold`, whether another node has published the opposite since, and
+        # the times of both, in seconds.
+        self._is_held: bool | None = None
+        self._is_contradicted = False
+        self._held_at = self._contradicted_at = -inf
         # The action that is not on disk yet, and the hash of its message.
         self._pending: tuple[OperatorAction, int, Response, Future] | None = None
         self._publisher = node.create_publisher(OperatorActionMessage, 'operator', qos.EVIDENCE)
@@ -62,6 +75,9 @@ class Operator:
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
         }
+        self._holds = node.create_publisher(Bool, HOLD, qos.LATCHED)
+        node.subscribe(Bool, HOLD, self._on_hold, qos.LATCHED)
+        node.create_poll(self._answer)
         node.create_service(SetBool, 'pause', self._on_pause)
         node.create_service(SetBool, 'approve', self._on_approve)
         node.create_service(GiveUp, 'give_up', self._on_give_up)
@@ -73,6 +89,40 @@ class Operator:
         """Restore an action on record, and publish it again for nodes that join late."""
         if self.state.apply(action):
             self._publisher.publish(data)
+
+    def hold(self, is_held: bool) -> None:
+        """Publish whether departures are held, if that has changed."""
+        if is_held != self._is_held:
+            self._is_held = is_held
+            self._publish_hold()
+
+    def _publish_hold(self) -> None:
+        self._is_contradicted = False
+        self._held_at = time.monotonic()
+        self._holds.publish(Bool(data=self._is_held))
+
+    def _on_hold(self, message: Bool) -> None:
+        if self._is_held is not None and message.data != self._is_held:
+            self._is_contradicted = True
+            self._contradicted_at = time.monotonic()
+            self._answer()
+
+    def _answer(self) -> None:
+        """Publish the own hold after another one, and refuse that once its author is known."""
+        now = time.monotonic()
+        if self._is_contradicted and now > self._held_at + MIN_PAUSE:
+            self._publish_hold()
+        if now > self._contradicted_at + MAX_UNNAMED:
+            return
+        others = self._node.named_authors(self._holds.topic_name, BOOL)
+        # An own value from before the last change arrives as well: then there are no others.
+        if len(others) > 1:
+            self._contradicted_at = -inf
+            self._node.diagnostics.refuse(
+                HOLD,
+                f'data is {not self._is_held}, but this planner publishes {self._is_held}, which '
+                f'counts: nodes {", ".join(others)} publish it',
+            )
 
     def propose(self, plans: Plans, search: Search) -> None:
         """Publish the plans that a search found on AGENT/proposal."""
@@ -160,7 +210,7 @@ class Operator:
         action = OperatorAction(stamp, what, self._in_flight.sent, dict(paths or {}), steps)
         message = operator_action_message(self._grid, action)
         if what in (Action.PAUSE, Action.END):
-            self._hold(True)
+            self.hold(True)
         self._publisher.publish(message)
         if not self._node.values['recorded']:
             return self._take(action, response)
@@ -176,7 +226,7 @@ class Operator:
     def _take(self, action: OperatorAction, response: Response) -> Response:
         """Apply an action."""
         self.state.apply(action)
-        self._hold(self.state.is_holding)
+        self.hold(self.state.is_holding)
         self._node.get_logger().info(f'the operator {action}')
         self._act(action)
         pending = ''

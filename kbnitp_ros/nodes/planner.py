@@ -32,7 +32,7 @@ from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
-from kbnitp_ros.nodes.presence import HoldPublisher, Peers
+from kbnitp_ros.nodes.presence import Peers
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -69,17 +69,14 @@ class PlannerNode(FieldNode):
         # The search that found no path worth a robot, and why.
         self._worthless_for: Search | None = None
         self._why_worthless = ''
-        self._holding = HoldPublisher(self)
-        self._operator = Operator(
-            self, self.grid, self._agents, self._in_flight, self._holding.publish, self._act
-        )
+        self._operator = Operator(self, self.grid, self._agents, self._in_flight, self._act)
         self._has_subscribers = False
         self._end_logged = ''
         if self.values['resume']:
             log = resumed_log(self.values['resume'], self.roles)
             self._restore(log)
             check_robots(self.values['robots'], self._sent)
-        self._holding.publish(self._operator.state.is_holding)
+        self._operator.hold(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
         # Before the beliefs, which hold published paths only.

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from math import inf
 import time
 from uuid import uuid4
 
@@ -192,12 +191,6 @@ class Peers:
 HOLD = 'hold'
 BOOL = 'std_msgs/msg/Bool'
 
-# Minimum seconds between two answers to others.
-MIN_PAUSE = 0.1
-
-# Seconds that the graph may take to name the author of a message.
-MAX_UNNAMED = 30.0
-
 
 class HoldSubscription:
     """The planner's hold on departures: also while it is unknown, or others publish it."""
@@ -226,50 +219,3 @@ class HoldSubscription:
             if len(others) > 1:
                 return f'one node alone to publish {self._topic}: {", ".join(others)} do'
         return ''
-
-
-class HoldPublisher:
-    """The planner's publisher of `hold`, which answers other values with its own."""
-
-    def __init__(self, node: MissionNode) -> None:
-        self._node = node
-        self._is_held: bool | None = None
-        self._is_contradicted = False
-        self._published_at = self._received_at = -inf
-        self._publisher = node.create_publisher(Bool, HOLD, qos.LATCHED)
-        node.subscribe(Bool, HOLD, self._on_hold, qos.LATCHED)
-        node.create_poll(self._answer)
-
-    def publish(self, is_held: bool) -> None:
-        """Publish whether departures are held, if that has changed."""
-        if is_held != self._is_held:
-            self._is_held = is_held
-            self._publish()
-
-    def _publish(self) -> None:
-        self._is_contradicted = False
-        self._published_at = time.monotonic()
-        self._publisher.publish(Bool(data=self._is_held))
-
-    def _on_hold(self, message: Bool) -> None:
-        if self._is_held is not None and message.data != self._is_held:
-            self._is_contradicted = True
-            self._received_at = time.monotonic()
-            self._answer()
-
-    def _answer(self) -> None:
-        """Publish the own value after another one, and refuse that once its author is known."""
-        now = time.monotonic()
-        if self._is_contradicted and now > self._published_at + MIN_PAUSE:
-            self._publish()
-        if now > self._received_at + MAX_UNNAMED:
-            return
-        others = self._node.named_authors(self._publisher.topic_name, BOOL)
-        # An own value from before the last change arrives as well: then there are no others.
-        if len(others) > 1:
-            self._received_at = -inf
-            self._node.diagnostics.refuse(
-                HOLD,
-                f'data is {not self._is_held}, but this planner publishes {self._is_held}, which '
-                f'counts: nodes {", ".join(others)} publish it',
-            )

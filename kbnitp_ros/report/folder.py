@@ -64,7 +64,9 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     try:
         yield new
         # Temporary folders are for their owner only.
-        new.chmod(0o777 & ~umask())
+        mask = os.umask(0)
+        os.umask(mask)
+        new.chmod(0o777 & ~mask)
         new.rename(folder)
     except BaseException as error:
         shutil.rmtree(new, ignore_errors=True)
@@ -72,10 +74,3 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         if isinstance(error, OSError) and str(error.filename or new).startswith(str(new)):
             error.filename = str(folder)
         raise
-
-
-def umask() -> int:
-    """Return the permissions that new files lack."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

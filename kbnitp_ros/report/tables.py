@@ -11,7 +11,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import log_loss, Observation, Plan
+from kbnitp_ros.core import log_loss, Plan
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.maps import quantise_belief, write_probabilities
@@ -172,6 +172,10 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
     for number, deployment in enumerate(mission.deployments):
         seen = deployment.outcome
         at, began = deployment.moment, first.get(number)
+        survived = None
+        if seen is not None:
+            # A lost robot without a contact may have survived any number of steps.
+            survived = seen.steps if seen.survived else seen.steps_survived or None
         # 1 where a target was read, 0 where none was, -1 without a reading.
         read = None if seen is None or seen.readings is None else seen.readings.astype(int)
         table.append(
@@ -183,7 +187,7 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
                 'told': deployment.reported,
                 'outcome': 'out' if seen is None else 'returned' if seen.survived else 'lost',
                 'steps': deployment.path.size - 1 if seen is None else seen.steps,
-                'steps_survived': steps_survived(seen),
+                'steps_survived': survived,
                 'detected': None if read is None else int((read == 1).sum()),
                 'looked': None if read is None else int((read >= 0).sum()),
                 'information_expected': known(curves.expected, began),
@@ -199,13 +203,6 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
             }
         )
     return table
-
-
-def steps_survived(seen: Observation | None) -> int | None:
-    """Return the number of steps that a robot is known to have survived; None if unknown."""
-    if seen is None:
-        return None
-    return seen.steps if seen.survived else seen.steps_survived or None
 
 
 def known(values: NDArray[np.float64], place: int | None) -> float | None:

@@ -77,7 +77,15 @@ class Journal:
 
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
-        self._heading = heading(agent, grid)
+        blocked = ','.join(map(str, sorted(grid.blocked)))
+        field = {name: getattr(grid, name) for name in FIELD} | {
+            'origin': list(grid.origin),
+            'blocked': sha256(blocked.encode()).hexdigest()[:16],
+        }
+        if grid.yaw:
+            field['yaw'] = grid.yaw
+        # The first line.
+        self._heading = {'journal': VERSION, 'agent': agent, 'grid': field}
         self._open()
 
     def _open(self) -> None:
@@ -290,16 +298,6 @@ class Journal:
     def close(self) -> None:
         """Close the file, and release it for other processes."""
         os.close(self._file)
-
-
-def heading(agent: str, grid: Grid) -> dict[str, Any]:
-    """Return the first line of a journal, in JSON."""
-    blocked = ','.join(map(str, sorted(grid.blocked)))
-    field = {name: getattr(grid, name) for name in FIELD}
-    field |= {'origin': list(grid.origin), 'blocked': sha256(blocked.encode()).hexdigest()[:16]}
-    if grid.yaw:
-        field['yaw'] = grid.yaw
-    return {'journal': VERSION, 'agent': agent, 'grid': field}
 
 
 def journal_line(entry: dict[str, Any], before: int) -> tuple[bytes, int]:

@@ -7,8 +7,8 @@ from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.core import Observation, Report, SensorModel, World
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.deployments import read_report, report_message
+from kbnitp_ros.nodes.agent import PATIENCE
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.simulation import PATIENCE
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
 import pytest

@@ -188,8 +188,7 @@ def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
     rclpy.init(args=[])
     request.addfinalizer(rclpy.shutdown)
     node = MissionNode('planner')
-    ignore = lambda _: None  # noqa: E731
-    operator = Operator(node, GRID, [], DeploymentsInFlight({}, 1), ignore, ignore)
+    operator = Operator(node, GRID, [], DeploymentsInFlight({}, 1), lambda _: None)
 
     def call(data):
         return operator._on_pause(SetBool.Request(data=data), SetBool.Response())
