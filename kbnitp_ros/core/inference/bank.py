@@ -9,7 +9,7 @@ weight they are drawn anew, and moved by Metropolis steps that fold all evidence
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -34,13 +34,7 @@ from kbnitp_ros.core.inference.filters import (
     safe_log,
 )
 from kbnitp_ros.core.inference.hypotheses import expit, make_joint, MAPS, offsets, prior_maps
-from kbnitp_ros.core.inference.particle_filter import (
-    assimilated,
-    Evidence,
-    Floats,
-    READING_SHIFTS,
-    Steps,
-)
+from kbnitp_ros.core.inference.particle_filter import assimilated, Evidence, Floats, Steps
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,6 +78,8 @@ class Bank:
             raise ValueError('kappa cannot be learnt by a method without kappa: use kappa_bnitp')
         self._maps = prior_maps(belief, model, self._names)
         self.predicted: tuple[Floats, ...] = ()
+        # Log probability of all outcomes so far.
+        self.log_evidence = 0.0
         self._evidence: tuple[Evidence, ...] = ()
         enough = FEW if len(priors) < 4 else MANY
         self._count = count or (enough if priors else 1)
@@ -95,6 +91,10 @@ class Bank:
                 'nothing'
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
+        # Change between deployments and steps of each robot type, for the numbers used last.
+        self._effects: tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Steps]] | None = (
+            None
+        )
         self._joints = self._first_joints(self._numbers)
         # Log likelihood of all outcomes so far, and of those since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
@@ -109,7 +109,7 @@ class Bank:
         check_cells(self._prior, observation)
         self.take(Evidence.of(observation, robot_type))
 
-    def take(self, evidence: Evidence) -> None:
+    def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
         """Assimilate a deployment counted by cell, which several banks may share."""
         has_begun = bool(self._evidence)
         rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
@@ -118,18 +118,20 @@ class Bank:
             self._log_likelihood,
             self._log_weights,
         )
-        joints, log_chances = self._fold(self._joints, numbers, [evidence], has_begun)
+        deployment = [evidence], has_begun, is_predicted
+        joints, log_chances = self._fold(self._joints, numbers, *deployment)
         if (log_weights + log_chances[0]).max() == -np.inf:
             numbers = stratified(self._priors, MORE * self._count, rng)
             before, (log_likelihood, *_) = self._fold(
                 self._first_joints(numbers), numbers, self._evidence
             )
             log_weights = log_likelihood
-            joints, log_chances = self._fold(before, numbers, [evidence], has_begun)
+            joints, log_chances = self._fold(before, numbers, *deployment)
             if (log_weights + log_chances[0]).max() == -np.inf:
                 raise ValueError(IMPOSSIBLE)
         predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
         self.predicted = (*self.predicted, predicted)
+        self.log_evidence += float(predicted[0])
         self._evidence, self._numbers, self._joints = (*self._evidence, evidence), numbers, joints
         self._log_likelihood = log_likelihood + log_chances[0]
         self._log_weights = log_weights + log_chances[0]
@@ -137,11 +139,6 @@ class Bank:
         if is_due and self._priors:
             self._resample(rng)
         self.__dict__.pop('belief', None)
-
-    @property
-    def log_evidence(self) -> float:
-        """Return the log probability of all outcomes so far."""
-        return float(sum(chances[0] for chances in self.predicted))
 
     @property
     def weights(self) -> Floats:
@@ -238,17 +235,19 @@ class Bank:
         numbers: Floats,
         deployments: Sequence[Evidence],
         has_begun: bool = False,
+        is_predicted: bool = False,
     ) -> tuple[Floats, Floats]:
         """Return the joints after some deployments, and the log probabilities of `assimilated`."""
         joints = np.array(joints)
-        log_chances = np.zeros((2 + len(READING_SHIFTS), len(numbers)))
+        log_chances: Floats = np.zeros((1, len(numbers)))
         learnt = dict(zip(self._names, numbers.T))
-        rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
-        if 'vanish' in rates and not self._dynamics.appear:
-            density = learnt.get('hazard_density', prior_density(self._prior))
-            rates['appear'] = appearance(rates['vanish'], density)
-        change = hazard_change(self._prior, self._dynamics, rates)
-        steps: dict[RobotType, Steps] = {}
+        if self._effects is None or self._effects[0] is not numbers:
+            rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
+            if 'vanish' in rates and not self._dynamics.appear:
+                density = learnt.get('hazard_density', prior_density(self._prior))
+                rates['appear'] = appearance(rates['vanish'], density)
+            self._effects = numbers, hazard_change(self._prior, self._dynamics, rates), {}
+        _, change, steps = self._effects
         for evidence in deployments:
             if has_begun:
                 joints = change(joints)
@@ -267,9 +266,9 @@ class Bank:
                 are_used_up = self._dynamics.kind == 'used_up'
                 steps[robot_type] = Steps.of(own, model.false_negative, are_used_up)
             joints[cells], chances = assimilated(
-                joints[cells], steps[robot_type], evidence, self._correlated
+                joints[cells], steps[robot_type], evidence, self._correlated, is_predicted
             )
-            log_chances += chances
+            log_chances = log_chances + chances
         return joints, log_chances
 
     def _resample(self, rng: np.random.Generator) -> None:

@@ -56,14 +56,14 @@ class Kinds:
         check_cells(self._prior, observation)
         self.take(Evidence.of(observation, robot_type))
 
-    def take(self, evidence: Evidence) -> None:
+    def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
         """Assimilate a counted deployment."""
         banks, ruled_out, predicted = dict(self._banks), set(self._ruled_out), []
         for (kind, bank), weight in zip(self._banks.items(), self._weights):
             if kind not in ruled_out:
                 banks[kind] = bank = bank.copy()
                 try:
-                    bank.take(evidence)
+                    bank.take(evidence, is_predicted)
                 except ValueError:
                     ruled_out.add(kind)
                 else:

@@ -122,7 +122,7 @@ class Checker:
             after = None if bank is None else bank.copy()
             try:
                 if after is not None:
-                    after.take(evidence)
+                    after.take(evidence, is_predicted=False)
             except ValueError:
                 after = None
             other._alternatives[name] = after

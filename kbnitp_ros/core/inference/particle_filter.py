@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from kbnitp_ros.core.field.observation import Observation, Visits
 from kbnitp_ros.core.field.sensor import RobotType
@@ -72,6 +72,8 @@ class Steps:
     lose: Floats
     # P(reading y | X = x), indexed [y, x, particle], shape (2, 2, particles).
     read: Floats
+    # Effects of 0, 1, 2, ... survived visits, as far as they were needed.
+    visits: list[Floats] = field(default_factory=list)
 
     @classmethod
     def of(cls, rates: Mapping[str, Floats], false_negative: float, are_used_up: bool) -> Steps:
@@ -85,21 +87,29 @@ class Steps:
             survive = [endured, none, endured * spared, endured * (1.0 - lethality)]
             lose = [malfunction, none, endured * deadly, malfunction]
         read = [1.0 - false_positive, 1.0 - true_positive, false_positive, true_positive]
-        return cls(*(np.stack(each).reshape(2, 2, -1) for each in (survive, lose, read)))
+        survival, loss, reading = (
+            np.stack(each).reshape(2, 2, -1) for each in (survive, lose, read)
+        )
+        return cls(survival, loss, reading)
+
+    def survived(self, most: int) -> list[Floats]:
+        """Return the effects of 0 to `most` survived visits, each like `survive`."""
+        if not self.visits:
+            self.visits.append(np.eye(2)[..., None] + np.zeros_like(self.survive))
+        while len(self.visits) <= most:
+            self.visits.append(then(self.visits[-1], self.survive))
+        return self.visits[: most + 1]
 
 
 def assimilated(
-    joint: Floats, steps: Steps, evidence: Evidence, correlated: bool
+    joint: Floats, steps: Steps, evidence: Evidence, correlated: bool, is_predicted: bool
 ) -> tuple[Floats, Floats]:
     """Return joints and ln P (:eq:`bank-returned`, :eq:`bank-lost`, :eq:`shifted-readings`)."""
     hazard = joint.sum(axis=2)
     if not correlated:
         joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]
     counts, cell, before = evidence.visits.counts, evidence.visits.of_step, evidence.before
-    # Effect of 0, 1, 2, ... survived visits, shape (visits, z, y, particles).
-    powers = [np.eye(2)[..., None] + np.zeros_like(steps.survive)]
-    for _ in range(counts.max()):
-        powers.append(then(powers[-1], steps.survive))
+    powers = steps.survived(counts.max())
     if evidence.lost_in is None:
         negative, positive = (
             np.cumprod([np.ones_like(read), *[read] * number.max()], axis=0)[number]
@@ -107,13 +117,14 @@ def assimilated(
         )
         alive = moved_by(np.array(powers)[counts], joint)
         moved, target = alive * (negative * positive)[:, None], alive.sum(axis=1)
-        looks = (evidence.negative + evidence.positive)[:, None, None]
-        shifted = [
-            (target * (steps.read[0] + shift * steps.read[1]) ** looks).sum(axis=1)
-            for shift in READING_SHIFTS
-        ]
-        chances = np.stack([moved.sum(axis=(1, 2)), target.sum(axis=1), *shifted])
-        return normalised(moved, joint), safe_log(chances).sum(axis=1)
+        chances = [moved.sum(axis=(1, 2))]
+        if is_predicted:
+            looks = (evidence.negative + evidence.positive)[:, None, None]
+            chances += [target.sum(axis=1)] + [
+                (target * (steps.read[0] + shift * steps.read[1]) ** looks).sum(axis=1)
+                for shift in READING_SHIFTS
+            ]
+        return normalised(moved, joint), safe_log(np.stack(chances)).sum(axis=1)
     # Chance to survive each number of visits, and then to be lost, (n, visits, particles).
     spared = np.stack(
         [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
@@ -131,9 +142,11 @@ def assimilated(
     for count, power in enumerate(powers):
         after += elsewhere[:, count, None, None] * power
         after += inside[:, count, None, None] * then(power, steps.lose)
-    log_return = safe_log(alive[np.arange(counts.size), counts]).sum(axis=0)
-    log_chances = np.stack([safe_log(lost.sum(axis=0)), *[log_return] * (1 + len(READING_SHIFTS))])
-    return normalised(moved_by(after, joint), joint), log_chances
+    log_chances = [safe_log(lost.sum(axis=0))]
+    if is_predicted:
+        log_return = safe_log(alive[np.arange(counts.size), counts]).sum(axis=0)
+        log_chances += [log_return] * (1 + len(READING_SHIFTS))
+    return normalised(moved_by(after, joint), joint), np.stack(log_chances)
 
 
 def then(first: Floats, second: Floats) -> Floats:
