@@ -211,12 +211,6 @@ def test_newcomers_are_held_to_all_laws_and_disturb_no_others(environment):
 
 @pytest.mark.processes
 @pytest.mark.full
-def test_quick_tests_hold_with_newcomers(environment):
-    check(environment, QUICK)
-
-
-@pytest.mark.processes
-@pytest.mark.full
 @pytest.mark.campaign
 def test_every_test_holds_with_newcomers(environment):
     check(environment, CONCERNED)

@@ -12,24 +12,17 @@ import laws
 from laws import for_each
 import pytest
 
-LONG = """
-import pytest
+TESTS = """
+import os
+import subprocess
 from extent import FULL
+from laws import for_each
+import pytest
 
 
 @pytest.mark.full
 def test_long():
     assert FULL
-
-
-def test_short():
-    print(f'all: {FULL}')
-"""
-
-PROCESSES = """
-import os
-import subprocess
-import pytest
 
 
 @pytest.fixture
@@ -51,22 +44,9 @@ def test_not_marked(start):
     start(['true'])
 
 
-def test_without():
-    pass
-"""
-
-CASES = """
-from laws import for_each
-
-
 @for_each('seed', range(6))
 def test_law(seed):
     assert seed not in (3, 4)
-
-
-@for_each('place', 'ab')
-def test_other(place):
-    pass
 """
 
 
@@ -78,9 +58,9 @@ def run(tmp_path):
         tmp_path.joinpath(name).write_text(folder.joinpath(name).read_text())
     markers = '[pytest]\nmarkers =\n    full: long\n    processes: starts them\n'
     tmp_path.joinpath('pytest.ini').write_text(markers)
+    tmp_path.joinpath('test_all.py').write_text(TESTS)
 
-    def run(tests, *options, asked=''):
-        tmp_path.joinpath('test_all.py').write_text(tests)
+    def run(*options, asked=''):
         tested = subprocess.run(
             [sys.executable, '-m', 'pytest', '-p', 'no:cacheprovider', *options],
             cwd=tmp_path,
@@ -94,36 +74,20 @@ def run(tmp_path):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('asked, expected, told', [
-    ('', 0, '1 passed, 1 skipped'),
-    ('full', 0, '2 passed'),
-    ('ful', 4, f"{VARIABLE} is 'ful': it must be full, or not be set"),
-])  # fmt: skip
-def test_all_tests_run_on_request(run, asked, expected, told):
-    status, words = run(LONG, asked=asked)
-    assert status == expected
-    assert told in words
-
-
-@pytest.mark.processes
-def test_tests_with_processes_are_marked_and_may_be_left_out(run):
-    status, words = run(PROCESSES)
+def test_tests_are_selected_by_extent_marker_and_case(run):
+    status, words = run()
     assert status == 1
-    assert '2 failed, 3 passed' in words
+    assert '3 failed, 2 passed, 1 skipped' in words
     for start in ('run', 'Popen'):
         assert f'test_not_marked[{start}] starts a process: mark it with' in words
-    _, words = run(PROCESSES, '-m', 'not processes')
-    assert '2 failed, 1 passed, 2 deselected' in words
-
-
-@pytest.mark.processes
-def test_the_case_that_failed_runs_alone(run):
-    status, words = run(CASES)
-    assert status == 1
-    assert '1 failed, 1 passed' in words
     assert 'case seed=3: ' in words
     assert 'alone: --case seed=3' in words
-    assert '1 failed, 1 skipped' in run(CASES, '--case', 'seed=4')[1]
+    _, words = run('-m', 'not processes', '-k', 'not law', asked='full')
+    assert '2 failed, 1 passed, 3 deselected' in words
+    assert '1 failed, 5 deselected' in run('-k', 'law', '--case', 'seed=4')[1]
+    status, words = run(asked='ful')
+    assert status == 4
+    assert f"{VARIABLE} is 'ful': it must be full, or not be set" in words
 
 
 def small(seed, ran):

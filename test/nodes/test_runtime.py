@@ -129,14 +129,6 @@ def test_rclpy_is_of_jazzy():
     assert '<version>7.1.' in text, 'rclpy.experimental may be another'
 
 
-def test_nodes_have_the_expected_private_attributes():
-    rclpy.init(args=[])
-    node = rclpy.create_node('here')
-    assert node._parameter_overrides == {}, 'see nodes/runtime/declared.py'
-    node.destroy_node()
-    rclpy.try_shutdown()
-
-
 CONFIG = Path(__file__).parents[2] / 'config'
 
 
