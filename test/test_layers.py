@@ -82,7 +82,12 @@ def find_module(name):
     return name
 
 
+@cache
 def imports():
+    return list(find_imports())
+
+
+def find_imports():
     for path, tree in sources().items():
         package = path.parent.relative_to(ROOT).parts
         for node in ast.walk(tree):
@@ -98,27 +103,13 @@ def imports():
                 yield str(path.relative_to(ROOT)), find_layer(path), name
 
 
-def test_every_folder_is_a_layer():
+def test_every_folder_is_a_layer_that_imports_the_layers_below_it_and_no_others():
     assert {find_layer(path) for path in PATHS} - {''} == BELOW.keys()
-
-
-def test_imports_point_down():
-    upwards = [
-        (path, name)
-        for path, layer, name in imports()
-        if layer and name.startswith('kbnitp_ros.')
-        if layer_seen(layer, find_module(name)) not in BELOW[layer] | {layer}
-    ]
-    assert not upwards
-
-
-def test_every_allowed_import_of_a_layer_is_used():
-    used = {
-        (layer, layer_seen(layer, find_module(name)))
-        for _, layer, name in imports()
-        if name.startswith('kbnitp_ros.')
-    }
-    assert {(layer, below) for layer, each in BELOW.items() for below in each} <= used
+    used = {layer: set() for layer in BELOW}
+    for _, layer, name in imports():
+        if layer and name.startswith('kbnitp_ros.'):
+            used[layer].add(layer_seen(layer, find_module(name)))
+    assert {layer: each - {layer} for layer, each in used.items()} == BELOW
 
 
 def test_no_private_name_of_another_module_is_imported():

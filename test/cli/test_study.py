@@ -127,7 +127,7 @@ def test_a_study_beyond_memory_is_refused_with_an_estimate(capsys, tmp_path):
 
 
 @pytest.mark.processes
-def test_a_study_leaves_its_table_figures_and_summary(whole):
+def test_a_study_leaves_its_table_figures_and_summary_and_runs_no_trial_again(scenario, whole):
     table = parquet.read_table(whole / 'table.parquet')
     assert table.num_rows == TRIALS * 13
     assert table.column_names[:4] == ['trial', 'method', 'lethality', 'deployment']
@@ -138,6 +138,10 @@ def test_a_study_leaves_its_table_figures_and_summary(whole):
     summary = json.loads((whole / 'summary.json').read_text())
     assert len(summary['rows']) == 4
     assert '| 0.9 | `kappa_bnitp_published` |' in (whole / 'summary.md').read_text()
+    written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
+    assert len(written) == TRIALS
+    assert study(parse([str(scenario), '--out', str(whole)])) == 0
+    assert {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')} == written
 
 
 @pytest.mark.processes
@@ -164,16 +168,25 @@ def test_a_killed_study_resumes_to_the_same_table(start, scenario, whole, tmp_pa
 @pytest.mark.processes
 @pytest.mark.parametrize('number, status', some([(signal.SIGINT, 130), (signal.SIGTERM, 143)], 2))
 def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
-    start, scenario, tmp_path, number, status
+    start, tmp_path, number, status
 ):
-    process = start(scenario, tmp_path, 3)
+    """Of a shipped scenario, which is known by its name."""
+    process = start('paper', tmp_path, 3)
     os.killpg(process.pid, number)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == status
     assert 'Traceback' not in stderr
-    assert 3 <= len(list(tmp_path.glob('trials/*.npz'))) < TRIALS
+    assert len(list(tmp_path.glob('trials/*.npz'))) >= 3
+    assert not tmp_path.joinpath('table.parquet').exists()
     if number == signal.SIGINT:
         assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
+    kept = yaml.safe_load((tmp_path / 'scenario.yaml').read_text())
+    shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
+    told = yaml.safe_load(shipped.read_text())
+    told['planning']['max_distance'] = 0.0
+    told['learn'] = dict.fromkeys(NUMBERS)
+    told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)]}
+    assert kept == told | {'hazards': vars(INDEPENDENT)}
 
 
 @pytest.mark.processes
@@ -187,14 +200,6 @@ def test_workers_leave_interrupts_to_the_study(start, tmp_path):
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert 'Traceback' not in stderr
-
-
-@pytest.mark.processes
-def test_a_finished_study_runs_no_trial_again(scenario, whole):
-    written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
-    assert len(written) == TRIALS
-    assert run_study(scenario, whole).returncode == 0
-    assert {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')} == written
 
 
 @pytest.mark.processes
@@ -212,21 +217,6 @@ def test_the_bar_shows_finished_trials_and_the_time_left(scenario, whole, tmp_pa
     assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
 
 
-@pytest.mark.processes
-def test_shipped_scenarios_are_known_by_name(start, tmp_path):
-    process = start('paper', tmp_path / 'out', 1)
-    os.killpg(process.pid, signal.SIGINT)
-    process.communicate(timeout=PATIENCE)
-    assert process.returncode == 130
-    kept = yaml.safe_load((tmp_path / 'out' / 'scenario.yaml').read_text())
-    shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
-    told = yaml.safe_load(shipped.read_text())
-    told['planning']['max_distance'] = 0.0
-    told['learn'] = dict.fromkeys(NUMBERS)
-    told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)]}
-    assert kept == told | {'hazards': vars(INDEPENDENT)}
-
-
 @for_each('changes, options, complaint', [
     ({'colour': 'red'}, [], 'colour is unknown'),
     ({'lethalities': [1.5]}, [], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
@@ -241,14 +231,9 @@ def test_a_bad_study_is_one_error_before_any_work(capsys, tmp_path, changes, opt
     assert not list(tmp_path.glob('out/trials/*'))
 
 
-@pytest.mark.processes
-def test_an_unknown_scenario_is_named_with_the_known_ones(tmp_path):
-    done = run_study('magic', tmp_path / 'out')
-    assert done.returncode == 2
-    assert re.fullmatch(
-        'study: scenario magic is no file.*calibrated, .*last_contact, loss_cost, .*teams.*\n',
-        done.stderr,
-    )
+def test_an_unknown_scenario_is_named_with_the_known_ones(capsys, tmp_path):
+    told = 'study: scenario magic is no file.*calibrated, .*last_contact, loss_cost, .*teams.*\n'
+    assert re.fullmatch(told, refusal(capsys, 'magic', tmp_path / 'out'))
 
 
 @for_each('options', [['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic']])

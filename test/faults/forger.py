@@ -263,7 +263,7 @@ PARAMETERS = {
     'step_period': 0.05, 'seed': 5,
 }  # fmt: skip
 
-# Megabytes by which a node may grow beyond an undisturbed mission.
+# Megabytes by which a node may grow from the first report on.
 GROWTH = 50.0
 
 
@@ -273,14 +273,6 @@ class Forged:
     findings: list[tuple[str, str]] = field(default_factory=list)
     refused: dict[str, int] = field(default_factory=dict)
     required: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NODES, 0))
-    memory: dict[str, float] = field(default_factory=dict)
-
-    def compare_memory(self, undisturbed):
-        """Find nodes that use much more memory than in a mission without forgeries."""
-        for name, now in self.memory.items():
-            if now > undisturbed.memory[name] + GROWTH:
-                words = f'{name} has {now:.0f} MB, undisturbed {undisturbed.memory[name]:.0f} MB'
-                self.findings.append(('memory', words))
 
     def __str__(self):
         found = ''.join(f'\n  {kind}: {words}' for kind, words in self.findings)
@@ -299,7 +291,6 @@ def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
             except StuckError as error:
                 outcome.findings.append(('stuck', f'{error}: {outcome.required} to be refused'))
                 return outcome
-            outcome.memory = mission.memory()
             codes = mission.processes.stop()
             bad = {name: code for name, code in codes.items() if code}
             outcome.findings += [('exit', f'{name} ended with {bad[name]}') for name in bad]
@@ -313,6 +304,7 @@ def _forge(mission, parameters, outcome, scale):
     """Send the forgeries; wait until the mission is over and all are refused."""
     onlooker = mission.onlooker
     mission.until(lambda: onlooker.evidence.reports, 'report')
+    before = mission.memory()
     forger = Forger(mission, NAMESPACE, parameters, np.random.default_rng(parameters['seed']))
     for kind in outcome.kinds:
         for node, count in getattr(forger, kind)(scale).items():
@@ -332,6 +324,10 @@ def _forge(mission, parameters, outcome, scale):
         return last.message.deployments == parameters['robots']
 
     mission.until(is_recorded, 'last belief on record')
+    for name, now in mission.memory().items():
+        if now > before[name] + GROWTH:
+            words = f'{name} has {now:.0f} MB, before {before[name]:.0f} MB'
+            outcome.findings.append(('memory', words))
 
 
 def wrong_beliefs(log, parameters):

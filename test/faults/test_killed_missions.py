@@ -172,7 +172,7 @@ KINDS = {
 
 @pytest.mark.parametrize(
     'kind, killed',
-    some(((kind, killed) for killed in ('all', 'each', 'none') for kind in KINDS), 13),
+    some(((kind, killed) for killed in ('all', 'each', 'none') for kind in KINDS), 20),
 )
 def test_a_mission_ends_as_that_of_core(set_out, tmp_path, kind, killed):
     own, is_of_kind = KINDS[kind]
@@ -201,7 +201,7 @@ def test_missions_in_namespaces_within_each_other_do_not_meet(set_out):
     shared = {**SMALL, 'robots': 8, 'step_period': 0.03}
     missions = [
         set_out({**shared, 'seed': seed}, namespace=namespace)
-        for seed, namespace in enumerate(('/', '/north', '/north/east/scout_1'))
+        for seed, namespace in enumerate(('/north', '/north/east/scout_1'))
     ]
     for mission in missions:
         mission.start(*NODES)
@@ -213,7 +213,7 @@ def test_missions_in_namespaces_within_each_other_do_not_meet(set_out):
         mission.start(*NODES)
     for mission in missions:
         mission.until_over()
-    assert [mission.findings() for mission in missions] == [[], [], []]
+    assert [mission.findings() for mission in missions] == [[], []]
 
 
 # Topic names for all nodes of a mission, inside and outside its namespace.

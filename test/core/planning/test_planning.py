@@ -44,25 +44,6 @@ def random_problem(seed):
     return grid, belief, SensorModel(float(rng.choice([0.01, 0.1, 0.3, 0.5, 0.6, 0.9])))
 
 
-def optimum(grid, belief, model):
-    visits = every_path(grid.base)
-    return brute_force.information_of_visits(belief.joint, model, visits).max()
-
-
-@pytest.mark.slow
-def test_relaxed_is_reported_beside_the_best_of_all_paths(record_property):
-    ratios = []
-    for seed in range(50):
-        grid, belief, model = random_problem(seed)
-        found = plan(grid, belief, model, 7, planner='relaxed').information
-        ratios.append(found / optimum(grid, belief, model))
-    record_property('relaxed_ratio_least', float(min(ratios)))
-    record_property('relaxed_ratio_mean', float(np.mean(ratios)))
-    print(f'relaxed reaches at least {min(ratios):.4f}, on average {np.mean(ratios):.4f}')
-    assert max(ratios) <= 1 + 1e-9
-    assert min(ratios) > 0.5
-
-
 @for_each('planner', ['beam', 'relaxed'])
 def test_the_most_visits_bind(planner):
     """One interesting cell: the plan would look again and again, but for max_visits."""
@@ -96,7 +77,7 @@ def test_without_a_loss_cost_plans_are_unchanged():
 @for_each('loss_cost, seed', [
     *((0.0, seed) for seed in range(50)), *product([0.1, 0.5, 2.0], range(12)),
 ], every=2)  # fmt: skip
-def test_beam_comes_close_to_the_best_of_all_paths(seed, loss_cost):
+def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_half_as_close(seed, loss_cost):
     grid, belief, model = random_problem(seed)
     visits = every_path(grid.base)
     lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
@@ -107,6 +88,8 @@ def test_beam_comes_close_to_the_best_of_all_paths(seed, loss_cost):
     assert reached >= worth.max() - 0.01
     if not loss_cost:
         assert reached >= 0.995 * worth.max()
+        relaxed = plan(grid, belief, model, 7, planner='relaxed').information
+        assert 0.5 < relaxed / worth.max() <= 1 + 1e-9
 
 
 def test_the_most_information_per_expected_loss_is_found():
