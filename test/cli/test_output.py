@@ -52,7 +52,7 @@ def run(arguments, **options):
 
 
 @pytest.mark.processes
-@for_each('kind', KINDS, every=3)
+@for_each('kind', KINDS, every=7)
 def test_a_closed_pipe_ends_a_command_silently(kind, arguments):
     read, write = os.pipe()
     os.close(read)
@@ -62,7 +62,7 @@ def test_a_closed_pipe_ends_a_command_silently(kind, arguments):
 
 
 @pytest.mark.processes
-@for_each('kind', KINDS, every=3)
+@for_each('kind', KINDS, every=7)
 def test_a_full_disk_is_reported(kind, arguments):
     with Path('/dev/full').open('wb') as full:
         done = run(arguments[kind], stdout=full)

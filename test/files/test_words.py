@@ -77,7 +77,7 @@ contents = st.recursive(
 
 @pytest.mark.slow
 @given(contents)
-@settings(max_examples=100 if FULL else 40)
+@settings(max_examples=100 if FULL else 20)
 def test_yaml_by_pyyaml_is_read_back(content):
     assert parse_yaml(yaml.safe_dump(content)) == content
 

@@ -4,7 +4,8 @@
 from array import array
 from math import inf, nan
 
-from hypothesis import given
+from extent import FULL
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_msgs.msg import BeliefMaps, OwnNumber, UnknownNumber
 from kbnitp_ros.core import (
@@ -99,6 +100,7 @@ def test_the_same_evidence_gives_the_same_message():
     connectivity=st.sampled_from([4, 8]),
     through_corners=st.booleans(),
 )
+@settings(max_examples=100 if FULL else 20)
 def test_a_belief_comes_back_bit_for_bit(method, seed, numbers, connectivity, through_corners):
     model = SensorModel(*numbers)
     grid = Grid(4, 3, blocked=(5,), connectivity=connectivity, through_corners=through_corners)

@@ -6,6 +6,7 @@ import time
 
 from bare_dds import BareParticipant, not_utf8
 from base import Base, GRID
+from extent import some
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Progress, Recorded
 from kbnitp_ros.core import DeploymentKey, Observation
 from kbnitp_ros.log.write import LogWriter
@@ -246,7 +247,7 @@ def test_simulated_robots_stay_while_held_and_move_once_recorded(field):
     assert reports[0].deployment == path(1).header.stamp
 
 
-@pytest.mark.parametrize('known_by', ['log', 'recorder'])
+@pytest.mark.parametrize('known_by', some(['log', 'recorder'], 2))
 def test_a_pause_does_not_hold_a_simulated_robot_in_flight_at_a_restart(field, known_by):
     departed = status_message(key(1), OrderState.DEPARTED, key(1).stamp)
     log = field.folder / 'mission.mcap'

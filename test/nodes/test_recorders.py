@@ -93,7 +93,7 @@ def test_a_recorder_with_a_backlog_publishes_diagnostics(monkeypatch):
     assert max(np.diff([0.0, *heard, 50.0])) < SILENT
 
 
-KILLS = 50 if FULL else 2
+KILLS = 50 if FULL else 1
 # Depth that a publisher keeps for a restarted recorder.
 DEPLOYMENTS = qos.DEPTH
 

@@ -173,11 +173,11 @@ ALL_METHODS = (
 )
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
 STUDIES = {
+    'planners': {'teams': PLANNERS, 'lethalities': (0.1, 0.3, 0.5, 0.9)},
     'methods': {'methods': ALL_METHODS, 'lethalities': LETHALITIES},
     'allocations': {'teams': ALLOCATED, 'lethalities': (0.1, 0.5, 0.9), 'robots': 9},
     'loss costs': {'teams': COSTS, 'lethalities': (0.1, 0.3, 0.5)},
     'surveys': {'teams': SURVEYS, 'lethalities': (0.1, 0.5)},
-    'planners': {'teams': PLANNERS, 'lethalities': (0.1, 0.3, 0.5, 0.9)},
     'contacts': {'teams': CONTACTS, 'lethalities': (0.5,), 'trials': 1},
     'methods and teams': {'methods': ALL_METHODS[2:5], 'teams': PLANNERS},
 }

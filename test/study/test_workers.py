@@ -63,8 +63,10 @@ def check_same(scenario, results, pool):
     assert as_parquet(Results(scenario, outcomes)) == as_parquet(results)
 
 
+# `test_compare.py` does so by loky before each change.
 @pytest.mark.processes
-@for_each('backend, count', [('loky', 2), ('loky', 1), ('dask', 2)], every=3)
+@pytest.mark.full
+@for_each('backend, count', [('loky', 2), ('loky', 1), ('dask', 2)])
 def test_processes_of_this_machine_give_the_same_table(scenario, results, backend, count):
     if backend == 'dask':
         pytest.importorskip('distributed')

@@ -131,7 +131,7 @@ LEARNT = [
 
 @pytest.mark.slow
 @for_each('name, cells', LEARNT, every=4)
-@for_each('seed', range(3))
+@for_each('seed', range(3 if FULL else 1))
 def test_a_number_is_learnt_as_by_enumeration(name, cells, seed, monkeypatch):
     """By 20 robots on some 2x2 cells."""
     monkeypatch.setattr(sampler, 'CONVERGED_LEARNING', 0.0)
