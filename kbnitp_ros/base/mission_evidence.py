@@ -83,19 +83,16 @@ class MissionEvidence:
     def draws(self, known: Snapshot) -> HazardDraws | None:
         """Return draws of the hazards for a belief; None if its evidence is not known."""
         # Draws that exist need no lock.
-        if (draws := self._drawn_with(known)) is not None:
-            return draws
+        drawn = self._drawn
+        if drawn and is_same(drawn[0], known.belief):
+            return drawn[1]
         with self._folding:
             ledger = self._ledger_now()
-            if ledger is not None and is_same(ledger.belief, known.belief):
-                draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
-                self._drawn = known.belief, draws
-            return self._drawn_with(known)
-
-    def _drawn_with(self, known: Snapshot) -> HazardDraws | None:
-        """Return the last draws if they belong to a belief."""
-        drawn = self._drawn
-        return drawn[1] if drawn and is_same(drawn[0], known.belief) else None
+            if ledger is None or not is_same(ledger.belief, known.belief):
+                return None
+            draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
+            self._drawn = known.belief, draws
+            return draws
 
     @property
     def are_joint(self) -> bool:

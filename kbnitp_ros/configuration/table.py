@@ -167,7 +167,7 @@ TABLE = (
         choices=('auto', 'avoid', 'cut'),
     ),
     Parameter(
-        'max_steps', 18, 'Most steps of a path.', GRID, limits=(1, MAX_STEPS), per_agent=True
+        'max_steps', 18, 'Maximum steps of a path.', GRID, limits=(1, MAX_STEPS), per_agent=True
     ),
     Parameter(
         'max_distance',

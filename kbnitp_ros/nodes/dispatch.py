@@ -116,9 +116,11 @@ class Dispatch:
         """Subscribe to the paths of an agent, which another planner may publish."""
         return self._node.subscribe_to_agent(Path, agent, partial(self._on_path, agent))
 
-    def is_left_alone(self, agent: str) -> bool:
-        """Return whether an agent refused its last order and must not be sent another one yet."""
-        return agent in self._pauses and time.monotonic() < self._pauses[agent][1]
+    @property
+    def left_alone(self) -> list[str]:
+        """Return the agents that refused their last order and must not be sent another one yet."""
+        now = time.monotonic()
+        return [agent for agent, (_, until) in self._pauses.items() if now < until]
 
     def _await_late(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
         """Await a robot that was given up, for the longest time that its path may take."""

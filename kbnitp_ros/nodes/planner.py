@@ -171,9 +171,9 @@ class PlannerNode(FieldNode):
             searched=self._search.agents if self._search else (),
             why_worthless=self._why_worthless,
             proposed=tuple(self._operator.proposed),
-            absent=[each for each in self._agents if not self._peers.is_present(each)],
-            silent=[each for each in self._agents if not self._peers.says_status(each)],
-            left_alone=[each for each in self._agents if self._dispatch.is_left_alone(each)],
+            absent=self._peers.absent,
+            silent=self._peers.silent,
+            left_alone=self._dispatch.left_alone,
         )
 
     def _missing_listeners(self) -> str:
@@ -181,11 +181,10 @@ class PlannerNode(FieldNode):
         if self._has_subscribers:
             return ''
         missing = self.missing_listeners(self._dispatch.paths.values())
-        if not missing and 'agent' in self.values['await_nodes']:
-            # In a field that changes, each simulating agent subscribes to the paths of all.
-            absent = [agent for agent in self._agents if not self._peers.is_present(agent)]
-            if absent:
-                missing = f'agent to answer for {some(absent)} (parameter await_nodes)'
+        # In a field that changes, each simulating agent subscribes to the paths of all.
+        absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
+        if not missing and absent:
+            missing = f'agent to answer for {some(absent)} (parameter await_nodes)'
         self._has_subscribers = not missing
         return missing
 

@@ -118,13 +118,16 @@ class Peers:
         """Return the number of nodes that publish beliefs."""
         return self._others['belief']
 
-    def is_present(self, agent: str) -> bool:
-        """Return whether a node answers for an agent."""
-        return self._others[f'{agent}/report'] > 0
+    @property
+    def absent(self) -> list[str]:
+        """Return the agents that no node answers for."""
+        return [agent for agent in self._agents if not self._others[f'{agent}/report']]
 
-    def says_status(self, agent: str) -> bool:
-        """Return whether a node reports when robots of an agent depart."""
-        return self._node.count_authors(f'{agent}/status', STATUS) > 0
+    @property
+    def silent(self) -> list[str]:
+        """Return the agents whose nodes do not report departures."""
+        count = self._node.count_authors
+        return [agent for agent in self._agents if not count(f'{agent}/status', STATUS)]
 
     def look(self) -> bool:
         """Look at the graph, and warn; return whether one of several estimators left."""

@@ -119,7 +119,8 @@ class ParameterWatch:
         self._namespace = namespace
         self._take = take
         self._refuse = refuse
-        self._present: Counter[str] = Counter()
+        # The full names of the nodes in the graph at the last look.
+        self.present: Counter[str] = Counter()
         self._due: set[str] = set()
         self._inquiries: dict[str, Inquiry] = {}
         self._over: set[str] = set()
@@ -134,8 +135,8 @@ class ParameterWatch:
             full_name(namespace, name)
             for name, namespace in self._node.get_node_names_and_namespaces()
         )
-        self._due |= (present - self._present).keys()
-        self._present = present
+        self._due |= (present - self.present).keys()
+        self.present = present
         # Nodes with an open request are due again when it ends.
         for name in self._due - self._inquiries.keys():
             self._due.remove(name)
@@ -151,10 +152,6 @@ class ParameterWatch:
             if inquiry.over:
                 self._inquiries.pop(name).destroy()
                 self._over.add(name)
-
-    def is_present(self, name: str) -> bool:
-        """Return whether a node was in the graph at the last look."""
-        return name in self._present
 
     def is_over(self, name: str) -> bool:
         """Return whether a node needs no more requests: it has answered, refuses, or is exempt."""
@@ -173,7 +170,7 @@ class ParameterWatch:
         except NameValidationException:
             self._refuse('/parameter_events', f'no node is called {shown(event.node)}')
         # Claims about an absent node are no reason to look for it.
-        if event.node in self._present:
+        if event.node in self.present:
             self._due.add(event.node)
 
 

@@ -189,7 +189,7 @@ class RecorderNode(MissionNode):
             found = self._published(own)
             looked = found.keys() != before
         self._watch.look()
-        if gone := [node for node in self._differing if not self._watch.is_present(node)]:
+        if gone := [node for node in self._differing if node not in self._watch.present]:
             for node in gone:
                 del self._differing[node]
             self._acknowledge_pending()
