@@ -29,7 +29,7 @@ def say(*lines: str) -> None:
 
 
 def end_on_signals() -> None:
-    """Let SIGINT and SIGTERM end a command with the processes that it has started."""
+    """End a command, with the processes that it has started, at SIGINT and SIGTERM."""
     # Shells start background jobs with SIGINT ignored.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))

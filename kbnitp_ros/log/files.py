@@ -175,7 +175,7 @@ class LogLock:
         check_in_place(self._file, self.path)
 
     def release(self) -> None:
-        """Let others write the log."""
+        """Release the lock."""
         self._file.close()
 
 

@@ -15,7 +15,7 @@ from kbnitp_ros.core.mission import deployments_table
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission, required_belief
-from kbnitp_ros.log.roles import mission_log, MissionLog, TRUTH
+from kbnitp_ros.log.roles import MissionLog, TRUTH
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
@@ -120,7 +120,7 @@ def read_history(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> History:
     """Read the history of a mission."""
-    log = mission_log(log)
+    log = log if isinstance(log, MissionLog) else MissionLog(log)
     first = required_belief(log)
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     history, truth = History(evidence), {}

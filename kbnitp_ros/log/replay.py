@@ -28,7 +28,7 @@ from kbnitp_ros.log.replayed import (
     ReplayReport,
     TOLERANCE,
 )
-from kbnitp_ros.log.roles import GRID, mission_log, MissionLog, MODEL, VIEWS
+from kbnitp_ros.log.roles import GRID, MissionLog, MODEL, VIEWS
 from kbnitp_ros.messages.beliefs import (
     belief_fields,
     newest_deployment,
@@ -56,7 +56,7 @@ def replay(
     asked: RecordedGoal | None = None,
 ) -> ReplayReport:
     """Compute a log's beliefs again, and decisions, and compare them with those on record."""
-    log = mission_log(log)
+    log = log if isinstance(log, MissionLog) else MissionLog(log)
     first = required_belief(log)
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     report = ReplayReport(evidence, finished=is_finished(log.path))

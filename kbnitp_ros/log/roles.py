@@ -282,11 +282,6 @@ class MissionLog:
         return {name: values for name, values in known.items() if self.roles.is_node(name)}
 
 
-def mission_log(log: str | Path | MissionLog) -> MissionLog:
-    """Open a log by the roles of its topics."""
-    return log if isinstance(log, MissionLog) else MissionLog(log)
-
-
 def resumed_log(log: str, own: Roles) -> MissionLog:
     """Return a log to resume; raise ValueError if it is not of the node's mission."""
     try:

@@ -271,7 +271,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
     def _take_path(self, sent: SentPath) -> None:
-        """Let a robot depart when it may, or at once if its departure is on record."""
+        """Accept a path, whose robot departs at once if its departure is on record."""
         key = self._simulation.accept(sent)
         self._at_home.append(key)
         self._publish_status(key, OrderState.ACCEPTED)
@@ -281,7 +281,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Let the robots at home depart: all if they may, else those that had departed."""
+        """Start the robots at home: all, or if departures are held those that had departed."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)

@@ -87,11 +87,8 @@ class Decisions:
     def is_deciding(self) -> bool:
         """Return whether a decision is being computed, or will be at the next poll."""
         # A belief that does not match the evidence is decided on once more evidence arrives.
-        return self._deciding is not None or self._situation != self._begun_with
-
-    @property
-    def _situation(self) -> tuple[int, int]:
-        return self._news, self.knowledge.evidence
+        now = self._news, self.knowledge.evidence
+        return self._deciding is not None or now != self._begun_with
 
     def _decide(self) -> None:
         """Start a missing decision, and publish one that is ready."""
@@ -104,7 +101,7 @@ class Decisions:
         if self._newest is None or self.is_ready or self._deciding is not None:
             return
         if self.is_deciding:
-            self._begun_with = self._situation
+            self._begun_with = self._news, self.knowledge.evidence
             self._deciding = computed(
                 partial(self.knowledge.decision, self._newest),
                 partial(self._node.call_next, self._decide),

@@ -85,7 +85,7 @@ def read_detection(message: Any, values: Mapping[str, Any]) -> tuple[bool, int |
         for result in detection.results
     )
     stamp = read_stamp('header.stamp', message.header.stamp)
-    # A driver that fills no header tells no time.
+    # The time is 0 if the driver fills no header.
     return seen, stamp or None
 
 

@@ -219,7 +219,7 @@ class PlannerNode(FieldNode):
         self._dispatch.send(plans, self._beliefs.tracker.begin(newest.mission))
 
     def _publish_obstacle(self, now: PlannerState, obstacle: Obstacle) -> None:
-        """Show what blocks the next deployment, and publish a new state of the mission at once."""
+        """Publish the condition that blocks departures, and a new state of the mission at once."""
         what = describe_obstacle(now, obstacle)
         is_end = obstacle.is_end
         self.diagnostics.state = f'done: {what}' if is_end else waiting_for(what)

@@ -313,7 +313,7 @@ class RobotNode(FieldNode):
         )
 
     def _wait(self) -> str:
-        """Let the robot leave when it can; return its state."""
+        """Start the next deployment unless a condition blocks it; return the robot's state."""
         if not self._pending.is_listening:
             if missing := self.missing_listeners([self._reports]):
                 return waiting_for(missing)
@@ -390,7 +390,7 @@ class RobotNode(FieldNode):
         return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
     def _go_on(self, deployment: Deployment) -> str:
-        """Take the next action of the robot; return its state."""
+        """Take the next action of the deployment; return the robot's state."""
         if self._is_at_gate:
             return self._wait_at_gate(deployment)
         itinerary = self._itinerary
@@ -451,7 +451,7 @@ class RobotNode(FieldNode):
         )
 
     def _end_leg(self, place: Place) -> None:
-        """Handle the end of a goal."""
+        """Go on after a goal of Nav2: with the next leg, another try, or the way home."""
         itinerary, failure = self._itinerary, self._driver.failure
         if not failure:
             try:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-# Beliefs per belief that names all its evidence, so that a reader who lost one can catch up.
+# Beliefs per belief that names all its evidence, so that readers that lost one catch up.
 COMPLETE_EVERY = 64
 
 
@@ -44,7 +44,7 @@ class NewEvidence:
         self._keys.add(key)
 
     def name_all(self) -> None:
-        """Let the next belief name all its evidence."""
+        """Name all evidence in the next belief."""
         self._since = 0
 
     def take(self, ledger: Ledger) -> tuple[int, Sequence[DeploymentKey]]:

@@ -60,7 +60,7 @@ def full_name(namespace: str, name: str) -> str:
 
 
 def decodable(look: Callable[..., Iterable[Any]]) -> Callable[..., list[Any]]:
-    """Make a look at the graph find nothing, and warn, while rclpy cannot decode a name in it."""
+    """Wrap a query of the graph: warn and return nothing if rclpy cannot decode a name in it."""
 
     @wraps(look)
     def found(node: Any, *arguments: object) -> list[Any]:

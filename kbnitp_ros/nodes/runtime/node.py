@@ -248,7 +248,7 @@ class MissionNode(Node):
             self.executor.create_task(self.guarded(callback))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Make `spin_once` raise a callback's exceptions; refuse those of rclpy's own ones."""
+        """Wrap a callback: `spin_once` raises its errors; those of rclpy's own are refused."""
         # EventsExecutor ends with a segmentation fault where the callback of a future or a task
         # raises, and logs fatal errors otherwise.
 
@@ -336,7 +336,7 @@ class MissionNode(Node):
     def close(self) -> None:
         """Wait until the last messages have arrived: DDS drops them with the publisher."""
         if self.is_over:
-            # No acknowledgement tells when the response of a service has arrived.
+            # DDS does not acknowledge responses of services.
             time.sleep(FAREWELL)
         end = time.monotonic() + FAREWELL
         for publisher in self.publishers:
