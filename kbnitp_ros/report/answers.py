@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import ceil
 from typing import Any, NamedTuple
 
-from kbnitp_ros.core import Decision, Observation, targets, World
+from kbnitp_ros.core import Observation, targets, World
 from kbnitp_ros.core.inference.filters import hazards_used_up
 from kbnitp_ros.files import counted, some
 from kbnitp_ros.report.mission import DeploymentSummary, Mission
@@ -318,22 +318,18 @@ def lane(mission: Mission) -> Tile:
     method = mission.moments[-1].snapshot.method
     taken = '' if method == 'kappa_bnitp_sampled' else f' {method} takes cells as independent.'
     question = 'Is the lane safe?' if decision.goal == 'lane' else f'Is the {decision.goal} safe?'
+    survived = ''
+    if decision.path.size:
+        steps = counted(decision.path.size - 1, 'step')
+        survived = f'a robot survives its {steps} with {100.0 * decision.survival:.1f} %; '
     return Tile(
         question,
         f'{100.0 * decision.p_free:.1f} % free of hazards',
-        f'{survived(decision)}{decision.hazards_mean:.2f} hazards expected. '
+        f'{survived}{decision.hazards_mean:.2f} hazards expected. '
         + ('The goal is reached.' if decision.reached else 'The goal is not reached.')
         + taken,
         'map-title',
     )
-
-
-def survived(decision: Decision) -> str:
-    """Describe a robot's survival of the lane; empty without a lane."""
-    if not decision.path.size:
-        return ''
-    steps = counted(decision.path.size - 1, 'step')
-    return f'a robot survives its {steps} with {100.0 * decision.survival:.1f} %; '
 
 
 def risk(mission: Mission) -> str:

@@ -102,6 +102,9 @@ TABLE = (
     Column('reported after (s)', 'duration', 2, is_minor=True),
 )
 
+# Columns left out where they would be empty.
+OPTIONAL = ('gap', 'log_loss')
+
 PLACE = (Column('x (m)', 'x', None), Column('y (m)', 'y', None))
 
 FINDINGS = (
@@ -205,7 +208,11 @@ def filled(
         is_exact=mission.grid.cells <= MAX_EXACT,
         site=mission.site,
         panels=labels,
-        columns=table_columns(table),
+        columns=[
+            each
+            for each in TABLE
+            if each.name not in OPTIONAL or any(row[each.name] is not None for row in table)
+        ],
         rows=[row(table[each], kept, mission.deployments[each]) for each in shown],
         configuration={
             name: {key: value_text(value) for key, value in values.items()}
@@ -490,16 +497,6 @@ def moment_facts(
     for name, known in moment.state.numbers.items():
         low, _, middle, _, high = known.quantiles
         yield name.replace('_', ' '), f'{middle:.2f} ({low:.2f} to {high:.2f})'
-
-
-def table_columns(table: list[dict[str, Any]]) -> list[Column]:
-    """Return the columns of the table of deployments, without those that would be empty."""
-    optional = ('gap', 'log_loss')
-    return [
-        each
-        for each in TABLE
-        if each.name not in optional or any(row[each.name] is not None for row in table)
-    ]
 
 
 def row(
