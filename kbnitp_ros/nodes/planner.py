@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import isnan, nan
 
+from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.checks import (
     check_changes,
     check_reach,
@@ -26,17 +28,17 @@ from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
-from kbnitp_ros.messages.headers import next_name
+from kbnitp_ros.messages.headers import from_stamp, next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.presence import Peers
+from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.views import BoundedProgress
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
@@ -60,7 +62,13 @@ class PlannerNode(FieldNode):
         self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
         self._in_flight = self._dispatch.in_flight
         self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._decisions.take)
-        self._bounds = BoundedProgress(self) if self.values['bound'] else None
+        # The estimator's progress, published again with the bound of the plan; and the bound, in
+        # nats, with the stamp of the belief planned on.
+        self._progress: Progress | None = None
+        self._bound = -1, nan
+        if self.values['bound']:
+            self._bounded = self.create_publisher(Progress, 'progress', qos.LATCHED)
+            self.subscribe(Progress, 'progress', self._on_progress, qos.LATCHED)
         self._peers = Peers(self, self._agents)
         # The search for the next round; its result is kept while robots must wait.
         self._search: Search | None = None
@@ -286,9 +294,24 @@ class PlannerNode(FieldNode):
         if self.values['approval'] and not self._are_approved(planned.plans):
             self._operator.propose(planned.plans, search)
         for plan in planned.plans.values():
-            if self._bounds and plan.upper_bound is not None:
-                self._bounds.show(newest.stamp, plan.upper_bound)
+            if plan.upper_bound is not None:
+                self._bound = newest.stamp, plan.upper_bound
+                self._publish_bound()
         return planned.plans
+
+    def _on_progress(self, message: Progress) -> None:
+        # Progress published here has a bound already.
+        if isnan(message.upper_bound):
+            self._progress = message
+            self._publish_bound()
+
+    def _publish_bound(self) -> None:
+        """Publish the progress at the belief of the last plan with the bound of that plan."""
+        stamp, upper_bound = self._bound
+        if self._progress and from_stamp(self._progress.header.stamp) == stamp:
+            self._progress.upper_bound = upper_bound
+            self._bounded.publish(self._progress)
+            self._progress.upper_bound = nan
 
     def _on_search_over(self) -> None:
         self._deploy()

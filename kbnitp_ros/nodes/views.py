@@ -5,13 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from math import isnan, nan
 
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
-from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE
@@ -57,35 +55,6 @@ class NewEvidence:
         self._published = held
         self._keys.clear()
         return since, named
-
-
-class BoundedProgress:
-    """The estimator's progress, published again with the bound of the plan."""
-
-    def __init__(self, node: FieldNode) -> None:
-        self._publisher = node.create_publisher(Progress, 'progress', qos.LATCHED)
-        self._received: Progress | None = None
-        # The stamp of the belief planned on, and the bound.
-        self._bound = -1, nan
-        node.subscribe(Progress, 'progress', self._on_progress, qos.LATCHED)
-
-    def show(self, stamp: int, upper_bound: float) -> None:
-        """Set the bound of paths, in nats, by the belief of a stamp."""
-        self._bound = stamp, upper_bound
-        self._publish()
-
-    def _on_progress(self, message: Progress) -> None:
-        # Progress published here has a bound already.
-        if isnan(message.upper_bound):
-            self._received = message
-            self._publish()
-
-    def _publish(self) -> None:
-        stamp, upper_bound = self._bound
-        if self._received and from_stamp(self._received.header.stamp) == stamp:
-            self._received.upper_bound = upper_bound
-            self._publisher.publish(self._received)
-            self._received.upper_bound = nan
 
 
 # Seconds between two views: nobody sees more of them, and they take longer than small beliefs.
