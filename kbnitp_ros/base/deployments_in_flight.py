@@ -71,11 +71,6 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         return {key: robot.path for key, robot in self.items()}
 
     @property
-    def agents(self) -> set[str]:
-        """Return the agents that have a robot in flight."""
-        return {key.agent for key in self}
-
-    @property
     def sent(self) -> int:
         """Return the number of robots sent that have departed or may still depart."""
         return len(self._sent)
@@ -170,12 +165,6 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         if robot.departure is not None:
             is_recorded = (key, robot.departure) in self._recorded
             robot.has_departed |= is_recorded or not self._values['recorded']
-
-    def restore(self, key: DeploymentKey, status: AgentStatus) -> None:
-        """Restore a recorded status."""
-        self.take(key, status)
-        if status.state is OrderState.DEPARTED and key in self:
-            self[key].has_departed = True
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
         """Remove a robot that its agent reported, or that was given up."""

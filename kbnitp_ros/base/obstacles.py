@@ -120,7 +120,8 @@ class PlannerState:
     @property
     def free_agents(self) -> list[str]:
         """Return the agents that are present and have no robot in flight."""
-        taken = {*self.in_flight.agents, *self.absent, *self.mute, *self.left_alone}
+        out = {key.agent for key in self.in_flight}
+        taken = {*out, *self.absent, *self.mute, *self.left_alone}
         return [agent for agent in self.agents if agent not in taken]
 
     @property

@@ -88,7 +88,9 @@ class Dispatch:
             if key.stamp <= LAST_COUNTED_ON:
                 self.last_stamp = key.stamp
             if (status := record.departures.status(key)) is not None:
-                self.in_flight.restore(key, status)
+                self.in_flight.take(key, status)
+                if status.state is OrderState.DEPARTED:
+                    self.in_flight[key].has_departed = True
             if record.departures.is_refused(key):
                 continue
             # No other publisher has it now.

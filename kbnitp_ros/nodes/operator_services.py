@@ -172,7 +172,7 @@ class Operator:
             key: robot.path for key, robot in self._in_flight.items() if key.agent == request.agent
         }
         if not out:
-            names = ', '.join(sorted(self._in_flight.agents)) or 'none'
+            names = ', '.join(sorted({key.agent for key in self._in_flight})) or 'none'
             why = f'no robot of {shown(request.agent)} is in flight: {names} is'
             return answered(response, False, why)
         key = min(out)
