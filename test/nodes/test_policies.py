@@ -10,10 +10,13 @@ from pathlib import Path
 import re
 import subprocess
 import sys
+from threading import Thread
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
+from extent import some
 from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.cli.demo_mission import observed
+from kbnitp_ros.cli import demo_mission
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.nodes.recorded_topics import message_class
 from kbnitp_ros.nodes.runtime import qos
@@ -203,8 +206,18 @@ def test_the_policies_allow_exactly_the_endpoints_of_a_team_and_the_demo(field):
     watched = Watched(field.node, ['all_agents', 'observer', 'planner'])
     for name in ('estimator', 'planner', 'agent'):
         field.start(name, team)
-    with observed(int(os.environ['ROS_DOMAIN_ID'])):
+    with demo_mission.observed(int(os.environ['ROS_DOMAIN_ID'])) as observer:
+        # Until a node has ended.
+        ended = []
+        processes = SimpleNamespace(ended=lambda: ended)
+        watching = Thread(
+            target=pytest.raises,
+            args=(RuntimeError, demo_mission.watch, observer, team['robots'], processes),
+        )
+        watching.start()
         watch(field, watched)
+        ended.append('planner')
+        watching.join()
 
 
 def test_each_node_has_a_policy():
@@ -301,8 +314,8 @@ def named(layout):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('agents, name', LAYOUTS.items())
-def test_a_layout_is_made_of_the_topics(agents, name):
+@pytest.mark.parametrize('agents, name', some(LAYOUTS.items(), 2))
+def test_a_layout_is_made_of_the_topics_of_a_running_mission(field, agents, name):
     made = subprocess.run(
         [sys.executable, ROOT / 'tools/foxglove_layout.py', str(agents)],
         capture_output=True,
@@ -310,11 +323,6 @@ def test_a_layout_is_made_of_the_topics(agents, name):
         check=True,
     ).stdout
     assert made == (ROOT / 'foxglove' / name).read_text()
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize('agents, name', LAYOUTS.items())
-def test_a_layout_names_only_topics_of_a_running_mission(field, agents, name):
     topics, fields = named(json.loads((ROOT / 'foxglove' / name).read_text()))
     team = [f'scout_{number}' for number in range(1, agents + 1)]
     assert set(topics) == {
