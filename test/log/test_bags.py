@@ -2,6 +2,7 @@
 """Bags of other programs are read and replayed like the mission's own log."""
 
 from functools import partial
+from itertools import product
 from pathlib import Path
 import shutil
 import subprocess
@@ -84,8 +85,11 @@ def with_list(left):
 
 
 @pytest.mark.slow
-@for_each('options', [{'version': 8}, {'version': 9}, {'compression': STORAGE_ZSTD}])
-@for_each('mode', ['NONE', 'none', ''])
+@for_each(
+    'options, mode',
+    product([{'version': 8}, {'version': 9}, {'compression': STORAGE_ZSTD}], ['NONE', 'none', '']),
+    every=4,
+)
 def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, options, mode):
     folder = write_bag(tmp_path / 'bag', sent, **options)
     check(described(folder, compression_mode=mode), sent)
@@ -102,7 +106,7 @@ def test_a_bag_is_read_by_its_folder_and_by_its_file(sent, tmp_path, options, mo
     # By a recorder that was killed.
     partial(described, relative_file_paths=['bag_0.mcap']),
     *map(with_list, [None, '', 'rosbag2_bagfile_information:\n  version: 9\n', '[a']),
-])  # fmt: skip
+], every=2)  # fmt: skip
 def test_a_split_bag_is_read_by_its_folder_and_by_its_first_file(sent, tmp_path, change):
     split = change(split_bag(tmp_path, sent))
     check(split, sent)

@@ -112,7 +112,7 @@ def with_other_qos(path, sent):
     *(partial(finished, compression=compression, max_file_duration=7e-6)
       for compression in ('none', 'zstd')),
     lambda path, _: finished(path, []), gone_on_with, repaired, with_other_qos,
-], every=2)  # fmt: skip
+], every=3)  # fmt: skip
 def test_all_libraries_read_a_log(sent, tmp_path, write):
     path = tmp_path / 'mission.mcap'
     check(path, write(path, sent))

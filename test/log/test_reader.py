@@ -120,7 +120,7 @@ def changed(content, draw):
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=400 if FULL else 100, phases=[Phase.generate])
+@settings(max_examples=400 if FULL else 60, phases=[Phase.generate])
 def test_corrupt_logs_are_read_correctly_or_raise_an_error(
     files, whole_mission, tmp_path_factory, data
 ):

@@ -107,7 +107,7 @@ def flipped(message, field, index, bit):
     {'grid': Grid(9, 3, base=13, resolution=1 / 3, origin=(1e3, -1e3))},
     {'grid': Grid(5, 4, base=2, blocked=(8, 11), through_corners=False)},
     {'grid': Grid(5, 4, base=2, blocked=(8, 11), connectivity=4)},
-])  # fmt: skip
+], every=3)  # fmt: skip
 def test_a_mission_is_reproduced(replayed, options):
     robots = 2 * ROBOTS if options.get('conduct') is WILFUL else ROBOTS
     whole = mission(robots, **options)
@@ -277,7 +277,7 @@ def test_the_catch_up_of_a_restarted_estimator_is_reproduced(tmp_path_factory, s
 
 @pytest.mark.slow
 @given(st.data())
-@settings(max_examples=60 if FULL else 20, deadline=None)
+@settings(max_examples=60 if FULL else 12, deadline=None)
 def test_any_flipped_bit_is_found(whole_mission, learnt_mission, tmp_path_factory, data):
     """A flip of a last bit could be taken for rounding, and is reported too."""
     sent = data.draw(st.sampled_from([whole_mission, learnt_mission])).sent

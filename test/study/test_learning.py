@@ -161,7 +161,7 @@ def test_the_cost_of_learning_is_paired(learnt):
     assert cost['mean'] == pytest.approx((learner - told).mean(), abs=1e-6)
 
 
-@for_each('kind', ['learnt', 'drawn'])
+@for_each('kind', ['drawn', 'learnt'], every=2)
 def test_learnt_numbers_can_be_read(request, kind):
     figures = study_figures(request.getfixturevalue(kind))
     assert 'numbers' in figures

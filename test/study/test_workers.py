@@ -207,7 +207,7 @@ def test_an_outcome_is_kept_to_the_last_bit(folder, results):
 @pytest.mark.slow
 @given(st.data())
 @settings(
-    max_examples=1000 if FULL else 150,
+    max_examples=1000 if FULL else 60,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_a_trial_that_is_damaged_does_not_count(folder, tmp_path, results, data):

@@ -141,7 +141,7 @@ def mission(true):
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     options = SearchOptions('relaxed')
     flown = run_mission(
-        grid, prior, SensorModel(0.5), world, 100, rng, options=options, dynamics=true
+        grid, prior, SensorModel(0.5), world, 70, rng, options=options, dynamics=true
     )
     return prior, [deployment.observation for deployment in flown]
 

@@ -35,7 +35,7 @@ def random_case(seed):
     return joint, SensorModel(**sensors), path
 
 
-@for_each('seed', range(400))
+@for_each('seed', range(400), every=4)
 def test_path_information_is_the_joint_information(seed):
     joint, model, path = random_case(seed)
     expected = brute_force.joint_information(joint, [model], [path])
