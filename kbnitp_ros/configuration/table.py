@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of all parameters: names, types, defaults, ranges and meanings."""
 
+from functools import partial
+
 from kbnitp_ros.configuration.parameter import NAME, Parameter
 from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.core.decision.goals import GOALS
@@ -84,6 +86,12 @@ AWAITED = (
         'the reports to await before the first robot leaves',
     ),
 )
+
+# Rows of one node alone; those of the planner that can change while it runs are `changeable`.
+for_planner, for_agent, for_robot, for_estimator, for_recorder = (
+    partial(Parameter, nodes=(node,)) for node in NODES
+)
+changeable = partial(for_planner, read_only=False)
 
 TABLE = (
     Parameter(
@@ -169,15 +177,13 @@ TABLE = (
     Parameter(
         'max_steps', 18, 'Maximum steps of a path.', GRID, limits=(1, MAX_STEPS), per_agent=True
     ),
-    Parameter(
+    changeable(
         'max_distance',
         0.0,
         'Maximum length of a path, metres: a diagonal step is 1.41 times as long as a straight '
         'one, a stay has no length. For the planners beam and relaxed and the goal map; 0 for no '
         'limit.',
-        ('planner',),
         limits=(0.0, 1e9),
-        read_only=False,
         per_agent=True,
     ),
     *(
@@ -205,95 +211,79 @@ TABLE = (
         for name, event in RATES.items()
     ),
     *(
-        Parameter(
+        for_estimator(
             f'prior.{name}',
             default,
             f'Probability of {event} before the first deployment.',
-            ('estimator',),
             limits=PROBABILITY,
         )
         for name, (default, event) in PRIOR.items()
     ),
     *(
-        Parameter(
+        for_estimator(
             f'prior.{name}_map',
             '',
             f'File with prior.{name} of each cell: a map_server map of mode scale, or rows and '
             'columns in .npy; empty for the number, which also holds where the map has nothing.',
-            ('estimator',),
         )
         for name in PRIOR
     ),
-    Parameter(
+    for_estimator(
         'prior.resample',
         False,
         'Whether a prior map in .npy may have another number of rows and columns than the field: '
         'each cell then takes the mean of the values over it.',
-        ('estimator',),
     ),
-    Parameter(
+    for_estimator(
         'prior.clustering',
         0.0,
         'Coupling of hazards in cells that share a side (a Markov random field), for '
         'kappa_bnitp_sampled; 0 for independent hazards, learn for an unknown coupling.',
-        ('estimator',),
         limits=(0.0, STRONGEST),
         word=LEARNT_COUPLING,
     ),
-    Parameter(
+    for_estimator(
         'prior.log',
         '',
         'Log of an earlier mission in the same field, whose last belief is the prior; empty for '
         'none.',
-        ('estimator',),
     ),
-    Parameter(
-        'method',
-        'kappa_bnitp',
-        'Inference method of the belief.',
-        ('estimator',),
-        choices=METHODS,
-    ),
-    Parameter(
+    for_estimator('method', 'kappa_bnitp', 'Inference method of the belief.', choices=METHODS),
+    for_estimator(
         'filter.type',
         -1,
         'Type of a costmap filter of Nav2 whose mask is belief/hazard, for the topic '
         'belief/costmap_filter_info: 0 for a KeepoutFilter, 1 for a SpeedFilter in percent, 2 for '
         'one in m/s; -1 for none.',
-        ('estimator',),
         limits=(0, 2),
         off=-1,
     ),
-    Parameter(
+    for_estimator(
         'filter.base',
         0.0,
         'What 0 percent of hazard means to that filter: 0 for a KeepoutFilter, or a speed limit.',
-        ('estimator',),
         limits=(-1e6, 1e6),
     ),
-    Parameter(
+    for_estimator(
         'filter.multiplier',
         1.0,
         'What each percent of hazard adds to filter.base: 1 for a KeepoutFilter.',
-        ('estimator',),
         limits=(-1e6, 1e6),
     ),
-    Parameter(
+    for_estimator(
         'learn.numbers',
         (),
         'Numbers to learn from the evidence, with kappa_bnitp, relaxed_itp (all but kappa) or, in '
         'a static field, kappa_bnitp_sampled. Robots are planned with their current estimates.',
-        ('estimator',),
         element=str,
         choices=tuple(LEARN),
     ),
     *(
-        Parameter(
+        for_estimator(
             f'learn.{name}',
             interval,
             f'Prior of {meaning}, if it is learnt: low and high, and unless uniform a and b of a '
             'Beta distribution.',
-            ('estimator',),
             element=float,
         )
         for name, (meaning, interval) in LEARN.items()
@@ -307,174 +297,125 @@ TABLE = (
         element=str,
         pattern=NAME,
     ),
-    Parameter(
+    for_agent(
         'agent',
         '',
         'The agent whose robots this node simulates, one of agents; empty for all of them.',
-        ('agent',),
         pattern=f'({NAME})?',
     ),
-    Parameter('agent', 'scout_1', 'Agent name of this robot.', ('robot',), pattern=NAME),
-    Parameter(
-        'robots',
-        100,
-        'Robots to deploy, one after another.',
-        ('planner',),
-        limits=(0, MAX_ROBOTS),
-        read_only=False,
-    ),
-    Parameter(
+    for_robot('agent', 'scout_1', 'Agent name of this robot.', pattern=NAME),
+    changeable('robots', 100, 'Robots to deploy, one after another.', limits=(0, MAX_ROBOTS)),
+    changeable(
         'planner',
         'beam',
         'Search for paths; random, coverage and shortest_unvisited seek no information and serve '
         'as baselines.',
-        ('planner',),
         choices=PLANNERS,
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'beam_width',
         16,
         'Width of the beam planner, which keeps a quarter as many labels for each cell and step.',
-        ('planner',),
         limits=(1, 10_000),
-        read_only=False,
     ),
-    Parameter(
+    for_planner(
         'bound',
         False,
         'Whether to compute, with each plan, an upper bound on the value of any path, for '
         'progress and the report; for a single agent that seeks information.',
-        ('planner',),
     ),
-    Parameter(
-        'max_visits',
-        3,
-        'Maximum visits of a path to one cell.',
-        ('planner',),
-        limits=(1, 10_000),
-        read_only=False,
+    changeable('max_visits', 3, 'Maximum visits of a path to one cell.', limits=(1, 10_000)),
+    changeable(
+        'allocation', 'greedy', 'How the robots of a round share the field.', choices=ALLOCATIONS
     ),
-    Parameter(
-        'allocation',
-        'greedy',
-        'How the robots of a round share the field.',
-        ('planner',),
-        choices=ALLOCATIONS,
-        read_only=False,
-    ),
-    Parameter(
+    changeable(
         'objective',
         'information',
         'Objective of paths: expected information; behavioral: the fall of behavioral entropies; '
         'information_per_loss: information for each robot expected to be lost. The last two need '
         'the planner beam or relaxed.',
-        ('planner',),
         choices=OBJECTIVES,
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'alpha',
         1.0,
         'Prelec weight of the objective behavioral: 1 gives the information; below 1 near '
         'certainty counts as less sure, above 1 as surer.',
-        ('planner',),
         limits=ALPHAS,
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'loss_cost',
         0.0,
         'Cost of a lost robot, in nats of information.',
-        ('planner',),
         limits=(0.0, 1e9),
-        read_only=False,
         per_agent=True,
     ),
-    Parameter(
+    for_planner(
         'goal.kind',
         'map',
         'Goal of the mission: map, the most information; lane, a way from the base to a cell that '
         'is free of hazards; area, cells that are free of hazards.',
-        ('planner',),
         choices=GOALS,
     ),
-    Parameter(
+    for_planner(
         'goal.cells',
         (),
         'Cells of the goal; for a lane the one cell that it leads to.',
-        ('planner',),
         element=int,
     ),
-    Parameter(
+    for_planner(
         'goal.position',
         (),
         'Point in the one cell of the goal, x and y in metres in the frame map, in place of '
         'goal.cells; empty for none.',
-        ('planner',),
         element=float,
     ),
-    Parameter(
+    for_planner(
         'goal.mask',
         '',
         'YAML file of a map, as map_server reads it, with a pixel for each cell of the field: '
         'occupied ones are the goal, in place of goal.cells; empty for none.',
-        ('planner',),
     ),
-    Parameter(
+    changeable(
         'stop.confidence',
         0.0,
         'Probability at which the goal is reached and no more robots leave; 0 for never.',
-        ('planner',),
         limits=(0.0, 1.0 - 1e-6),
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'stop.gain',
         0.0,
         'Minimum gain of the best deployment for each robot that it is expected to lose, below '
         'which the mission ends: nats, with the goal lane probability; 0 for never.',
-        ('planner',),
         limits=(0.0, 1e9),
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'stop.losses',
         0,
         'Number of lost robots at which the mission ends; 0 for never.',
-        ('planner',),
         limits=(0, MAX_ROBOTS),
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'minimum_survival',
         0.0,
         'Paths that a robot survives with a lower probability are refused; the mission is over '
         'when none is left.',
-        ('planner',),
         limits=PROBABILITY,
-        read_only=False,
     ),
-    Parameter(
+    changeable(
         'approval',
         False,
         'Whether robots leave only after the operator has approved their paths, shown on '
         'AGENT/proposal, by the service approve.',
-        ('planner',),
-        read_only=False,
     ),
-    Parameter(
-        'keep_running',
-        True,
-        'Whether the planner keeps running when the mission is over.',
-        ('planner',),
+    for_planner(
+        'keep_running', True, 'Whether the planner keeps running when the mission is over.'
     ),
-    Parameter(
+    for_planner(
         'rolling',
         False,
         'Whether each robot leaves as soon as its agent is free, instead of in rounds with all '
         'others.',
-        ('planner',),
     ),
     Parameter(
         'step_period',
@@ -484,18 +425,16 @@ TABLE = (
         limits=(0.0, 1e6),
         per_agent=True,
     ),
-    Parameter(
+    for_agent(
         'detour_probability',
         0.0,
         'Probability that a simulated robot takes a step through a third cell.',
-        ('agent',),
         limits=PROBABILITY,
     ),
-    Parameter(
+    for_agent(
         'early_return_probability',
         0.0,
         'Probability that a simulated robot turns back before a step; never before its first.',
-        ('agent',),
         limits=PROBABILITY,
     ),
     Parameter(
@@ -506,11 +445,10 @@ TABLE = (
         ('planner', 'agent'),
         limits=PROBABILITY,
     ),
-    Parameter(
+    for_agent(
         'camera_failure_probability',
         0.0,
         "Probability that a simulated robot's camera fails in a step, for the rest of the way.",
-        ('agent',),
         limits=PROBABILITY,
     ),
     Parameter(
@@ -519,27 +457,23 @@ TABLE = (
         'Whether a destroyed robot sends no report, so that only its absence tells of the loss.',
         ('planner', 'agent'),
     ),
-    Parameter(
+    for_planner(
         'return_deadline',
         10.0,
         'Seconds of ROS time after the expected return when a silent robot is given up as lost.',
-        ('planner',),
         limits=(1e-3, 1e9),
     ),
-    Parameter(
+    changeable(
         'presume_departure',
         False,
         'Whether robots count as departed once their paths are sent (with recorded: are on disk), '
         'instead of when their agents report it on AGENT/status. With silent_loss an agent that '
         'never reports departures gets no path.',
-        ('planner',),
-        read_only=False,
     ),
-    Parameter(
+    for_agent(
         'publish_pose',
         False,
         'Whether robots that are out are shown on /tf, as AGENT/base_link in the frame map.',
-        ('agent',),
     ),
     *(
         Parameter(
@@ -553,37 +487,26 @@ TABLE = (
         )
         for nodes, default, awaited in AWAITED
     ),
-    Parameter(
-        'seed',
-        0,
-        'Seed of the random numbers that the method draws.',
-        ('estimator',),
-        limits=(0, 2**63 - 1),
+    for_estimator(
+        'seed', 0, 'Seed of the random numbers that the method draws.', limits=(0, 2**63 - 1)
     ),
-    Parameter(
+    for_agent(
         'seed',
         0,
         'Seed of the hidden world and of what happens to the robots in it.',
-        ('agent',),
         limits=(0, 2**63 - 1),
     ),
-    Parameter(
-        'world.file',
-        '',
-        'YAML file with the hidden world; empty to draw one from the seed.',
-        ('agent',),
+    for_agent(
+        'world.file', '', 'YAML file with the hidden world; empty to draw one from the seed.'
     ),
     *(
-        Parameter(
-            f'world.{name}', default, f'Probability of {event}.', ('agent',), limits=PROBABILITY
-        )
+        for_agent(f'world.{name}', default, f'Probability of {event}.', limits=PROBABILITY)
         for name, (default, event) in DRAWN.items()
     ),
-    Parameter(
+    for_agent(
         'publish_truth',
         False,
         'Whether the hidden world is shown on truth/hazard and truth/target.',
-        ('agent',),
     ),
     Parameter(
         'recorded',
@@ -592,127 +515,105 @@ TABLE = (
         'estimator accepts recorded paths only.',
         ('planner', 'estimator', 'agent'),
     ),
-    Parameter(
+    for_robot(
         'recorded',
         True,
         'Whether the robot leaves only when its path and its departure are on record.',
-        ('robot',),
     ),
-    Parameter(
+    for_robot(
         'journal',
         '',
         "File on the robot's own disk that keeps its orders, its way and its readings; when a "
         'mission begins, that of the one before is moved to a folder beside. Empty for '
         'AGENT.journal in the folder .ros/kbnitp_ros of the home.',
-        ('robot',),
     ),
-    Parameter(
+    for_robot(
         'driver',
         'follow_waypoints',
         'Action of Nav2 that drives the robot.',
-        ('robot',),
         choices=('follow_waypoints', 'navigate_through_poses', 'follow_path'),
     ),
-    Parameter(
+    for_robot(
         'nav_namespace',
         '',
         "Namespace of the robot's Nav2 and its actions; / for none, empty for that of this node.",
-        ('robot',),
         pattern='/|(/?[A-Za-z][A-Za-z0-9_]*)*',
     ),
-    Parameter(
+    for_robot(
         'position',
         'tf',
         'Source of the robot position: tf for TF, or fix for sensor_msgs/NavSatFix on fix, which '
         'takes a datum.',
-        ('robot',),
         choices=('tf', 'fix'),
     ),
-    Parameter(
+    for_robot(
         'base_frame',
         'base_link',
         'Frame of the robot, whose place in the frame map TF tells, and the frame of fixes.',
-        ('robot',),
     ),
-    Parameter(
+    for_robot(
         'tf_timeout',
         2.0,
         'Maximum age of a transform, a fix or a detection, seconds. A jump of more than a cell '
         'counts if it lasts as long.',
-        ('robot',),
         limits=(1e-3, 1e6),
     ),
-    Parameter(
+    for_robot(
         'max_speed',
         0.0,
         'Maximum speed of the robot, in m/s: after a faster jump its position is uncertain and no '
         'more readings of its walk count; 0 for no check.',
-        ('robot',),
         limits=(0.0, 1e6),
     ),
-    Parameter(
+    for_robot(
         'arrival_tolerance',
         0.5,
         'Metres from the middle of the base within which the robot is home.',
-        ('robot',),
         limits=(1e-3, 1e6),
     ),
-    Parameter(
+    for_robot(
         'stay_time',
         2.0,
         'Seconds that a robot waits in a cell where its path stays for a step.',
-        ('robot',),
         limits=(0.0, 1e6),
     ),
-    Parameter(
+    for_robot(
         'attempts',
         3,
         'Maximum number of goals in a row that bring the robot to no new cell, before it goes '
         'home.',
-        ('robot',),
         limits=(1, 1000),
     ),
-    Parameter(
+    for_robot(
         'time_budget',
         0.0,
         'Maximum seconds from departure to return: the robot turns back when the rest is the time '
         'of the way back, by its steps so far; 0 for no limit.',
-        ('robot',),
         limits=(0.0, 1e9),
     ),
-    Parameter(
-        'retry_delay',
-        2.0,
-        'Seconds from a failed goal to the next one.',
-        ('robot',),
-        limits=(0.0, 1e6),
+    for_robot(
+        'retry_delay', 2.0, 'Seconds from a failed goal to the next one.', limits=(0.0, 1e6)
     ),
-    Parameter(
+    for_robot(
         'server_timeout',
         10.0,
         'Seconds without feedback after which an action server is taken for dead.',
-        ('robot',),
         limits=(1e-3, 1e6),
     ),
-    Parameter(
+    for_robot(
         'detection_type',
         'bool',
         'Type of the messages on detections: std_msgs/Bool, or vision_msgs/Detection2DArray where '
         'that package is installed.',
-        ('robot',),
         choices=('bool', 'detection2d_array'),
     ),
-    Parameter(
-        'detection_class',
-        '',
-        'Class of a detection in an array that is a target; empty for any.',
-        ('robot',),
+    for_robot(
+        'detection_class', '', 'Class of a detection in an array that is a target; empty for any.'
     ),
-    Parameter(
+    for_robot(
         'detection_score',
         0.5,
         'Score that a detection in an array must have to count.',
-        ('robot',),
         limits=PROBABILITY,
     ),
     Parameter(
@@ -721,35 +622,26 @@ TABLE = (
         'Log of the mission to resume, its first file or its folder; empty for a new mission.',
         ('planner', 'agent', 'estimator', 'recorder'),
     ),
-    Parameter(
+    for_recorder(
         'file',
         '',
         'The log to write, which must not exist yet; empty for runs/TIME/mission.mcap. Not used '
         'with resume.',
-        ('recorder',),
     ),
-    Parameter(
-        'compression',
-        'none',
-        'How the log is compressed.',
-        ('recorder',),
-        choices=('none', 'zstd'),
-    ),
-    Parameter(
+    for_recorder('compression', 'none', 'How the log is compressed.', choices=('none', 'zstd')),
+    for_recorder(
         'max_file_size',
         2**24,
         'Bytes after which the log continues in another file beside the first, which frees the '
         'memory of its index; 0 for one file. What each file starts with, up to '
         '100 kB, does not count.',
-        ('recorder',),
         limits=(2**20, 2**62),
         off=0,
     ),
-    Parameter(
+    for_recorder(
         'max_file_duration',
         0.0,
         'Seconds after which the log continues in another file beside the first; 0 for one file.',
-        ('recorder',),
         limits=(0.0, 1e9),
     ),
 )

@@ -214,13 +214,13 @@ def lines_plot(
     return finished(figure, escape(label))
 
 
-def finished(figure: graph_objects.Figure, label: str) -> str:
+def finished(figure: graph_objects.Figure, label: str, height: int = PANEL) -> str:
     """Return a panel of curves in Plotly's JSON."""
     figure.update_xaxes(title_text='reports taken in', automargin=True)
     figure.update_yaxes(title_text=label, automargin=True, title_standoff=6)
     figure.update_layout(
         template='none',
-        height=PANEL,
+        height=height,
         hovermode='x unified',
         dragmode=False,
         showlegend=True,
@@ -234,29 +234,11 @@ def finished(figure: graph_objects.Figure, label: str) -> str:
 
 def cell_plot() -> str:
     """Return the plot of the belief in a cell over time, without its values, in Plotly's JSON."""
-    figure = graph_objects.Figure(
-        [
-            graph_objects.Scatter(
-                x=[],
-                y=[],
-                name=name,
-                mode='lines',
-                line={'color': style.colour, 'dash': style.plotly_dash},
-                hovertemplate='%{y:.3f}',
-            )
-            for name, style in zip(MAPS, SERIES)
-        ]
-    )
-    figure.update_layout(
-        template='none',
-        height=220,
-        hovermode='x unified',
-        dragmode=False,
-        legend={'orientation': 'h', 'x': 0, 'y': 1, 'yanchor': 'bottom'},
-        margin={'l': 40, 'r': 10, 't': 30, 'b': 40},
-        xaxis={'title': {'text': 'reports taken in'}},
-        yaxis={'range': [0, 1.02]},
-        paper_bgcolor='rgba(0,0,0,0)',
-        plot_bgcolor='rgba(0,0,0,0)',
-    )
-    return str(figure.to_json())
+    figure = graph_objects.Figure()
+    for name, style in zip(MAPS, SERIES):
+        line = {'color': style.colour, 'dash': style.plotly_dash}
+        figure.add_scatter(
+            x=[], y=[], name=name, mode='lines', line=line, hovertemplate='%{y:.3f}'
+        )
+    figure.update_yaxes(range=[0, 1.02])
+    return finished(figure, 'probability', 220)

@@ -3,35 +3,31 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 # Fast DDS keeps at most 5000 samples of a topic unless a profile says otherwise: it accepts a
 # deeper history and then drops messages silently.
 DEPTH = 5000
 
-# Paths and reports: nodes that join late receive the whole mission.
-EVIDENCE = QoSProfile(
-    depth=DEPTH,
+kept = partial(
+    QoSProfile,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
+# Paths and reports: nodes that join late receive the whole mission.
+EVIDENCE = kept(depth=DEPTH)
+
 # Beliefs and maps, as in REP-2003: nodes that join late receive the newest.
-LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = kept(depth=1)
 
 DIAGNOSTICS = QoSProfile(depth=10)
 
 # Poses, as in tf2; constant ones are kept for nodes that join late.
 POSES = QoSProfile(depth=100)
-LATCHED_POSES = QoSProfile(
-    depth=100,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED_POSES = kept(depth=100)
 
 # Sensor data, which is never sent again.
 READINGS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
