@@ -241,4 +241,4 @@ def cell_plot() -> str:
             x=[], y=[], name=name, mode='lines', line=line, hovertemplate='%{y:.3f}'
         )
     figure.update_yaxes(range=[0, 1.02])
-    return finished(figure, 'probability', 220)
+    return finished(figure, '', 220)
