@@ -259,24 +259,27 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
             # The progress bar says it.
             levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
             processes.start(node, {**parameters[node], **awaited}, levels=levels)
-        with observed(domain) as observer:
-            watch(observer, parameters['planner']['robots'], processes)
+        with observed(domain) as (observer, received):
+            watch(observer, received, parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
         raise RuntimeError(f'nodes did not end well, by exit code: {failed}')
 
 
 @contextmanager
-def observed(domain: int) -> Iterator[Node]:
-    """Yield a node that observes the mission on the domain."""
+def observed(domain: int) -> Iterator[tuple[Node, deque[Progress]]]:
+    """Yield a node on the domain, and the last progress that it receives, if any so far."""
     os.environ.update(environment(domain))
     rclpy.init(
         args=['--ros-args', '--enclave', '/observer'],
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    observer = Node('observer')
+    observer, received = Node('observer'), deque[Progress](maxlen=1)
+    observer.create_subscription(
+        Progress, 'progress', lambda message: received.append(message), qos.LATCHED
+    )
     try:
-        yield observer
+        yield observer, received
     finally:
         observer.destroy_node()
         try_shutdown()
@@ -298,13 +301,8 @@ def most_left(progress: Progress | None, robots: int) -> float:
     return END_WAIT if progress and now.deployments >= robots else inf
 
 
-def watch(observer: Node, robots: int, processes: Processes) -> None:
+def watch(observer: Node, received: deque[Progress], robots: int, processes: Processes) -> None:
     """Show the progress of a mission until it is over, or waits for an operator."""
-    # The last message; empty until the first belief.
-    received = deque[Progress](maxlen=1)
-    observer.create_subscription(
-        Progress, 'progress', lambda message: received.append(message), qos.LATCHED
-    )
     executor = SingleThreadedExecutor()
     executor.add_node(observer)
     now, known, since = None, (0, ''), time.monotonic()

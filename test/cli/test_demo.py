@@ -463,7 +463,7 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
         spinning = Thread(target=executor.spin)
         spinning.start()
         begun = time.monotonic()
-        watch(observer, 1, Processes(domain))
+        watch(*observer, 1, Processes(domain))
         assert until - 0.25 < time.monotonic() - begun < until + 5.0
         executor.shutdown()
         spinning.join()
