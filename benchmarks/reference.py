@@ -26,7 +26,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.inference.chains import CHAINS, Chains
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.sampling_kernels import Tally
+from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm

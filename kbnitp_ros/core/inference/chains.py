@@ -23,10 +23,10 @@ from kbnitp_ros.core.inference.sampling_kernels import (
     draw_values,
     LARGE,
     sum_of_cells,
-    Tally,
     weigh_by_located,
     weigh_by_losses,
 )
+from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 

@@ -12,7 +12,7 @@ from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Bins, Unknowns
 from kbnitp_ros.core.inference.filters import can_be_lost, RATES, ratio
-from kbnitp_ros.core.inference.sampling_kernels import Tally
+from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 

@@ -24,7 +24,7 @@ from kbnitp_ros.core.field.unknowns import Learnt, Unknowns
 from kbnitp_ros.core.inference.chains import CHAINS, Chains, ChainState
 from kbnitp_ros.core.inference.filters import check_cells
 from kbnitp_ros.core.inference.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.sampling_kernels import Tally
+from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 
