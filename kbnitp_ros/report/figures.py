@@ -48,7 +48,7 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
     figure = Figure(figsize=(7.2, height))
     grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
     figure.subplots_adjust(
-        0.09, 0.55 / height, 0.985, 1.0 - 0.12 / height, wspace=0.24, hspace=0.2
+        0.09, 0.55 / height, 0.97, 1.0 - 0.12 / height, wspace=0.24, hspace=0.2
     )
     places = iter(grid.flat)
     for (label, lines), axes in zip(panels.items(), places):
