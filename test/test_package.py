@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requirements and contents of the package are declared, locked, installed and tested."""
 
-import ast
 from collections import defaultdict
 from importlib import import_module, metadata
 import json
@@ -65,6 +64,9 @@ TYPES = {
 OPTIONAL = {'distributed', 'sphinx'}
 
 
+IMPORT = r'^ *(?:import (?=[\w.]+$|\w+ as )|from (?=[\w.]+ import ))(\w+)'
+
+
 def imported_by(*folders):
     """Return the names of external packages that sources in folders import."""
     names = set()
@@ -72,11 +74,7 @@ def imported_by(*folders):
     for folder in folders:
         for path in ROOT.joinpath(folder).rglob('*.py'):
             local.add(path.stem)
-            for node in ast.walk(ast.parse(path.read_text())):
-                if isinstance(node, ast.Import):
-                    names |= {alias.name.split('.')[0] for alias in node.names}
-                elif isinstance(node, ast.ImportFrom) and not node.level:
-                    names.add(node.module.split('.')[0])
+            names |= set(re.findall(IMPORT, path.read_text(), re.MULTILINE))
     return names - sys.stdlib_module_names - local - OPTIONAL
 
 

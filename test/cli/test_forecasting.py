@@ -55,7 +55,8 @@ def test_any_number_of_workers_writes_the_same_bytes(tmp_path):
 def test_a_mission_on_record_goes_on(tmp_path, capsys):
     path = log(tmp_path / 'run')
     sent = last_belief(MissionLog(path)).deployments
-    assert main([str(tmp_path / 'run'), '--set', f'robots={sent + 2}', '--worlds', '3']) == 0
+    options = ['--set', f'robots={sent + 2}', '--worlds', '3', '--workers', '1']
+    assert main([str(tmp_path / 'run'), *options]) == 0
     told = capsys.readouterr().out
     assert told.startswith('3 missions of at most 2 robots, no goal')
     assert '| robots sent | 2.0 | 2 | 2 | 2 |' in told

@@ -206,7 +206,7 @@ def test_an_sqlite_bag_is_refused_with_the_conversion_command(sent, tmp_path, ca
 
 
 @pytest.mark.slow
-@for_each('damaged', [20, 35])
+@for_each('damaged', [20, 35], every=2)
 def test_commands_show_messages_before_an_error_and_fail(sent, tmp_path, damaged, capsys):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:

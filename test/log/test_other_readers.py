@@ -109,7 +109,7 @@ def with_other_qos(path, sent):
 @pytest.mark.processes
 @for_each('write', [
     *(partial(finished, compression=compression) for compression in ('none', 'zstd')),
-    *(partial(finished, compression=compression, max_file_duration=7e-6)
+    *(partial(finished, compression=compression, max_file_duration=20e-6)
       for compression in ('none', 'zstd')),
     lambda path, _: finished(path, []), gone_on_with, repaired, with_other_qos,
 ], every=3)  # fmt: skip

@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 
 from disk import mounted, room_for
-from hypothesis import given
+from extent import FULL
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
 from kbnitp_ros.robot.journal import Deployment, Journal, Step
@@ -50,6 +51,7 @@ def reopened(path):
 
 @pytest.mark.slow
 @given(doings=DOINGS, data=st.data())
+@settings(max_examples=100 if FULL else 40)
 def test_a_power_loss_at_any_byte_loses_at_most_the_unsynced_line(tmp_path_factory, doings, data):
     path = tmp_path_factory.mktemp('journal') / 'journal'
     journal = opened(path)
@@ -77,6 +79,7 @@ def test_a_power_loss_at_any_byte_loses_at_most_the_unsynced_line(tmp_path_facto
 
 @pytest.mark.slow
 @given(doings=DOINGS, data=st.data())
+@settings(max_examples=100 if FULL else 40)
 def test_lines_after_corruption_are_cut_off_and_kept_beside(tmp_path_factory, doings, data):
     path = tmp_path_factory.mktemp('journal') / 'journal'
     journal = opened(path)

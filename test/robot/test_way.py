@@ -4,7 +4,8 @@
 from contextlib import suppress
 from itertools import pairwise
 
-from hypothesis import given
+from extent import FULL
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
 from kbnitp_ros.robot.way import (
@@ -108,6 +109,7 @@ def test_the_shortest_way_is_as_long_as_the_grid_says():
 
 
 @given(data=st.data(), steps=st.integers(1, 30), connectivity=st.sampled_from([4, 8]))
+@settings(max_examples=100 if FULL else 30)
 def test_any_positions_make_a_walk(data, steps, connectivity):
     grid = Grid(
         6, 5, base=7, resolution=0.5, origin=(-1.0, 2.0), blocked=[2, 9], connectivity=connectivity
@@ -123,6 +125,7 @@ def test_any_positions_make_a_walk(data, steps, connectivity):
 
 
 @given(data=st.data(), steps=st.integers(0, 12), noise=st.floats(0, 0.045))
+@settings(max_examples=100 if FULL else 30)
 def test_a_robot_on_its_orders_walks_them(data, steps, noise):
     """Positions on straight lines between centres of cells, with noise."""
     orders = home(GRID, wander(data, GRID, steps))

@@ -70,7 +70,7 @@ def located(seed, independent=False):
 
 
 @pytest.mark.slow
-@for_each('method', ['kappa_bnitp', 'relaxed_itp'])
+@for_each('method', ['kappa_bnitp', 'relaxed_itp'], every=5)
 @for_each('seed', range(300))
 def test_where_a_robot_was_lost_is_taken_in_exactly(seed, method):
     joint, model, path, steps, lost_at = located(seed, independent=method == 'relaxed_itp')

@@ -18,7 +18,6 @@ import pyagrum
 import pytest
 from rounds import LEARN_FROM_LOSSES
 
-CASES = range(400)
 ONE_PASS = [name for name, each in METHODS.items() if isinstance(each, OnePass)]
 
 
@@ -33,7 +32,7 @@ def deployments(seed, most_cells, most_steps):
     return joint, model, Observation(path, True, readings)
 
 
-@for_each('seed', CASES)
+@for_each('seed', range(400), every=4)
 def test_exact_update_is_the_enumeration_of_all_states(seed):
     joint, model, observation = deployments(seed, most_cells=6, most_steps=10)
     expected = brute_force.posterior(
@@ -43,7 +42,7 @@ def test_exact_update_is_the_enumeration_of_all_states(seed):
     np.testing.assert_allclose(after.joint, expected, rtol=0, atol=1e-12)
 
 
-@for_each('seed', CASES)
+@for_each('seed', range(400), every=4)
 def test_published_update_is_the_paper_equations_summed_out(seed):
     joint, model, observation = deployments(seed, most_cells=6, most_steps=7)
     path = observation.path.tolist()
@@ -221,7 +220,7 @@ def test_several_losses_are_correlated_in_the_network_and_by_sampling():
     assert max(off['kappa_bnitp_sampled']) < 0.05
 
 
-@for_each('seed', range(300))
+@for_each('seed', range(300), every=4)
 def test_averaging_universes_gives_the_exact_marginals(seed):
     rng = np.random.default_rng(seed)
     width, height = (int(size) for size in rng.integers(2, 10, 2))

@@ -59,7 +59,7 @@ def enumerated(joint, model, seen):
 
 
 @pytest.mark.slow
-@for_each('method', ['kappa_bnitp', 'relaxed_itp'])
+@for_each('method', ['kappa_bnitp', 'relaxed_itp'], every=5)
 @for_each('seed', range(300))
 def test_one_robot_of_a_type_is_assimilated_exactly(seed, method):
     joint, model, seen = random_robots(seed, 1, independent=method == 'relaxed_itp')

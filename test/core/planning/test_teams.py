@@ -274,7 +274,7 @@ def sensor_models(kinds, model):
 
 
 @pytest.mark.slow
-@for_each('seed', range(300))
+@for_each('seed', range(300), every=4)
 def test_team_information_is_exact_where_hazards_are_known(seed):
     """Then no loss correlates cells: the readings of different cameras remain."""
     joint, model, kinds, paths = few_robots(seed)
