@@ -20,7 +20,7 @@ from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search, make_stop, search_options, type_to_plan
 from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Team
-from kbnitp_ros.core.forecast import ForecastMission, PossibleWorld, Share
+from kbnitp_ros.core.forecast import Course, PossibleWorld, wilson_interval
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
@@ -198,8 +198,8 @@ def planning_arguments(
 
 
 def run(
-    pool: Workers, fly: Callable[[PossibleWorld], ForecastMission], drawn: Iterable[PossibleWorld]
-) -> list[ForecastMission]:
+    pool: Workers, fly: Callable[[PossibleWorld], Course], drawn: Iterable[PossibleWorld]
+) -> list[Course]:
     """Run missions in worker processes with a progress bar; return them in order."""
     worlds, courses = [*drawn], {}
     with tqdm(total=len(worlds), unit='mission', disable=None) as bar:
@@ -216,11 +216,11 @@ def lines(found: Forecast) -> Iterator[str]:
         sought += f' at a confidence of {found.confidence:.4g}'
     yield f'{len(found.sent)} missions of at most {found.robots} robots, {sought}'
     if found.confidence is not None:
-        yield f'reached in {in_percent(Share.of(found.reached[:, -1]))} of the missions'
+        yield f'reached in {in_percent(found.reached[:, -1])} of the missions'
     if found.goal != 'map':
         yield (
             f'at the end the {found.goal} is free of hazards in '
-            f'{in_percent(Share.of(found.free))} of the missions; mean believed probability '
+            f'{in_percent(found.free)} of the missions; mean believed probability '
             f'{found.p_free[:, -1].mean():.3f}'
         )
     yield ''
@@ -245,7 +245,7 @@ def lines(found: Forecast) -> Iterator[str]:
                 str(robots),
                 *(f'{value:.0f}' for value in quantiles(found.lost[:, robots])),
                 *(f'{value:.{decimals}f}' for value in quantiles(known[:, robots])),
-                *(in_percent(Share.of(found.reached[:, robots])) for _ in reached),
+                *(in_percent(found.reached[:, robots]) for _ in reached),
             ]
             for robots in (*(each for each in AFTER if each < found.robots), found.robots)
         ],
@@ -263,9 +263,9 @@ def quantiles(values: NDArray[np.float64]) -> list[float]:
     return found
 
 
-def in_percent(share: Share) -> str:
+def in_percent(successes: NDArray[np.float64]) -> str:
     """Return a share of missions with its 95 % interval, as text."""
-    percent, low, high = (f'{100 * each:.0f}' for each in share)
+    percent, low, high = (f'{100 * each:.0f}' for each in wilson_interval(successes))
     return f'{percent} % [{low}, {high}]'
 
 

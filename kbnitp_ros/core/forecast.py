@@ -49,40 +49,19 @@ class PossibleWorld(NamedTuple):
         return f'the mission in world {self.number}'
 
 
-class ForecastMission(NamedTuple):
-    """The result of one mission."""
-
-    # Number of robots sent.
-    sent: int
-    # Robots lost after each robot sent, shape (robots + 1,); constant after the last one, as
-    # below.
-    lost: Floats
-    # Entropy of hazards and targets, nats, shape (robots + 1,).
-    entropy: Floats
-    # Probability that the goal is free of hazards, shape (robots + 1,); NaN without a goal.
-    p_free: Floats
-    # 1 if the goal was reached at its confidence, else 0, shape (robots + 1,).
-    reached: Floats
-    # 1 if the cells of the last decision are truly free of hazards, else 0; NaN without a goal.
-    free: float
+# Robots sent by a mission; robots lost, entropy, probability that the goal is free and whether it
+# is reached, each after every robot; and whether its cells are truly free: all as of `Forecast`.
+Course = tuple[int, Floats, Floats, Floats, Floats, float]
 
 
-class Share(NamedTuple):
-    """A share of missions and its 95 % interval (Wilson's)."""
-
-    share: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, each: Floats) -> Share:
-        """Return the proportion of successes."""
-        count, share = each.size, float(each.mean())
-        narrowing = 1.0 + DEVIATIONS**2 / count
-        middle = (share + DEVIATIONS**2 / (2 * count)) / narrowing
-        spread = share * (1.0 - share) / count + (DEVIATIONS / (2 * count)) ** 2
-        half = DEVIATIONS * sqrt(spread) / narrowing
-        return cls(share, max(0.0, middle - half), min(1.0, middle + half))
+def wilson_interval(successes: Floats) -> tuple[float, float, float]:
+    """Return the proportion of successes and its 95 % interval (Wilson's)."""
+    count, share = successes.size, float(successes.mean())
+    narrowing = 1.0 + DEVIATIONS**2 / count
+    middle = (share + DEVIATIONS**2 / (2 * count)) / narrowing
+    spread = share * (1.0 - share) / count + (DEVIATIONS / (2 * count)) ** 2
+    half = DEVIATIONS * sqrt(spread) / narrowing
+    return share, max(0.0, middle - half), min(1.0, middle + half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +77,16 @@ class Forecast:
         Confidence at which missions end.
     sent : ndarray, shape (worlds,)
         Number of robots sent by each mission.
-    lost, entropy, p_free, reached : ndarray, shape (worlds, robots + 1)
-        As of `ForecastMission`.
+    lost : ndarray, shape (worlds, robots + 1)
+        Robots lost after each robot sent; constant after the last one, as below.
+    entropy : ndarray, shape (worlds, robots + 1)
+        Entropy of hazards and targets, nats.
+    p_free : ndarray, shape (worlds, robots + 1)
+        Probability that the goal is free of hazards; NaN without a goal.
+    reached : ndarray, shape (worlds, robots + 1)
+        1 if the goal was reached at its confidence, else 0.
     free : ndarray, shape (worlds,)
-        As of `ForecastMission`.
+        1 if the cells of the last decision are truly free of hazards, else 0; NaN without a goal.
 
     """
 
@@ -134,8 +119,8 @@ def forecast(
     goal: Goal | None = None,
     stop: Stop | None = None,
     run: Callable[
-        [Callable[[PossibleWorld], ForecastMission], Iterable[PossibleWorld]],
-        Iterable[ForecastMission],
+        [Callable[[PossibleWorld], Course], Iterable[PossibleWorld]],
+        Iterable[Course],
     ] = map,
 ) -> Forecast:
     """
@@ -193,7 +178,7 @@ def course(
     belief: Belief,
     begin: Decision | None,
     possible: PossibleWorld,
-) -> ForecastMission:
+) -> Course:
     """Run one mission."""
     made = go_on(world=possible.world, rng=possible.rng, truth=Truth(possible.model))
     decisions = [begin, *(each.decision for each in made)]
@@ -206,7 +191,7 @@ def course(
         series = np.array([*values], dtype=np.float64)
         return np.pad(series, (0, robots + 1 - series.size), 'edge')
 
-    return ForecastMission(
+    return (
         len(made),
         carried(lost),
         carried(belief.entropy() for belief in beliefs),

@@ -47,9 +47,7 @@ def progress_figure(mission: Mission, curves: Curves) -> Figure:
     height = 2.4 * rows + 0.3
     figure = Figure(figsize=(7.2, height))
     grid = figure.subplots(rows, COLUMNS, sharex=True, squeeze=False)
-    figure.subplots_adjust(
-        0.09, 0.55 / height, 0.97, 1.0 - 0.12 / height, wspace=0.24, hspace=0.2
-    )
+    figure.subplots_adjust(0.09, 0.55 / height, 0.97, 1.0 - 0.12 / height, wspace=0.24, hspace=0.2)
     places = iter(grid.flat)
     for (label, lines), axes in zip(panels.items(), places):
         for (name, values), style in zip(lines.items(), SERIES):

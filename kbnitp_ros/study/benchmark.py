@@ -64,15 +64,9 @@ HEADS = (
 PLANNER, METHOD = 'beam', 'kappa_bnitp'
 
 
-class FrozenBelief(NamedTuple):
-    """A belief of a mission, with a bound on the value of any path."""
-
-    # Belief about the cells of `field`.
-    belief: Belief
-    # The believed sensor model.
-    model: SensorModel
-    # Proven upper bound of the value of a path, nats.
-    bound: float
+# A belief of a mission, the believed sensor model, and a proven upper bound of the value of any
+# path, nats.
+FrozenBelief = tuple[Belief, SensorModel, float]
 
 
 class Entry(NamedTuple):
@@ -97,7 +91,7 @@ def frozen() -> list[FrozenBelief]:
     """Return the beliefs of this version."""
     with np.load(share('scenarios') / f'{NAME}_{VERSION}.npz', allow_pickle=False) as file:
         return [
-            FrozenBelief(Belief(joint), SensorModel(lethality), float(bound))
+            (Belief(joint), SensorModel(lethality), float(bound))
             for joint, lethality, bound in zip(file['joint'], file['lethality'], file['bound'])
         ]
 
@@ -113,14 +107,14 @@ def plan_worths(
 ) -> NDArray[np.float64]:
     """Return worth / bound of the plans of a planner, and their seconds, shape (2, beliefs)."""
 
-    def planned(each: FrozenBelief) -> tuple[float, float]:
+    def planned(belief: Belief, model: SensorModel, bound: float) -> tuple[float, float]:
         begun = process_time()
-        found = plan(field, each.belief, each.model, steps, planner)
-        return found.information / each.bound, process_time() - begun
+        found = plan(field, belief, model, steps, planner)
+        return found.information / bound, process_time() - begun
 
     # The first plan compiles kernels.
-    planned(beliefs[0])
-    return np.array([planned(each) for each in tqdm(beliefs, planner, disable=None)]).T
+    planned(*beliefs[0])
+    return np.array([planned(*each) for each in tqdm(beliefs, planner, disable=None)]).T
 
 
 def time_method(method: str, scenario: Scenario) -> float:

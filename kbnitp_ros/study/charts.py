@@ -43,9 +43,9 @@ def contender_labels(scenario: Scenario) -> dict[Contender, str]:
     """Return labels that tell the contenders apart."""
     teams, are_named = team_labels(scenario), len(scenario.methods) > 1
     return {
-        each: ', '.join(filter(None, [each.method if are_named else '', teams[each.team]]))
-        or each.method
-        for each in scenario.contenders
+        (method, team): ', '.join(filter(None, [method if are_named else '', teams[team]]))
+        or method
+        for method, team in scenario.contenders
     }
 
 
@@ -54,8 +54,8 @@ def group_contenders(contenders: Sequence[Contender]) -> list[list[Contender]]:
     if len(contenders) <= len(SERIES):
         return [list(contenders)]
     for distinctions in (
-        [each.method for each in contenders],
-        [each.team.allocation if each.team.agents > 1 else None for each in contenders],
+        [method for method, _ in contenders],
+        [team.allocation if team.agents > 1 else None for _, team in contenders],
     ):
         names = [name for name in dict.fromkeys(distinctions) if name is not None]
         if len(names) > 1:
@@ -181,8 +181,9 @@ def means_chart(
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
     ) -> None:
-        series = results.series(lethality, contender.method, *measures, team=contender.team)
-        draw_mean(axes, points(series, contender.team), style, label)
+        method, team = contender
+        series = results.series(lethality, method, *measures, team=team)
+        draw_mean(axes, points(series, team), style, label)
         axes.margins(x=0.02)
 
     return panels_figure(results.scenario, draw, across, up, scale)
@@ -271,8 +272,9 @@ def loss_cost_chart(results: Results) -> Figure:
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
     ) -> None:
+        method, team = contender
         (lost, log_loss), low, high = bootstrap_mean(
-            trade(partial(results.series, lethality, contender.method), contender.team)
+            trade(partial(results.series, lethality, method), team)
         )
         at_its_end = {'markevery': [-1], 'markersize': 5}
         axes.plot(lost, log_loss, **style.line(lost.size) | at_its_end, label=label)

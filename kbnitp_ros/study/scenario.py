@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from kbnitp_ros.core import (
     ALLOCATIONS,
@@ -189,11 +189,8 @@ class Strategy:
 ALONE = Strategy()
 
 
-class Contender(NamedTuple):
-    """A method of estimation and the team that it plans for."""
-
-    method: str
-    team: Strategy
+# A method of estimation and the team that it plans for.
+Contender = tuple[str, Strategy]
 
 
 def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
@@ -288,7 +285,7 @@ class Scenario:
     @property
     def contenders(self) -> tuple[Contender, ...]:
         """Return every method with every team."""
-        return tuple(Contender(method, team) for method in self.methods for team in self.teams)
+        return tuple((method, team) for method in self.methods for team in self.teams)
 
     def check_teams(self) -> None:
         """Check that a team fits the grid, and that each base has a robot."""

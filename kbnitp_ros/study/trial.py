@@ -148,9 +148,9 @@ def measure_names(scenario: Scenario) -> tuple[str, ...]:
 def list_trials(scenario: Scenario) -> list[Trial]:
     """Return all missions of a scenario in the order of its table."""
     return [
-        Trial(lethality, contender.method, number, contender.team)
+        Trial(lethality, method, number, team)
         for lethality in scenario.lethalities
-        for contender in scenario.contenders
+        for method, team in scenario.contenders
         for number in range(scenario.trials)
     ]
 

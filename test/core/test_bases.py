@@ -154,11 +154,11 @@ def test_the_field_is_divided_by_distance_from_the_bases():
     grid = Grid(12, 3, base=12, other_bases=(23,))
     belief = Belief.prior(grid, 0.2, 0.3, 0.8)
     for types, first in (((HERE, RobotType(base=23)), 0), ((RobotType(base=23), HERE), 1)):
-        owner = regions_of_team(grid, belief, MODEL, 24, 2, types).owner.reshape(3, 12)
+        owner = regions_of_team(grid, belief, MODEL, 24, 2, types).reshape(3, 12)
         assert (owner[:, :6] == first).all()
         assert (owner[:, 6:] == 1 - first).all()
     four = (HERE, RobotType(base=23), HERE, RobotType(base=23))
-    owner = regions_of_team(grid, belief, MODEL, 24, 4, four).owner
+    owner = regions_of_team(grid, belief, MODEL, 24, 4, four)
     left, right = owner.reshape(3, 12)[:, :6], owner.reshape(3, 12)[:, 6:]
     assert set(left.ravel()) == {0, 2}
     assert set(right.ravel()) == {1, 3}
@@ -175,9 +175,9 @@ def test_regions_hold_only_what_their_robots_reach(seed):
     )
     regions = regions_of_team(grid, belief, MODEL, 9, 4, types)
     reach = [grid.at(kind.base).in_reach(kind.max_steps) for kind in types]
-    assert ((regions.owner >= 0) == np.any(reach, axis=0)).all()
+    assert ((regions >= 0) == np.any(reach, axis=0)).all()
     for robot, within in enumerate(reach):
-        assert within[regions.owner == robot].all()
+        assert within[regions == robot].all()
 
 
 def test_plans_consider_robots_in_flight_from_another_base():

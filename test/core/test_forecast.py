@@ -20,7 +20,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.forecast import Share
+from kbnitp_ros.core.forecast import wilson_interval
 from laws import for_each
 import numpy as np
 import pytest
@@ -163,11 +163,11 @@ def fresh(seed, worlds, number):
 
 
 def test_a_proportion_has_the_wilson_interval():
-    share = Share.of(np.array([1.0] * 17 + [0.0] * 3))
+    share = wilson_interval(np.array([1.0] * 17 + [0.0] * 3))
     # As statsmodels.stats.proportion.proportion_confint(17, 20, method='wilson') has it.
     assert share == pytest.approx((0.85, 0.63958, 0.94763), abs=1e-4)
-    assert Share.of(np.zeros(10)).low == 0.0
-    assert Share.of(np.ones(10)).high == 1.0
+    assert wilson_interval(np.zeros(10))[1] == 0.0
+    assert wilson_interval(np.ones(10))[2] == 1.0
 
 
 @for_each('changes, complaint', [

@@ -9,7 +9,7 @@ from kbnitp_ros.figures import SERIES
 from kbnitp_ros.study.charts import columns_for, contender_labels, group_contenders, reliability
 from kbnitp_ros.study.comparison import study_figures, write_report
 from kbnitp_ros.study.results import bootstrap_mean, LOG_LOSS, Results, summarise, summary_table
-from kbnitp_ros.study.scenario import Contender, Strategy
+from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, Trial
 from laws import for_each
 from legible import check_lines, check_texts
@@ -213,7 +213,7 @@ def test_every_contender_is_in_a_panel_of_few(scenario, name):
 @pytest.mark.slow
 def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
     groups = group_contenders(changed(scenario, STUDIES['allocations']).contenders)
-    assert [[each.team for each in group] for group in groups] == [
+    assert [[team for _, team in group] for group in groups] == [
         [Strategy(), *(Strategy(agents, how) for agents in (2, 4, 8))]
         for how in ('independent', 'voronoi', 'greedy')
     ]
@@ -263,4 +263,4 @@ def test_lines_are_the_measured_values(scenario):
                 ).mean(axis=0)
                 ends = [*range(0, 9, team.agents), 9]
                 np.testing.assert_allclose(line.get_ydata(), log_loss[ends])
-                assert line.get_label() == contender_labels(scenario)[Contender(method, team)]
+                assert line.get_label() == contender_labels(scenario)[method, team]

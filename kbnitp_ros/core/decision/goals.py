@@ -31,7 +31,7 @@ from kbnitp_ros.core.field.belief import Belief, binary_entropy
 from kbnitp_ros.core.field.check import check_several, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.planning.objective import Camera, Objective, positives
+from kbnitp_ros.core.planning.objective import camera_rates, Objective, positives
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import PathFinder
 from kbnitp_ros.core.planning.plans import Plan
@@ -241,7 +241,7 @@ def readings_given(
     """Yield for each number of visits P(readings | Z = 0) and P(readings | Z = 1), (cells, n)."""
     of_hazard = joint.sum(axis=2, keepdims=True)
     target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
-    likelihood = positives(Camera.of(model), int(visits.max(initial=0)))
+    likelihood = positives(camera_rates(model), int(visits.max(initial=0)))
     for count in np.unique(visits[visits > 0]).tolist():
         safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
         yield count, safe, hazardous

@@ -22,7 +22,7 @@ from kbnitp_ros.core.planning.label_kernels import (
 from kbnitp_ros.core.planning.local_search_kernels import exact_values, improve_all
 from kbnitp_ros.core.planning.objective import (
     BEHAVIORAL_EXPONENTS,
-    Camera,
+    camera_rates,
     EXPONENTS,
     new_information,
     Objective,
@@ -156,7 +156,7 @@ class LabelSearch:
         self.reach = find_reach(grid, max_steps, options.max_distance)
         earlier = objective.outcomes.states
         # States of readings with the visits of one more robot.
-        own = dict(objective.outcomes.most_readings).get(Camera.of(objective.model), 0) + 1
+        own = dict(objective.outcomes.most_readings).get(camera_rates(objective.model), 0) + 1
         further = earlier // own * (own + max_visits)
         weights = powers_weights(objective.alpha, outcomes)
         powers = weights.size

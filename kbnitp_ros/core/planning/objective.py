@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import lgamma, prod
-from typing import NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.grid import Grid
@@ -43,16 +42,13 @@ MAX_CAMERAS = 6
 MAX_WAYS = 1024
 
 
-class Camera(NamedTuple):
-    """The numbers of a `SensorModel` that readings depend on."""
+# The true and false positive rates of a `SensorModel`, on which readings depend.
+Camera = tuple[float, float]
 
-    true_positive: float
-    false_positive: float
 
-    @classmethod
-    def of(cls, model: SensorModel) -> Camera:
-        """Return the camera of a sensor model."""
-        return cls(model.true_positive, model.false_positive)
+def camera_rates(model: SensorModel) -> Camera:
+    """Return the camera of a sensor model."""
+    return model.true_positive, model.false_positive
 
 
 # Maximum readings of a cell by each camera.
@@ -76,7 +72,7 @@ def check_cameras(cameras: int) -> None:
 @lru_cache(maxsize=8)
 def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Readings:
     """Return the possible outcomes of up to `visits` readings and those of others before."""
-    own = Camera.of(model)
+    own = camera_rates(model)
     most = dict(earlier)
     before = tuple(count + 1 for count in most.values())
     most[own] = most.get(own, 0) + visits
@@ -209,7 +205,7 @@ def after_deployment(
     cells = np.union1d(outcomes.cells, visits.cells)
     at = np.searchsorted(cells, visits.cells)
     joint, readings = outcomes.of_cells(cells)
-    camera, counts = Camera.of(model), outcomes.readings.shape[2:]
+    camera, counts = camera_rates(model), outcomes.readings.shape[2:]
     cameras = outcomes.cameras
     if camera not in cameras:
         cameras, counts = (*cameras, camera), (*counts, 1)

@@ -20,7 +20,7 @@ from kbnitp_ros.core.planning.information import (
 from kbnitp_ros.core.planning.labels import find_reach
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
-    Camera,
+    camera_rates,
     check_cameras,
     JointOutcomes,
     nobody_deployed,
@@ -28,7 +28,7 @@ from kbnitp_ros.core.planning.objective import (
 )
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import BASELINES, check_distance, PathFinder
-from kbnitp_ros.core.planning.regions import divide, Regions, without
+from kbnitp_ros.core.planning.regions import divide, without
 from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -207,8 +207,8 @@ def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
 ELSEWHERE = 0.1
 
 
-def divided(robots: Sequence[TeamMember]) -> Regions:
-    """Return regions of about equal entropy, one for each robot."""
+def divided(robots: Sequence[TeamMember]) -> NDArray[np.intp]:
+    """Return the robot of each cell, -1 for none, in regions of about equal entropy."""
     belief = robots[0].objective.belief
     in_reach = {
         robot: robot.finder.grid.in_reach(
@@ -224,7 +224,7 @@ def divided(robots: Sequence[TeamMember]) -> Regions:
 
 def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     """Return paths that seek information in their own regions."""
-    owner, paths = divided(robots).owner, []
+    owner, paths = divided(robots), []
     for number, robot in enumerate(robots):
         interest = np.where(owner == number, 1.0, ELSEWHERE)
         objective = replace(robot.objective, interest=interest)
@@ -358,7 +358,7 @@ def plan_team(
     in_use = without(grid, keepout) if len(keepout) else grid
     team_size(in_use, team.agents)
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
-    check_cameras(len({Camera.of(robot_type.model(model)) for robot_type in types}))
+    check_cameras(len({camera_rates(robot_type.model(model)) for robot_type in types}))
     finder = PathFinder(in_use, options, np.asarray(visited))
     for robot_type in dict.fromkeys(team.types):
         check_distance(grid.at(robot_type.base), options.of_type(robot_type))

@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from kbnitp_ros.core.field.check import frozen, Value
 from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -80,33 +79,13 @@ SWEEPS = 50
 TURN = 0.05
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Regions(Value):
-    """A partition of the cells in reach."""
-
-    # The region of each of these cells, from 0, and -1 elsewhere; shape (cells,).
-    owner: NDArray[np.intp]
-    # Entropy in each region, nats, shape (regions,).
-    entropy: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        frozen(self.owner)
-        frozen(self.entropy)
-
-    @property
-    def imbalance(self) -> float:
-        """Return the excess of the fullest region over the mean, relative to it; 0 if even."""
-        mean = self.entropy.mean()
-        return float(self.entropy.max() / mean - 1.0) if mean > 0.0 else 0.0
-
-
 def divide(
     grids: Sequence[Grid],
     cells: NDArray[np.intp],
     entropy: NDArray[np.float64],
     reach: NDArray[np.bool_],
-) -> Regions:
-    """Divide cells into regions of about equal entropy (:eq:`power-diagram`)."""
+) -> NDArray[np.intp]:
+    """Return the region of each cell, or -1, of about equal entropies (:eq:`power-diagram`)."""
     width, parts = grids[0].width, reach.shape[1]
     row, col = np.divmod(cells, width)
     base_row, base_col = np.divmod([grid.base for grid in grids], width)
@@ -122,20 +101,20 @@ def divide(
     distance = np.where(reach, np.abs(place[:, None] - sites) ** 2, np.inf)
     weight = np.zeros(parts)
     share = entropy.sum() / parts
-    best = _regions(distance, entropy)
+    best, least = _regions(distance, entropy)
     for _ in range(SWEEPS if parts > 1 else 0):
         before = weight.copy()
         for site in range(parts):
             others = np.delete(distance - weight, site, axis=1).min(axis=1)
             weight[site] = _weight_for(share, distance[:, site] - others, entropy)
-        found = _regions(distance - weight, entropy)
-        if found.imbalance < best.imbalance:
-            best = found
+        found, excess = _regions(distance - weight, entropy)
+        if excess < least:
+            best, least = found, excess
         if np.array_equal(weight, before):
             break
     owner = np.full(grids[0].cells, -1)
-    owner[cells] = best.owner
-    return Regions(owner, best.entropy)
+    owner[cells] = best
+    return owner
 
 
 def _sector_centres(
@@ -166,8 +145,11 @@ def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.floa
     return float((edges[taken] + edges[taken + 1]) / 2.0)
 
 
-def _regions(power: NDArray[np.float64], mass: NDArray[np.float64]) -> Regions:
-    """Return the owner of each part of a place, (places, parts), and the sum by region."""
-    owner = power.argmin(axis=1)
+def _regions(
+    power: NDArray[np.float64], mass: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], float]:
+    """Return the region of each place, and the excess of the fullest over the mean, relative."""
+    owner: NDArray[np.intp] = power.argmin(axis=1)
     held = np.bincount(owner, mass, power.shape[1]).astype(np.float64)
-    return Regions(owner, held)
+    mean = held.mean()
+    return owner, float(held.max() / mean - 1.0) if mean > 0.0 else 0.0
