@@ -243,7 +243,9 @@ def test_lost_at_is_listed_marked_and_stated_consistently(opened, shown):
     assert not page.locator('#lost').is_visible()
 
 
-def test_the_slider_moves_by_keys_and_the_page_plays(opened, shown):
+def test_moments_change_by_keys_on_the_slider_and_without_a_focus_and_the_page_plays(
+    opened, shown
+):
     mission, _ = shown
     page = opened()
     last = len(mission.moments) - 1
@@ -262,6 +264,21 @@ def test_the_slider_moves_by_keys_and_the_page_plays(opened, shown):
     page.get_by_role('button', name='Pause').click()
     page.get_by_role('button', name='One report on').click()
     assert int(slider.input_value()) > 3
+    page = opened()
+    page.keyboard.press('ArrowLeft')
+    page.keyboard.press('ArrowLeft')
+    page.keyboard.press('ArrowRight')
+    assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
+    assert page.evaluate('document.getElementById("map").data[3].x.length') > 0
+    page.locator('#x').focus()
+    page.keyboard.press('ArrowLeft')
+    assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
+    # Every control is reached by the tab key and shows its focus.
+    page.locator('body').click(position={'x': 2, 'y': 2})
+    for _ in range(9):
+        page.keyboard.press('Tab')
+        focus = page.evaluate('getComputedStyle(document.activeElement).outlineStyle')
+        assert focus == 'solid'
 
 
 def test_the_path_and_the_readings_of_a_moment_are_drawn(opened, shown):
@@ -380,6 +397,19 @@ def test_a_turned_field_is_drawn_upright_with_its_positions(opened, surveyed):
     assert (square['x'][0], square['y'][0]) == pytest.approx(
         (0.1 * column + 0.05, 0.1 * row + 0.05)
     )
+    # The image of the map lies under the cells.
+    images = """document.getElementById("map").layout.images
+        .filter((each) => each.layer === "below")"""
+    (image,) = page.evaluate(images)
+    assert image['source'] == mission.site.source
+    assert (image['x'], image['y'], image['sizex'], image['sizey']) == pytest.approx(
+        (0.0, 0.4, 0.5, 0.4)
+    )
+    opacity = 'document.getElementById("map").data[0].opacity'
+    assert page.evaluate(opacity) < 1
+    page.get_by_label('image', exact=True).uncheck()
+    assert page.evaluate(images) == []
+    assert page.evaluate(opacity) == 1
 
 
 @pytest.fixture(scope='module')
@@ -429,23 +459,6 @@ def test_findings_have_positions_on_the_earth(opened, surveyed):
     assert north / abs(north) == pytest.approx(1j * np.exp(-1j * (heading + 0.7)))
 
 
-def test_the_image_of_the_map_lies_under_the_cells(opened, surveyed):
-    mission, file = surveyed
-    page = opened(file=file)
-    images = """document.getElementById("map").layout.images
-        .filter((each) => each.layer === "below")"""
-    (image,) = page.evaluate(images)
-    assert image['source'] == mission.site.source
-    assert (image['x'], image['y'], image['sizex'], image['sizey']) == pytest.approx(
-        (0.0, 0.4, 0.5, 0.4)
-    )
-    opacity = 'document.getElementById("map").data[0].opacity'
-    assert page.evaluate(opacity) < 1
-    page.get_by_label('image', exact=True).uncheck()
-    assert page.evaluate(images) == []
-    assert page.evaluate(opacity) == 1
-
-
 def test_a_missing_map_is_stated(surveyed, tmp_path):
     mission, file = surveyed
     for content, why in ((None, 'cannot be read'), ('origin: [30.0, -8.0, 0.6]', 'does not lie')):
@@ -460,9 +473,16 @@ def test_a_missing_map_is_stated(surveyed, tmp_path):
         told.write_text(known)
 
 
-def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
+def test_the_table_is_sorted_and_a_row_leads_to_its_moment_and_back(opened, shown):
     mission, _ = shown
     page = opened()
+    for number in (0, 29, 11):
+        move(page, mission.deployments[number].moment)
+        row = page.locator(f'#deployment-{number}').bounding_box()
+        box = page.locator('#deployments').locator('xpath=..').bounding_box()
+        assert row['y'] >= box['y']
+        assert row['y'] + row['height'] <= box['y'] + box['height'] + 1
+    assert page.evaluate('scrollY') == 0
     heading = page.locator('#deployments th').nth(3).locator('button')
     cells = page.locator('#deployments tbody tr td:nth-child(4)')
     unsorted = [int(text) for text in cells.all_inner_texts()]
@@ -479,18 +499,6 @@ def test_the_table_is_sorted_and_a_row_leads_to_its_moment(opened, shown):
         assert page.locator('#deployments tr[aria-current]').get_attribute('id') == (
             f'deployment-{number}'
         )
-
-
-def test_the_row_of_the_moment_is_in_view_and_the_page_stays(opened, shown):
-    mission, _ = shown
-    page = opened()
-    for number in (0, 29, 11):
-        move(page, mission.deployments[number].moment)
-        row = page.locator(f'#deployment-{number}').bounding_box()
-        box = page.locator('#deployments').locator('xpath=..').bounding_box()
-        assert row['y'] >= box['y']
-        assert row['y'] + row['height'] <= box['y'] + box['height'] + 1
-    assert page.evaluate('scrollY') == 0
 
 
 @pytest.mark.parametrize('width', some([390, 800, 1400], 2))
@@ -576,25 +584,6 @@ def test_tiles_agree_with_their_lists(opened):
     losses = coloured(page, 'robots-lost')
     assert np.nanmax(losses) == pytest.approx(float(most), abs=0.05)
     assert GRID.centers([np.nanargmax(losses)])[0] == pytest.approx([float(x), float(y)])
-
-
-def test_arrow_keys_move_without_a_focus_and_leave_other_fields_alone(opened, shown):
-    last = len(shown[0].moments) - 1
-    page = opened()
-    page.keyboard.press('ArrowLeft')
-    page.keyboard.press('ArrowLeft')
-    page.keyboard.press('ArrowRight')
-    assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
-    assert page.evaluate('document.getElementById("map").data[3].x.length') > 0
-    page.locator('#x').focus()
-    page.keyboard.press('ArrowLeft')
-    assert page.evaluate('document.documentElement.dataset.moment') == str(last - 1)
-    # Every control is reached by the tab key and shows its focus.
-    page.locator('body').click(position={'x': 2, 'y': 2})
-    for _ in range(9):
-        page.keyboard.press('Tab')
-        focus = page.evaluate('getComputedStyle(document.activeElement).outlineStyle')
-        assert focus == 'solid'
 
 
 def test_safe_cells_are_listed_and_downloaded_as_polygons(opened, shown):
@@ -753,7 +742,7 @@ def two(shown, tmp_path_factory):
     return missions, page
 
 
-def test_two_missions_are_drawn_as_on_record(opened, two):
+def test_two_missions_are_drawn_as_on_record_and_their_findings_downloaded(opened, two):
     missions, file = two
     page = opened(file=file)
     for name in NAMES:
@@ -767,10 +756,6 @@ def test_two_missions_are_drawn_as_on_record(opened, two):
     assert lines == [31, 13]
     heads = page.locator('#answers h3').all_inner_texts()
     assert heads == [*asked_in('docs/reading.md')][: len(heads)]
-
-
-def test_findings_of_two_missions_are_sorted_and_downloaded(opened, two):
-    missions, file = two
     page = opened(file=file, is_strict=True)
     page.locator('#findings th button').last.click()
     told = rows(downloaded(page, 'CSV'))

@@ -101,16 +101,20 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
     ]
 
 
-def test_a_replaced_log_is_shown_anew_in_two_tabs(browser, tmp_path):
+def test_a_replaced_log_is_shown_anew_in_two_tabs_until_the_command_ends(browser, tmp_path):
     path = record(tmp_path / 'mission.mcap', SENT)
-    with opened(browser, path) as page, opened(browser, path) as other:
-        for watching in (page, other):
+    last = browser.new_context(bypass_csp=True).new_page()
+    with serving(path, None, watch.HOST, 0) as address, opened(browser, path) as page:
+        last.goto(address)
+        for watching in (page, last):
             watching.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
         (tmp_path / 'other').mkdir()
         shorter = record(tmp_path / 'other' / 'mission.mcap', sent_by_single(3).sent)
         shutil.move(shorter, path)
-        for watching in (page, other):
+        for watching in (page, last):
             until(watching, 'document.getElementById("moment")?.max === "3"')
+    says(last, 'The command watch has ended')
+    last.close()
 
 
 @pytest.mark.full
@@ -149,16 +153,6 @@ def test_a_demo_is_followed_when_its_recorder_is_killed_and_when_it_is_resumed(b
         'mission_1.mcap',
         'report',
     }
-
-
-def test_the_end_of_the_command_is_shown(browser, tmp_path):
-    path = record(tmp_path / 'mission.mcap', SENT)
-    page = browser.new_context(bypass_csp=True).new_page()
-    with serving(path, None, watch.HOST, 0) as address:
-        page.goto(address)
-        page.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
-    says(page, 'The command watch has ended')
-    page.close()
 
 
 def test_another_site_cannot_read_it(tmp_path):
