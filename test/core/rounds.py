@@ -1,9 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plan rounds in one call, and groups of methods with further laws."""
+"""Problems of small fields, plans of rounds in one call, and groups of methods."""
 
-from kbnitp_ros.core import ORDINARY, PathFinder, plan_team, SearchOptions, Team, update
+from functools import cache
+
+import brute_force
+from kbnitp_ros.core import (
+    Belief,
+    Grid,
+    ORDINARY,
+    PathFinder,
+    plan_team,
+    SearchOptions,
+    SensorModel,
+    Team,
+    update,
+)
 from kbnitp_ros.core.inference.filters import KnownModel
 from kbnitp_ros.core.planning.plans import divided, TeamMember
+import numpy as np
+
+BASES = (0, 5, 2, 15)  # corner, inside, edge, last cell
+
+
+def random_problem(seed):
+    rng = np.random.default_rng(seed)
+    grid = Grid(4, 4, base=BASES[seed % len(BASES)])
+    belief = Belief(brute_force.random_joint(rng, 16, grid.base))
+    return grid, belief, SensorModel(float(rng.choice([0.01, 0.1, 0.3, 0.5, 0.6, 0.9])))
+
+
+@cache
+def every_path(base, most_steps):
+    return brute_force.all_visit_counts(4, 4, base, most_steps)
 
 
 def plan_round(

@@ -56,19 +56,10 @@ BLIND_TARGETS = [
 ]
 BAD_REPORTS = [
     (in_frame(returned(3), ''), "header.frame_id is '': it must be 'map'"),
-    (changed(returned(3), agent=''), "agent is ''"),
     (changed(returned(3), agent='scout_2'), "agent is 'scout_2': on this topic it must be"),
-    (changed(returned(3), agent='nobody'), "agent is 'nobody': on this topic it must be"),
-    (changed(returned(3), readings=returned(3).readings[:-1]), 'must end at the base 0, not at'),
-    (changed(returned(3), readings=[]), 'one for each step of a walk from the base back to it'),
-    (returned(3, [0, 9, 9, 9, 0]), 'path jumps at step 1, from cell 0 to 9'),
     (returned(3, [0, 4, 5, 1, 0]), 'path enters a blocked cell: its cell 2 is 5'),
-    (returned(3, [0, 4, 8, 12, 8, 4, 0]), 'path leaves the grid: its cell 3 is 12'),
     (returned(3, [0] * 62), 'at most 10 * max_steps = 60 may be'),
-    (changed(returned(3), steps_survived=1), 'steps_survived is 1: a robot that returned'),
     (changed(returned(3), readings=BLIND_TARGETS), 'readings[1] has detected and not_looked'),
-    (changed(returned(3), survived=False), 'lost brings none'),
-    (changed(lost(3), steps_survived=4), 'of 4 steps survived at most 3'),
     (changed(lost(3), steps_survived=2**32 - 1), 'of 4 steps survived at most 3'),
     (
         report_message(key(1), Observation(HOME, True, [False] * 4), 0),

@@ -3,7 +3,6 @@
 
 import ast
 from dataclasses import fields, replace
-from functools import cache
 from hashlib import sha256
 from itertools import product
 
@@ -28,20 +27,7 @@ from kbnitp_ros.core import (
 from laws import for_each
 import numpy as np
 import pytest
-
-BASES = (0, 5, 2, 15)  # corner, inside, edge, last cell
-
-
-@cache
-def every_path(base, most_steps=7):
-    return brute_force.all_visit_counts(4, 4, base, most_steps)
-
-
-def random_problem(seed):
-    rng = np.random.default_rng(seed)
-    grid = Grid(4, 4, base=BASES[seed % len(BASES)])
-    belief = Belief(brute_force.random_joint(rng, 16, grid.base))
-    return grid, belief, SensorModel(float(rng.choice([0.01, 0.1, 0.3, 0.5, 0.6, 0.9])))
+from rounds import every_path, random_problem
 
 
 @for_each('planner', ['beam', 'relaxed'])
@@ -79,7 +65,7 @@ def test_without_a_loss_cost_plans_are_unchanged():
 ], every=2)  # fmt: skip
 def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_half_as_close(seed, loss_cost):
     grid, belief, model = random_problem(seed)
-    visits = every_path(grid.base)
+    visits = every_path(grid.base, 7)
     lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
     worth = brute_force.information_of_visits(belief.joint, model, visits) - loss_cost * lost
     found = plan(grid, belief, model, 7, planner='beam', width=16, loss_cost=loss_cost)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots in flight together, of one or several types, against all states and outcomes."""
 
-from functools import cache
 from itertools import pairwise, product
 
 import brute_force
@@ -28,9 +27,8 @@ from kbnitp_ros.core.planning.objective import after_deployment, nobody_deployed
 from laws import for_each
 import numpy as np
 import pytest
-from rounds import plan_round, regions_of_team
+from rounds import every_path, plan_round, random_problem, regions_of_team
 
-BASES = (0, 5, 2, 15)  # corner, inside, edge, last cell
 GRID = Grid(6, 5, base=8, blocked=(3, 9, 27))
 PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 MODEL = SensorModel(0.5)
@@ -50,13 +48,6 @@ def few_paths(seed):
         SensorModel(**sensors),
         [brute_force.random_path(rng, 2, 2, 0, int(n)) for n in steps],
     )
-
-
-def random_problem(seed):
-    rng = np.random.default_rng(seed)
-    grid = Grid(4, 4, base=BASES[seed % len(BASES)])
-    belief = Belief(brute_force.random_joint(rng, 16, grid.base))
-    return grid, belief, SensorModel(float(rng.choice([0.01, 0.1, 0.3, 0.5, 0.6, 0.9])))
 
 
 def random_belief(seed, grid=GRID):
@@ -138,11 +129,6 @@ def shares_of_the_best(grid, belief, model, steps):
     worthy = alone + alone.max() >= max(found.values()) - 1e-9
     best = of_pairs(visits[worthy]).max()
     return {allocation: information / best for allocation, information in found.items()}
-
-
-@cache
-def every_path(base, steps):
-    return brute_force.all_visit_counts(4, 4, base, steps)
 
 
 @pytest.mark.slow
