@@ -173,7 +173,7 @@ QUICK = [
 ]
 LAWS = [
     'test/core/inference/test_ledger.py'
-    '::test_a_return_that_makes_later_ones_impossible_is_refused',
+    '::test_a_report_that_makes_later_returns_impossible_is_refused',
     'test/core/test_laws.py::test_planners_keep_their_laws',
     'test/messages/test_beliefs.py::test_a_belief_comes_back_bit_for_bit',
 ]

@@ -114,19 +114,23 @@ def test_values_are_written_as_map_server_takes_them(tmp_path, changes):
     assert turned.data[-1, 0] == 0
 
 
-@for_each('alpha, expected', [(255, 100), (254, -1), (0, -1)])
-def test_a_transparent_pixel_is_unknown(tmp_path, alpha, expected):
-    rgba = np.zeros((1, 2, 4), dtype=np.uint8)
-    rgba[..., 3] = [255, alpha]
-    Image.fromarray(rgba).save(tmp_path / 'map.png')
-    assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[100, expected]]
+COLOURS = [[[255, 255, 255], [255, 255, 0], [0, 0, 255]]]
 
 
-@for_each('name', ['map.bmp', 'map.png', 'map.pgm'])
-def test_formats_are_recognised_by_content(tmp_path, name):
-    Image.fromarray(np.array([[0, 255]], dtype=np.uint8)).save(tmp_path / name)
+@for_each('name, pixels, expected', [
+    *((name, np.array([[0, 255]], dtype=np.uint8), [[100, 0]])
+      for name in ('map.bmp', 'map.png', 'map.pgm')),
+    ('deep.png', np.array([[0, 65535]], dtype=np.uint16), [[100, 0]]),
+    ('flat.png', np.array([[False, True]]), [[100, 0]]),
+    ('map.png', np.array(COLOURS, dtype=np.uint8), [[0, 0, 100]]),
+    *(('map.png', np.array([[[0, 0, 0, 255], [0, 0, 0, alpha]]], dtype=np.uint8), [[100, value]])
+      for alpha, value in ((255, 100), (254, -1), (0, -1))),
+])  # fmt: skip
+def test_images_are_recognised_by_content(tmp_path, name, pixels, expected):
+    """A transparent pixel is unknown, and a coloured one counts by its brightness."""
+    Image.fromarray(pixels).save(tmp_path / name)
     (tmp_path / name).rename(tmp_path / 'map')
-    assert read_map(write_yaml(tmp_path, image='map')).data.tolist() == [[100, 0]]
+    assert read_map(write_yaml(tmp_path, image='map')).data.tolist() == expected
 
 
 @for_each('form', ['EPS', 'GIF', 'ICNS', 'ICO', 'PDF', 'SPIDER', 'TGA', 'TIFF', 'WEBP'])
@@ -164,19 +168,6 @@ def test_a_corrupt_map_is_read_or_refused_in_a_line(tmp_path_factory, data):
         said = str(error)
     assert str(folder) in said
     assert '\n' not in said
-
-
-@for_each('name, values', [('deep.png', np.uint16), ('flat.png', bool)])
-def test_images_of_other_depths(tmp_path, name, values):
-    light = np.array([[0, 65535]], dtype=np.uint16).astype(values)
-    Image.fromarray(light).save(tmp_path / name)
-    assert read_map(write_yaml(tmp_path, image=name)).data.tolist() == [[100, 0]]
-
-
-def test_a_coloured_image_counts_by_its_brightness(tmp_path):
-    colours = np.array([[[255, 255, 255], [255, 255, 0], [0, 0, 255]]], dtype=np.uint8)
-    Image.fromarray(colours).save(tmp_path / 'map.png')
-    assert read_map(write_yaml(tmp_path, image='map.png')).data.tolist() == [[0, 0, 100]]
 
 
 def test_a_turned_map_has_its_stated_pose(tmp_path):

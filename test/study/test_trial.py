@@ -102,22 +102,15 @@ def test_methods_share_the_fate_of_the_first_robot(results):
             assert exact == published
 
 
-def test_a_team_leaves_together(scenario):
-    trial = Trial(0.2, 'kappa_bnitp', 1, Strategy(3, 'voronoi', 0.1))
-    outcome = run_trial(scenario, trial)
-    _, _, mission = fly(scenario, trial)
+@for_each('team, believed', [(Strategy(3, 'voronoi', 0.1), None), (Strategy(), 1.0)])
+def test_a_team_leaves_together_and_the_believed_lethality_may_be_wrong(scenario, team, believed):
+    trial = Trial(0.2, 'kappa_bnitp', 1, team)
+    outcome = run_trial(replace(scenario, believed_lethality=believed), trial)
+    _, _, mission = fly(scenario, trial, believed)
     assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
     alone = run_trial(scenario, Trial(0.2, 'kappa_bnitp', 1))
     assert outcome.believed.tolist() != alone.believed.tolist()
     assert outcome.truth.tolist() == alone.truth.tolist()
-
-
-def test_the_believed_lethality_may_be_wrong(scenario):
-    trial = Trial(0.2, 'kappa_bnitp', 0)
-    outcome = run_trial(replace(scenario, believed_lethality=1.0), trial)
-    _, _, mission = fly(scenario, trial, believed=1.0)
-    assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
-    assert outcome.believed[0].tolist() != run_trial(scenario, trial).believed[0].tolist()
 
 
 def test_the_trials_are_all_combinations(scenario):

@@ -142,26 +142,17 @@ UNFIT = [
 ]
 
 
+@for_each('is_reported_first', [False, True])
 @for_each('report, message', UNFIT)
-def test_a_report_that_does_not_fit_its_path_is_refused(report, message):
+def test_a_report_that_does_not_fit_its_path_is_refused(report, message, is_reported_first):
     ledger = new_ledger()
-    ledger.record_path(A, PATH)
-    before = state(ledger)
+    evidence = [(A, PATH), (A, report)]
+    first, second = reversed(evidence) if is_reported_first else evidence
+    tell(ledger, *first)
     with pytest.raises(ValueError, match=message):
-        ledger.record_report(A, report)
-    assert state(ledger) == before
-    assert ledger.record_report(A, RETURNED)  # the correct one may still arrive
-    assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
-
-
-@for_each('report, message', UNFIT)
-def test_a_waiting_report_that_does_not_fit_its_path_is_dropped(report, message):
-    ledger = new_ledger()
-    ledger.record_report(A, report)
-    with pytest.raises(ValueError, match=message):
-        ledger.record_path(A, PATH)
+        tell(ledger, *second)
     assert state(ledger) == (folded(), [], (None, 0), 0, 0, 1)
-    assert ledger.record_report(A, RETURNED)
+    assert ledger.record_report(A, RETURNED)  # the correct one may still arrive
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
@@ -196,21 +187,18 @@ def test_a_report_that_waits_beside_one_that_does_not_fit_is_taken_in(ledger):
     assert ledger.belief.joint.tobytes() == folded(RETURNED_SEEN)
 
 
-@for_each('method', METHODS)
-def test_a_return_that_makes_later_ones_impossible_is_refused(method):
-    """The sensor never errs: one cell had no target for A and has one for B."""
-    model = SensorModel(0.5, true_positive=1.0, false_positive=0.0)
-    assert_is_refused_before_two_returns(Report(True, ((0, False), (4, False))), model, method)
+# The sensor never errs: one cell had no target for A and has one for B. Or only hazards destroy
+# robots, always: one cell destroyed A and let B through.
+RIGHT = SensorModel(0.5, true_positive=1.0, false_positive=0.0)
+DEADLY = SensorModel(1.0, malfunction=0.0, false_negative=0.0)
+BLANK = Report(True, ((0, False), (4, False)))
 
 
-@for_each('method', LEARN_FROM_LOSSES)
-def test_a_loss_that_makes_later_returns_impossible_is_refused(method):
-    """Only hazards destroy robots, always: one cell destroyed A and let B through."""
-    model = SensorModel(1.0, malfunction=0.0, false_negative=0.0)
-    assert_is_refused_before_two_returns(LOST, model, method)
-
-
-def assert_is_refused_before_two_returns(impossible, model, method):
+@for_each('impossible, model, method', [
+    *((BLANK, RIGHT, method) for method in METHODS),
+    *((LOST, DEADLY, method) for method in LEARN_FROM_LOSSES),
+])  # fmt: skip
+def test_a_report_that_makes_later_returns_impossible_is_refused(impossible, model, method):
     ledger = Ledger(GRID, 4, Estimator(PRIOR, model, method))
     back = Report(True, ((0, True), (4, False)))
     for key in (A, B, C):
