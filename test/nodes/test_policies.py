@@ -212,7 +212,7 @@ def test_the_policies_allow_exactly_the_endpoints_of_a_team_and_the_demo(field):
         processes = SimpleNamespace(ended=lambda: ended)
         watching = Thread(
             target=pytest.raises,
-            args=(RuntimeError, demo_mission.watch, observer, team['robots'], processes),
+            args=(RuntimeError, demo_mission.watch, *observer, team['robots'], processes),
         )
         watching.start()
         watch(field, watched)
