@@ -2,6 +2,7 @@
 """A bank of filters: each equals the one-pass method, evidence by enumeration, the mixture."""
 
 import brute_force
+from extent import FULL
 import hazards_in_time
 from kbnitp_ros.core import (
     Belief,
@@ -182,13 +183,13 @@ def test_numbers_are_learnt_as_by_sampling(lethality):
 
 @pytest.mark.slow
 def test_intervals_cover_numbers_drawn_from_the_prior():
-    inside, missions = 0, 20
+    inside, missions = 0, 20 if FULL else 10
     for seed in range(missions):
         lethality = (seed + 0.5) / missions
         prior, observations, _ = fly_mission(lethality, seed)
         known = learnt(prior, observations, TWO, seed=seed).parameters['lethality']
         inside += known.quantile(0.05) <= lethality <= known.quantile(0.95)
-    assert inside >= 15
+    assert inside >= 0.75 * missions
 
 
 def test_the_seed_and_the_evidence_make_the_belief():

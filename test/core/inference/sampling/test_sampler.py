@@ -221,7 +221,7 @@ def test_more_sweeps_converge_to_the_exact_posterior(monkeypatch):
     for sweeps, close in ((8, 1e-3), (128, 1e-4), (512, 3e-5))[: 3 if FULL else 2]:
         away, said = [], []
         # The estimate varies as much as its error, so a comparison takes many missions.
-        for seed in range(20 if FULL else 12):
+        for seed in range(20 if FULL else 6):
             monkeypatch.setattr(sampler, 'MAX_SWEEPS', 4)
             estimator = assimilated(ENTROPIC, model, observations[:-1], seed=seed)
             monkeypatch.setattr(sampler, 'MAX_SWEEPS', sweeps)
