@@ -33,13 +33,16 @@ def reach_note(
     rows, columns = np.divmod(np.flatnonzero(reached), grid.width)
     extent = f'{np.ptp(columns) + 1}x{np.ptp(rows) + 1} of {grid.width}x{grid.height} cells'
     most = 2 * int(steps[joined].max())
-    limits, needed = f'{max_steps} steps reach', f'max_steps {most} reaches'
+    limits, needed = f'{max_steps} steps', f'max_steps to {most}'
     if max_distance:
         distance = np.min([field.distance_to_base for field in fields], axis=0)
         metres = ceil(20.0 * distance[joined].max()) / 10.0
-        limits = f'{max_steps} steps and {max_distance:.6g} m reach'
-        needed = f'max_steps {most} and max_distance {metres} reach'
-    return f'{limits} {extent}, {reached.sum()} of {joined.sum()}: {needed} them all'
+        limits = f'{max_steps} steps and {max_distance:.6g} m'
+        needed = f'max_steps to {most} and max_distance to {metres}'
+    return (
+        f'paths of {limits} reach {reached.sum()} of the {joined.sum()} cells connected to the '
+        f'base (within {extent}): to reach all, set {needed}'
+    )
 
 
 def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
@@ -64,7 +67,7 @@ def cut_off_note(grid: Grid) -> str:
     return f'{cut_off} of {free} free cells are cut off from the base' if cut_off else ''
 
 
-# Standard deviation over mean from which a density counts as weakly known.
+# Minimum ratio of standard deviation to mean of a weakly known density.
 WEAK = 0.25
 
 
@@ -95,7 +98,7 @@ def check_changes(
     believed: Mapping[str, RobotType],
     sent: int,
 ) -> None:
-    """Check new values of parameters of this package."""
+    """Check changed parameters of the planner."""
     given = {
         name: parameter.check(value)
         for name, value in changes.items()

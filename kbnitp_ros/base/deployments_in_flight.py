@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 K = TypeVar('K')
 V = TypeVar('V')
 
-# Maximum number of recorded or unknown deployments remembered until their paths arrive.
+# Maximum numbers of acknowledgements and of statuses kept until their paths arrive.
 MAX_REMEMBERED = 1000
 
 
@@ -30,7 +30,7 @@ class DeploymentInFlight:
 
     # Cells of the path, shape (steps + 1,).
     path: NDArray[np.intp]
-    # Hash of the message that sent it.
+    # Hash of the path message.
     content: int
     # Whether the path is on disk, so that the agent may accept it.
     is_recorded: bool = False
@@ -38,7 +38,7 @@ class DeploymentInFlight:
     departure: int | None = None
     # Whether the robot is known to have departed.
     has_departed: bool = False
-    # Hash of the path recorded in its place, until that path arrives.
+    # Hash of another planner's path that was recorded instead; None once that has arrived.
     recorded_content: int | None = None
     # When it times out, nanoseconds; None until it has departed and the clock runs.
     due: int | None = None
@@ -47,7 +47,7 @@ class DeploymentInFlight:
 
 
 class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
-    """The deployments in flight, by key in their order."""
+    """The deployments in flight by key, in the order of their orders."""
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
         super().__init__()
@@ -56,8 +56,8 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         self._sent: set[DeploymentKey] = set()
         # The state of all orders.
         self.departures = Departures()
-        # Acknowledgements without a path, and statuses of unknown orders: a restarted planner may
-        # send these again.
+        # Acknowledgements and statuses of paths that this planner has not sent: after a restart
+        # it may send them again.
         self._recorded: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
         self._unknown: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
         # Missions of deployments that other planners sent.
@@ -94,11 +94,11 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
 
     @property
     def forgotten(self) -> int:
-        """Return the number of deployments that their publishers no longer keep."""
+        """Return the number of deployments whose messages the publishers no longer keep."""
         return sum(max(0, sent - self.kept) for sent in self._sent_by_agent.values())
 
     def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
-        """Add a robot sent on a path by a message with this hash."""
+        """Record that a robot was sent; `content` is the hash of its path message."""
         self[key] = DeploymentInFlight(path, content)
         self._sent.add(key)
         self._others.pop(key, None)
@@ -109,7 +109,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
     def add_path(
         self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int
     ) -> bool:
-        """Add a path; return whether it replaces the one that the robot was sent on."""
+        """Record a received path; return whether it replaces that of a robot in flight."""
         if key in self._sent:
             robot = self.get(key)
             if robot is None or content != robot.recorded_content:
@@ -128,13 +128,13 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         """Record an acknowledgement; return whether the robot's path changes by it."""
         robot = self.get(key)
         if robot is None or content != robot.content:
-            # It may be a departure, reported before the path arrives.
+            # It may acknowledge a departure instead of a path.
             remember(self._recorded, (key, content), None)
         if robot is None:
             return False
         self._depart_if_recorded(key, robot)
         if robot.is_recorded:
-            # Of two paths with one stamp the first one is on disk.
+            # Only the first of two paths with one stamp counts.
             return False
         robot.is_recorded = content == robot.content
         robot.recorded_content = None if robot.is_recorded else content
@@ -146,7 +146,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         if not is_known:
             remember(self._unknown, key, status)
             raise ValueError(
-                f'deployment {key} is {status.state.name}, but this planner knows no path of it'
+                f'status {status.state.name} of deployment {key}: this planner has no path of it'
             )
         if not self.departures.take(key, status):
             return False
@@ -167,7 +167,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
             robot.has_departed |= is_recorded or not self._values['recorded']
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
-        """Remove a robot that its agent reported, or that was given up."""
+        """Remove a deployment that its agent reported, or that was given up."""
         if self.departures.is_refused(key):
             # A returned robot must have departed.
             self._sent.add(key)
@@ -190,21 +190,21 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
             else:
                 robot.due += jump
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
-            # Messages that came during a search are read between two checks.
+            # A second check, since reports that arrived during a search are read before it.
             if was_overdue and robot.is_overdue:
                 overdue.append(key)
         return overdue
 
 
 def longest_absence(values: Mapping[str, Any], agent: str, path: NDArray[np.intp]) -> float:
-    """Return how long a silent robot may be away on a path, in seconds."""
+    """Return the timeout of a silent robot on a path, in seconds."""
     steps, period = path.size - 1, value_for(values, 'step_period', agent)
     seconds: float = steps * period + values['return_deadline']
     return seconds
 
 
 def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
-    """Check that the deadlines of silent robots cover their paths."""
+    """Check that silent robots do not time out before their paths end."""
     for agent in agents:
         if values['silent_loss'] and value_for(values, 'step_period', agent) == 0.0:
             raise ValueError(
@@ -215,7 +215,7 @@ def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
 
 
 def remember(known: OrderedDict[K, V], key: K, value: V) -> None:
-    """Add an entry, and drop the oldest of too many."""
+    """Add an entry, and drop the oldest beyond `MAX_REMEMBERED`."""
     known[key] = value
     if len(known) > MAX_REMEMBERED:
         known.popitem(last=False)

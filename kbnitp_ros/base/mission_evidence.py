@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base's joint knowledge of hazards: the estimator's evidence, with draws and decisions."""
+"""The evidence of a mission at the base, with the draws and decisions computed from it."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class MissionEvidence:
         self._prior: Snapshot | None = None
         # All evidence so far.
         self._events: list[Event] = []
-        # Guards the fields below.
+        # The lock of the fields below.
         self._folding = Lock()
         # The ledger, its prior, and the number of evidence items applied to it.
         self._ledger: Ledger | None = None
@@ -70,7 +70,7 @@ class MissionEvidence:
         self._note(lambda deployments: deployments.record_report(key, report))
 
     def _note(self, event: Event) -> None:
-        # The estimator refuses it as well, and reports the refusal.
+        # The estimator reports refused evidence.
         with suppress(ValueError):
             event(self.record)
         self._events.append(event)
@@ -96,7 +96,7 @@ class MissionEvidence:
 
     @property
     def are_joint(self) -> bool:
-        """Return whether draws are of all cells jointly, and not of each by itself."""
+        """Return whether draws are joint over all cells, not independent in each."""
         return self._ledger is not None and self._ledger.estimator.draws_are_exact
 
     def decision(self, known: Snapshot) -> Decision | None:

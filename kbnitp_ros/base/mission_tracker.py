@@ -22,19 +22,19 @@ class MissionTracker:
     """The mission of a node, and the beliefs of its estimator."""
 
     def __init__(self) -> None:
-        # When it began, in nanoseconds; None until a robot is known to have departed.
+        # Start of the mission, nanoseconds; None until a robot is known to have departed.
         self.mission: int | None = None
-        # The belief with the most deployments, the last one of equals; None before the first.
+        # The belief with the most deployments, the latest of several; None before the first.
         self.newest: Snapshot | None = None
         # The prior of the estimator of the newest belief; None before the first.
         self._rules: dict[str, Any] | None = None
-        # The missions of all priors so far: a restarted estimator states another one.
+        # Missions of all priors received: a restarted estimator publishes one of a new mission.
         self._priors: set[int] = set()
-        # Number of deployments of the first belief whose paths were not known.
+        # Number of deployments in the first belief whose paths this planner did not know.
         self._unknown: int | None = None
 
     def begin(self, mission: int) -> int:
-        """Return the mission of new paths: this one, unless paths of another one were sent."""
+        """Return the mission of new paths: the given one, unless a mission has begun."""
         if self.mission is None:
             self.mission = mission
         return self.mission
@@ -49,10 +49,10 @@ class MissionTracker:
             )
 
     def check_belief(self, snapshot: Snapshot, authors: int, known: int) -> None:
-        """Check that the estimator of this mission can have published a belief."""
-        # A belief may come before its publisher is counted, so its content decides: it holds no
-        # more deployments than paths were sent. Only the first belief of a single estimator may
-        # hold more: those paths were lost with an earlier planner.
+        """Check that a belief can be of this mission's estimator."""
+        # A belief may arrive before its publisher is discovered, so it is judged by its content:
+        # it holds no more deployments than paths were sent. Only the first belief of a single
+        # estimator may hold more: those paths were lost with an earlier planner.
         if snapshot.deployments > MAX_ROBOTS:
             raise ValueError(
                 f'deployments is {snapshot.deployments}: a mission has at most {MAX_ROBOTS}'
@@ -62,17 +62,17 @@ class MissionTracker:
         is_first_of_one = self._unknown is None and authors <= 1
         most = known + (self._unknown or 0)
         if snapshot.deployments > most and not is_first_of_one:
-            why = f', and {remedy}' if authors > 1 else ''
+            why = f'; {remedy}' if authors > 1 else ''
             raise MissingError(
-                f'deployments is {snapshot.deployments}: the paths of only {most} are known{why}'
+                f'the belief holds {snapshot.deployments} deployments, and this planner knows '
+                f'the paths of {most}{why}'
             )
         if self._rules is None or authors <= 1:
             return
         for name, theirs in snapshot.rules().items():
             if theirs != (ours := self._rules[name]):
                 raise ValueError(
-                    f'{name} is {shown(str(theirs))}: it was {shown(str(ours))} before, and '
-                    f'{remedy}'
+                    f'{name} changed from {shown(str(ours))} to {shown(str(theirs))}: {remedy}'
                 )
 
     def _check_mission(self, snapshot: Snapshot, authors: int) -> None:
@@ -80,11 +80,11 @@ class MissionTracker:
         if own is None:
             if self.newest is None or snapshot.mission in self._priors:
                 return
-            # An estimator that restarts in a running mission states another mission first.
+            # An estimator restarted in a running mission first publishes a new mission's prior.
             if authors <= 1 and snapshot.deployments:
                 return
             own = self.newest.mission
-        # The prior of a restarted estimator is that of a later mission.
+        # The prior of a restarted estimator belongs to a later mission.
         if snapshot.deployments or snapshot.mission < own:
             check_mission(snapshot.mission, own)
 

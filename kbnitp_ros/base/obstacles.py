@@ -52,15 +52,15 @@ class PlannerState:
     in_flight: DeploymentsInFlight
     # The state set by the operator's actions.
     operator: OperatorState
-    # The record that an operator's action waits for; empty if none does.
+    # Description of the pending operator action; empty if none is pending.
     unrecorded_action: str
-    # Number of robots sent, those that only the belief knows of included.
+    # Number of robots sent, including those known only from the belief.
     sent: int
     # Number of deployments in the newest belief; None before the first.
     newest: int | None
     # Number of deployments in the last belief received; less than `newest` after a restart.
     last_received: int
-    # Evidence that the estimator has refused since then; empty if none.
+    # Last refusal of evidence by the estimator since that belief; empty if none.
     refusal: str
     # Number of nodes that publish beliefs.
     estimators: int
@@ -68,21 +68,21 @@ class PlannerState:
     is_decided: bool
     # Whether the decision is being computed.
     is_deciding: bool
-    # Returns why the goal or the stops end the mission; empty if they do not.
+    # Return why the goal or the stops end the mission; empty if they do not.
     why_over: Callable[[], str]
-    # Returns the listeners missing before the first robot leaves; empty if none is.
+    # Describe the missing subscribers before the first departure; empty if none is missing.
     missing_listeners: Callable[[], str]
     # Return the full name of a topic and of a service.
     topic: Callable[[str], str]
     service: Callable[[str], str]
-    # The agents of the search that runs.
+    # Agents of the running search.
     searched: Sequence[str] = ()
     # Reason why no path found is worth a robot; empty if one is.
     why_worthless: str = ''
     # The plans that wait for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
-    # Agents that no node answers for, those whose nodes do not report departures, and those that
-    # refused their last order and must not be sent another one yet.
+    # Agents without a node, agents whose nodes do not report departures, and agents that get no
+    # order for a while because they refused the last one.
     absent: Collection[str] = ()
     silent: Collection[str] = ()
     left_alone: Collection[str] = ()
@@ -103,8 +103,8 @@ class PlannerState:
     @property
     def unreported(self) -> list[DeploymentKey]:
         """Return the deployments in flight that the next round waits for."""
-        # An agent that has left the graph does not delay the others, nor do robots that no longer
-        # depart delay the end.
+        # Agents that left the graph do not delay the others. After the end of the mission,
+        # robots at their base do not depart any more.
         left_out = self.in_flight.undeparted if self.operator.is_ended else ()
         return [
             key for key in self.in_flight if key.agent not in self.absent and key not in left_out
@@ -112,7 +112,7 @@ class PlannerState:
 
     @property
     def mute(self) -> list[str]:
-        """Return the agents that do not report departures where these are needed."""
+        """Return the agents that do not report departures, if the parameters require them."""
         if self.values['presume_departure'] or not self.values['silent_loss']:
             return []
         return [agent for agent in self.silent if agent not in self.absent]
@@ -190,11 +190,11 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.BELIEF_BEHIND:
             return next_belief(now)
         case Obstacle.DECIDING:
-            return 'the decision for the goal to be made'
+            return 'the decision on the goal'
         case Obstacle.UNDECIDED:
             return (
-                'the evidence behind the belief, which the goal needs: restart the planner with '
-                'the parameter resume set to the log'
+                'the evidence of the belief, which the decision on the goal needs: restart the '
+                'planner with the parameter resume set to the log'
             )
         case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
@@ -214,7 +214,7 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.UNAPPROVED:
             proposals = now.topics((key.agent for key in now.proposed), 'proposal')
             return (
-                f'the operator to approve of {proposals} by the service '
+                f'the operator to approve {proposals} by the service '
                 f'{now.service("approve")} (parameter approval)'
             )
         case Obstacle.ALL_DEPLOYED:
@@ -230,10 +230,10 @@ def deployed(now: PlannerState) -> str:
 
 
 def not_repeated(kept: int) -> str:
-    """Return why an estimator may never hold all deployments, given how many are kept."""
+    """Explain why an estimator may never hold all deployments."""
     return (
-        f', and publishers keep only the last {kept} of each agent: restart the estimator with '
-        'the parameter resume set to the log'
+        f', and publishers keep only the last {kept} paths and reports of each agent: restart '
+        'the estimator with the parameter resume set to the log'
     )
 
 
@@ -242,7 +242,7 @@ def next_belief(now: PlannerState) -> str:
     wait = f'a belief that holds {counted(now.reported, "deployment")}'
     if now.last_received < now.reported and now.in_flight.forgotten:
         again = not_repeated(now.in_flight.kept)
-        return f'{wait}; the last one holds {now.last_received}{again}'
+        return f'{wait}; the last belief holds {now.last_received}{again}'
     refusal = f'; {now.refusal}' if now.refusal else ''
     return f'{wait} on {belief_topic(now)}{refusal}'
 
@@ -257,18 +257,21 @@ def report(now: PlannerState) -> str:
     """Describe the first report awaited, and its deadline."""
     key = min(now.unreported, key=deployment_order)
     agent = now.topic(key.agent)
-    wait = f'{key} to be reported on {agent}/report'
+    wait = f'the report of {key} on {agent}/report'
     if now.values['recorded'] and not now.in_flight[key].is_recorded:
         return (
-            f'{wait}: it may leave when the recorder acknowledges its path on {agent}/recorded '
-            '(parameter recorded)'
+            f'{wait}: its robot leaves once the recorder acknowledges its path on '
+            f'{agent}/recorded (parameter recorded)'
         )
     if not now.in_flight.has_departed(key) and key.agent not in now.silent:
-        return f'{key} to depart: its agent reports that on {agent}/status'
+        return f'the departure of {key}, which its agent reports on {agent}/status'
     if now.values['silent_loss']:
         deadline = now.values['return_deadline']
-        return f'{wait}, at most until {deadline} s after it is due (parameter return_deadline)'
-    return f'{wait}, however long that takes (parameter silent_loss is false)'
+        return (
+            f'{wait}: without it the robot is given up {deadline} s after its expected return '
+            '(parameter return_deadline)'
+        )
+    return f'{wait}, without a time limit (parameter silent_loss is false)'
 
 
 def free_agent(now: PlannerState) -> str:
@@ -276,11 +279,11 @@ def free_agent(now: PlannerState) -> str:
     absent, mute, left_alone = now.absent, now.mute, now.left_alone
     reasons = [
         f'nobody publishes {now.topics(absent, "report")}' if absent else '',
-        f'{some(now.in_flight)} are out' if now.in_flight else '',
+        f'{some(now.in_flight)} in flight' if now.in_flight else '',
         f'{some(left_alone)} refused the last order' if left_alone else '',
         f'nobody publishes {now.topics(mute, "status")}, so a robot that never left would '
         'count as lost (parameter presume_departure)'
         if mute
         else '',
     ]
-    return f'an agent whose robot is home: {"; ".join(filter(None, reasons))} (parameter agents)'
+    return f'a free agent: {"; ".join(filter(None, reasons))} (parameter agents)'

@@ -38,7 +38,7 @@ def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Futur
         except BaseException as error:
             future.set_exception(error)
 
-    # The end of a process waits for the threads of a pool, but not for this one.
+    # A daemon thread, since a process waits for the threads of a pool before it ends.
     Thread(target=run, daemon=True).start()
     return future
 
@@ -49,7 +49,7 @@ class Search:
 
     # The stamp of the belief, nanoseconds, and its number of deployments.
     belief: tuple[int, int]
-    # The agents whose robots are to leave.
+    # The agents of the round.
     agents: list[str]
     # Number of plans that the operator has refused.
     refused: int
@@ -65,7 +65,7 @@ class Search:
 
     def lasts(self, now: Search, is_rolling: bool) -> bool:
         """Return whether its plans may still be used for the present round."""
-        # Where robots leave one by one, they do not wait for the newest belief.
+        # With `rolling`, a plan on an earlier belief is used.
         return (
             (is_rolling or self.belief == now.belief)
             and {*self.agents} <= {*now.agents}
@@ -73,7 +73,7 @@ class Search:
         )
 
 
-# In flight together, by deployment.
+# Paths and plans by deployment.
 Paths = dict[DeploymentKey, NDArray[np.intp]]
 Plans = dict[DeploymentKey, Plan]
 
@@ -88,7 +88,7 @@ class PlannedRound:
     why_not_worth: str
     # Reason why no plan is worth a robot; empty if one is.
     why_worthless: str
-    # How long the search took.
+    # Duration of the search, seconds.
     seconds: float
 
 
@@ -111,7 +111,7 @@ class Rounds:
         self._visited = count_visits(grid, [])
 
     def count_path(self, path: NDArray[np.intp], robots: int = 1) -> None:
-        """Count the visits of a path, shape (steps + 1,); -1 takes those of a refused one back."""
+        """Add the visits of a path, shape (steps + 1,); robots=-1 removes those of a refusal."""
         np.add.at(self._visited, path[1:], robots)
 
     def search(
@@ -123,7 +123,7 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         noted: Sequence[NDArray[np.intp]] = (),
     ) -> Callable[[], PlannedRound]:
-        """Start the search for the paths of a round."""
+        """Return a function that searches for the paths of a round."""
         robot_type = partial(
             type_to_plan, self._values, grid=self._grid, believed=known.robot_types
         )
@@ -186,7 +186,7 @@ class Rounds:
         first = next_name(planned_on.stamp, planned_on.mission)
         noted = [path for key, path in recorded.items() if key not in at_base]
         planned = self.search(planned_on, agents, {}, first, refused, noted)().plans
-        # Otherwise the agents or the parameters have changed since.
+        # Recorded paths that differ show that agents or parameters have changed since.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)
             for key, path in recorded.items()
@@ -203,8 +203,8 @@ class Rounds:
         if 0.0 < away < planned.seconds and not self._is_slow:
             self._is_slow = True
             self._warn(
-                f'planning took {planned.seconds:.1f} s, and the robots are back after '
-                f'{away:.1f} s: a lower beam_width, or the planner relaxed, takes less'
+                f'planning took {planned.seconds:.1f} s, longer than the robots are away '
+                f'({away:.1f} s): reduce beam_width, or set planner to relaxed'
             )
 
 

@@ -167,18 +167,18 @@ def test_the_state_of_the_mission(actions, obstacle, state):
 @for_each('obstacle, change, words', [
     (Obstacle.NO_BELIEF, {'estimators': 0}, 'the belief on /a/belief, which nobody publishes'),
     (Obstacle.NO_BELIEF, {}, 'the nodes in its parameter await_nodes'),
-    (Obstacle.UNREPORTED, {}, 'scout_1 at 1.000000000 to depart: its agent reports that on'),
+    (Obstacle.UNREPORTED, {}, 'departure of scout_1 at 1.000000000, which its agent reports on'),
     (
         Obstacle.UNREPORTED,
         {'silent': ['scout_1']},
-        'to be reported on /a/scout_1/report, at most until 10.0 s after it is due',
+        'on /a/scout_1/report: without it the robot is given up 10.0 s after its expected return',
     ),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
     (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
     (
         Obstacle.BELIEF_BEHIND,
         {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},
-        'the last one holds 0, and publishers keep only the last 2 of each agent',
+        'the last belief holds 0, and publishers keep only the last 2 paths and reports of each',
     ),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
     (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
@@ -204,7 +204,7 @@ def test_proposals_and_searches_are_stated_with_their_agents():
     }
     assert told[Obstacle.SEARCHING] == 'the search for the paths of scout_1 to end'
     assert 'worth a robot: too far; ' in told[Obstacle.WORTHLESS]
-    assert 'approve of /a/scout_1/proposal by the service /b/approve' in told[Obstacle.UNAPPROVED]
+    assert 'approve /a/scout_1/proposal by the service /b/approve' in told[Obstacle.UNAPPROVED]
 
 
 FIELD = Grid(9, 9)
@@ -237,12 +237,14 @@ def test_a_log_with_more_robots_is_refused():
     (
         Grid(30, 30),
         18,
-        '18 steps reach 10x10 of 30x30 cells, 100 of 900: max_steps 58 reaches them all',
+        'paths of 18 steps reach 100 of the 900 cells connected to the base (within 10x10 of '
+        '30x30 cells): to reach all, set max_steps to 58',
     ),
     (
         Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
         2,
-        '2 steps reach 3x2 of 5x4 cells, 6 of 10: max_steps 4 reaches them all',
+        'paths of 2 steps reach 6 of the 10 cells connected to the base (within 3x2 of 5x4 '
+        'cells): to reach all, set max_steps to 4',
     ),
     (Grid(9, 9), 18, ''),
     (Grid(9, 9), 16, ''),
@@ -254,8 +256,11 @@ def test_the_share_of_the_field_in_reach_is_stated(grid, max_steps, told):
 
 def test_the_share_of_the_field_within_a_distance_is_stated():
     grid = Grid(9, 9, resolution=0.5)
-    told = '18 steps and 4 m reach 5x5 of 9x9 cells, 17 of 81: max_steps 16 and max_distance 11.4 '
-    assert reach_note(grid, 18, max_distance=4.0) == f'{told}reach them all'
+    told = (
+        'paths of 18 steps and 4 m reach 17 of the 81 cells connected to the base (within 5x5 of '
+        '9x9 cells): to reach all, set max_steps to 16 and max_distance to 11.4'
+    )
+    assert reach_note(grid, 18, max_distance=4.0) == told
     assert reach_note(grid, 18, max_distance=11.4) == ''
 
 
@@ -330,9 +335,9 @@ def test_learnt_numbers_do_not_make_another_estimator():
 
 
 @for_each('other, told', [
-    ({'interval': (0.2, 1.0)}, '^unknowns is .*low=0.2.* and 2 nodes publish beliefs'),
-    ({'seed': 4}, "^seed is '4': it was '3' before"),
-    ({'malfunction': 0.04}, '^model is .*0.04'),
+    ({'interval': (0.2, 1.0)}, '^unknowns changed from .*low=0.2.*: 2 nodes publish beliefs'),
+    ({'seed': 4}, "^seed changed from '3' to '4': "),
+    ({'malfunction': 0.04}, '^model changed from .*0.04'),
 ])  # fmt: skip
 def test_another_estimator_is_recognised_by_its_start(other, told):
     tracker = MissionTracker()
@@ -346,7 +351,7 @@ def test_the_estimator_stays_the_same_when_another_publisher_of_beliefs_leaves()
     tracker, told = MissionTracker(), snapshots()
     tracker.accept_belief(told[3], known=3)
     tracker.newest = None
-    with pytest.raises(ValueError, match='^model is .*0.04'):
+    with pytest.raises(ValueError, match='^model changed from .*0.04'):
         tracker.check_belief(snapshots(malfunction=0.04)[2], authors=2, known=3)
     tracker.check_belief(told[2], authors=2, known=3)
     assert tracker.accept_belief(told[2], known=3)
@@ -358,20 +363,20 @@ def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
     tracker, told = MissionTracker(), snapshots()
     for known, snapshot in enumerate(told):
         tracker.accept_belief(snapshot, known)
-    with pytest.raises(ValueError, match='^deployments is 40: the paths of only 3 are known'):
+    with pytest.raises(ValueError, match='holds 40 deployments, and this planner knows the paths of 3'):
         tracker.check_belief(replace(told[-1], deployments=40), authors, known=3)
     assert tracker.newest is told[-1]
 
 
 def test_the_first_belief_of_a_restarted_planner_may_hold_deployments_of_the_one_before():
     tracker, told = MissionTracker(), snapshots()
-    with pytest.raises(ValueError, match='only 0 are known, and 2 nodes publish beliefs: stop'):
+    with pytest.raises(ValueError, match='the paths of 0; 2 nodes publish beliefs: stop'):
         tracker.check_belief(told[2], authors=2, known=0)
     tracker.check_belief(told[2], authors=1, known=0)
     tracker.accept_belief(told[2], known=0)
     # One robot has been sent since.
     tracker.check_belief(told[3], authors=1, known=1)
-    with pytest.raises(ValueError, match='only 2 are known'):
+    with pytest.raises(ValueError, match='this planner knows the paths of 2$'):
         tracker.check_belief(told[3], authors=1, known=0)
 
 

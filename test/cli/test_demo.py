@@ -279,7 +279,8 @@ def test_lethality_and_hazard_density_are_learnt_by_default(options, method, lea
 def test_a_demo_states_its_reach_and_shows_two_learnt_numbers(whole):
     out, printed = whole
     assert printed.splitlines()[0] == (
-        '6 steps reach 4x4 of 6x4 cells, 16 of 24: max_steps 10 reaches them all.'
+        'paths of 6 steps reach 16 of the 24 cells connected to the base (within 4x4 of 6x4 '
+        'cells): to reach all, set max_steps to 10.'
     )
     assert '/model: 7 of 7 messages reproduced' in printed
     history = read_history(out)
@@ -428,7 +429,7 @@ PERIOD, WAIT = 0.3, 0.7
     ([(RUNNING, 'waiting for the operator, since', 1)] * 4 + [(DONE, 'done: 1 of 1', 0)],
      4 * PERIOD),
     ([(PAUSED, 'waiting for the operator to end the pause', 0)], WAIT),
-    ([(RUNNING, 'waiting for the operator to approve of', 0)], WAIT),
+    ([(RUNNING, 'waiting for the operator to approve', 0)], WAIT),
     ([(RUNNING, 'waiting for a belief that holds 2; the estimator says', 1)], WAIT),
     # The planner does find a path later.
     (

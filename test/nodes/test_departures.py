@@ -58,14 +58,14 @@ def test_a_robot_at_its_base_is_never_lost(field):
     base = StatedBase(field, robots=2, silent_loss=False)
     base.until_sent(1)
     base.say(OrderState.ACCEPTED)
-    base.until_state('to depart: its agent reports that on /scout_1/status')
+    base.until_state('which its agent reports on /scout_1/status')
     key, cells = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
     base.reports['scout_1'].publish(report_message(key, Observation(cells, False), key.stamp + 1))
     for node in ('/planner', '/estimator', '/recorder'):
         refusal = 'is reported lost, and its agent has not reported its departure'
         field.until(lambda name=node, said=refusal: said in field.said(name), f'refusal by {node}')
     base.crash()
-    base.until_state('to depart: its agent reports that on /scout_1/status')
+    base.until_state('which its agent reports on /scout_1/status')
     base.until_named(base.say(OrderState.DEPARTED))
     base.come_back()
     base.until_held(1)
@@ -78,7 +78,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base.until_sent(1)
     # Neither silence nor acceptance is a departure, however long it lasts.
     base.say(OrderState.ACCEPTED)
-    base.until_state('to depart: its agent reports that on /scout_1/status')
+    base.until_state('which its agent reports on /scout_1/status')
     told = base.refused('give_up', agent='scout_1', steps_survived=0)
     assert 'has not reported its departure, so it cannot be declared lost' in told
     # Longer than the deadline after a departure.
@@ -130,7 +130,7 @@ def test_deadlines_start_with_recorded_departures_under_any_clock(system_clock, 
         field.start('recorder', {**base.parameters, 'resume': str(base.log)})
         base.until_named(departure)
         begun = time.monotonic()
-        base.until_state(f'at most until {deadline} s after it is due')
+        base.until_state(f'given up {deadline} s after its expected return')
         change()
         field.until(lambda n=number: len(base.heard['scout_1']) == n, 'loss')
         assert time.monotonic() > begun + deadline / 2
@@ -144,7 +144,7 @@ def test_bad_statuses_are_refused_by_name_and_counted(field):
     key = read_path(GRID, 'scout_1', base.paths['scout_1'][0])[0]
     unknown = status_message(DeploymentKey('scout_1', 5), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(unknown)
-    assert 'DEPARTED, but this planner knows no path of it' in field.until_refused('/planner', 1)
+    assert ': this planner has no path of it' in field.until_refused('/planner', 1)
     other = status_message(DeploymentKey('scout_2', key.stamp), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(other)
     assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)

@@ -81,10 +81,10 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
     assert '2 nodes publish beliefs' in told
     for number, (name, value, expected) in enumerate(
         (
-            ('lethality', 0.25, 'model is '),
-            ('seed', 9, "seed is '9': it was '0' before"),
-            ('method', 'relaxed_itp', "method is 'relaxed_itp': it was 'kappa_bnitp' before"),
-            ('deployments', 5, 'deployments is 5: the paths of only 0 are known'),
+            ('lethality', 0.25, 'model changed from '),
+            ('seed', 9, "seed changed from '0' to '9'"),
+            ('method', 'relaxed_itp', "method changed from 'kappa_bnitp' to 'relaxed_itp'"),
+            ('deployments', 5, 'the belief holds 5 deployments, and this planner knows the paths of 0'),
             ('deployments', 4_000_000_000, 'deployments is 4000000000: a mission has at most'),
         )
     ):
@@ -402,7 +402,7 @@ def test_of_two_robots_on_one_path_the_one_with_more_readings_counts(field):
         base.crash()
         base.until_held(1)
     # It does not end the deployment that has its name now either.
-    base.until_state('to be reported on /scout_1/report')
+    base.until_state('waiting for the report of scout_1 at ')
     base.come_back()
     base.until_held(2)
     field.processes.stop(60)

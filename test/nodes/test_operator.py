@@ -67,7 +67,7 @@ def test_approved_robots_depart_and_refused_ones_go_elsewhere(field):
     base = Base(field, ['scout_1', 'scout_2'], approval=True)
     ways = [[base.proposed(agent) for agent in base.paths]]
     base.until_state(
-        'waiting for the operator to approve of /scout_1/proposal, /scout_2/proposal by the '
+        'waiting for the operator to approve /scout_1/proposal, /scout_2/proposal by the '
         'service /approve (parameter approval)'
     )
     for _ in range(2):
@@ -242,7 +242,7 @@ def has_left(base):
     # A path that was not on disk is sent anew, and not before.
     base.field.until(base.sent, 'path')
     assert all(way == base.second for way in base.sent())
-    base.until_state('to be reported on /scout_1/report')
+    base.until_state('waiting for the report of scout_1 at ')
 
 
 def is_proposed_elsewhere(base):

@@ -287,7 +287,7 @@ def test_waiting_for_plans_is_stated_once(field):
         mission.reports.publish(mission.lose(number))
     said = field.said('/planner')
     assert said.count('planning took') == 1
-    assert 'a lower beam_width, or the planner relaxed, takes less' in said
+    assert 'reduce beam_width, or set planner to relaxed' in said
 
 
 def test_the_bound_of_a_plan_is_published_with_the_progress(field):

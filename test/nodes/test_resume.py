@@ -159,7 +159,7 @@ def test_deployments_survive_every_restart(field, before, depth):
     start(field, 'planner', log, robots)
     field.until(
         lambda: (
-            f'waiting for a belief that holds {robots} deployments; the last one holds {depth}'
+            f'waiting for a belief that holds {robots} deployments; the last belief holds {depth}'
             in field.state('/m/planner')
         ),
         'planner that says what it waits for',
