@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a whole mission, or go on with a dead one: four nodes, four processes, over DDS."""
+"""Run a whole mission, or resume an interrupted one: four nodes in four processes, over DDS."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     try:
         options = parse(argv)
-        # It takes a second to import: the help needs none of it.
+        # Imported here, since it takes a second and the help does not need it.
         from kbnitp_ros.cli.demo_mission import prepare, run
 
         log, parameters = prepare(options)
@@ -70,13 +70,13 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
             )
     parser.add_argument(
         '--size',
-        help='cells a side, N or WIDTHxHEIGHT, from 1 to 1000 each; default 9',
+        help='size of the field in cells: N or WIDTHxHEIGHT, from 1 to 1000 each; default 9',
     )
     parser.add_argument(
         '--agents',
         metavar='N',
         type=int,
-        help=f'agents whose robots leave together, from 1 to {MAX_AGENTS}; default 1',
+        help=f'number of agents, whose robots leave together, from 1 to {MAX_AGENTS}; default 1',
     )
     parser.add_argument(
         '--params',
@@ -89,11 +89,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar='[NODE:]NAME=VALUE',
         action='append',
         default=[],
-        help='a parameter of every node that has it, or of one: planner, estimator, recorder, or '
-        'agent. The sensor of agent is the true one, that of planner and estimator the assumed '
-        'one. '
-        'May be given any number of times; `python3 -m kbnitp_ros NODE --help` lists '
-        'the parameters with their defaults and ranges',
+        help='set a parameter of every node that has it, or of one NODE: planner, estimator, '
+        'recorder or agent. The sensor parameters of agent are the true ones, those of planner '
+        'and estimator the assumed ones. Can be repeated; `python3 -m kbnitp_ros NODE --help` '
+        'lists the parameters with their defaults and ranges',
     )
     parser.add_argument(
         '--page',
@@ -108,12 +107,12 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--resume',
         type=Path,
         metavar='FILE',
-        help='log of an interrupted mission, or its folder, to resume; without other options',
+        help='log of an interrupted mission, or its folder, to resume; takes no other options',
     )
     options = parser.parse_args(argv)
     others = {
         name: value for name, value in vars(options).items() if name not in ('resume', 'page')
     }
     if options.resume and any(value not in (None, []) for value in others.values()):
-        raise ValueError('--resume takes no other options: the log has the configuration')
+        raise ValueError('--resume takes no other options: the log holds the configuration')
     return options

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mission of the demo: its parameters, its nodes watched, and what it came to."""
+"""The mission of the demo: its parameters, its nodes, and its results."""
 
 from __future__ import annotations
 
@@ -75,40 +75,40 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from tqdm import tqdm
 
-# Nothing is published for good before all of these subscribe to it.
+# Nodes that must subscribe before a node publishes, so that they miss nothing.
 AWAITED = {
     'estimator': ['planner', 'recorder'],
     'agent': ['planner', 'estimator', 'recorder'],
     'planner': ['agent', 'estimator', 'recorder'],
 }
 
-# Seconds a step with `silent_loss`, which needs a step_period above 0.
+# Seconds per step with `silent_loss`, which needs a step_period above 0.
 SILENT_STEP = 0.01
 
-# What the planner waits for if an operator must act; how long the demo then goes on, and how
-# long for the word that the mission is over, in seconds.
+# How the planner's reason begins when only an operator can continue the mission; seconds until
+# the demo then ends, and until it ends without the message that the mission is over.
 OPERATOR_AWAITED = 'waiting for the operator'
 BELIEF_AWAITED = 'waiting for a belief'
 OPERATOR_WAIT = 3.0
 END_WAIT = 30.0
 
-# What is believed of sensors and hazards may differ from the truth, and each node awaits others.
+# Parameters that may differ between nodes: true and believed sensors and hazards, awaited nodes.
 MAY_DIFFER = ('sensor.', 'hazards.', 'await_nodes')
 
 
 def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]]]:
-    """Return the log of the mission that these options mean, and the parameters of its nodes."""
+    """Return the log of the mission, and the parameters of its nodes."""
     if options.resume:
         log = log_parts(options.resume)[0]
-        # Nodes that went on with a mission which still lives would send its robots again.
+        # If the mission is still running, resumed nodes would send its robots again.
         LogLock(log).release()
         return log, recorded_parameters(log)
     parameters = chosen_parameters(options)
     log = new_log(options.out)
     if log.exists():
         raise ValueError(
-            f'--out {log.parent} holds a mission already: name another folder, or go on with that '
-            'mission by --resume'
+            f'--out {log.parent} holds a mission already: name another folder, or resume that '
+            'mission with --resume'
         )
     check_is_new(log)
     check_is_free(report_folder(log))
@@ -185,7 +185,7 @@ def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
 
 
 def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
-    """Refuse parameters that the nodes would refuse, or that would keep them from each other."""
+    """Check that the nodes accept their parameters, and agree on the mission."""
     for one, other in pairwise(('estimator', 'agent', 'planner')):
         ours, theirs = parameters[one], parameters[other]
         check_own(theirs)
@@ -216,32 +216,36 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def how_to_go_on(log: Path) -> str:
-    """Return the command that resumes a mission, or why none does."""
+    """Return the command that resumes a mission, or why it cannot be resumed."""
     try:
         recorded_parameters(log)
     except (ValueError, OSError):
-        return f'no robot had left: begin a new mission in another folder than {log.parent}'
-    return f'to go on: python3 -m kbnitp_ros demo --resume {shlex.quote(str(log))}'
+        return (
+            'no robot had left, so there is nothing to resume: begin a new mission, with --out '
+            f'other than {log.parent}'
+        )
+    return f'resume it with: python3 -m kbnitp_ros demo --resume {shlex.quote(str(log))}'
 
 
 def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each node that goes on with the mission of a log."""
+    """Return the parameters of each node that resumes the mission of a log."""
     recorded = read_parameters(log)
     parameters = {}
     for node in NODES:
         if f'/{node}' not in recorded:
             if not any(True for _ in MissionLog(log).read('path')):
                 raise ValueError(
-                    f'{log} ends before the first robot left: begin a mission in another folder'
+                    f'{log} ends before the first robot left, so there is nothing to resume: '
+                    'begin a new mission in another folder'
                 )
             raise ValueError(
-                f'{log} does not have the parameters of /{node} on record: '
-                'resume its mission with the launch file, which takes them from params_file'
+                f'{log} does not record the parameters of /{node}: resume its mission with the '
+                'launch file, which takes them from params_file'
             )
         parameters[node] = recorded_values(recorded[f'/{node}'], node)
         if 'resume' in parameters[node]:
             parameters[node]['resume'] = str(log)
-    # What the mission came to is shown beside the truth, which the log may lack so far.
+    # The report compares the belief with the truth, which the log may lack so far.
     parameters['agent']['publish_truth'] = True
     return parameters
 
@@ -256,19 +260,19 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
         )
         for node in NODES:
             awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
-            # The progress bar says it.
+            # The progress bar shows deployments.
             levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
             processes.start(node, {**parameters[node], **awaited}, levels=levels)
         with observed(domain) as (observer, received):
             watch(observer, received, parameters['planner']['robots'], processes)
         failed = {name: code for name, code in processes.stop().items() if code}
     if failed:
-        raise RuntimeError(f'nodes did not end well, by exit code: {failed}')
+        raise RuntimeError(f'nodes failed, with these exit codes: {failed}')
 
 
 @contextmanager
 def observed(domain: int) -> Iterator[tuple[Node, deque[Progress]]]:
-    """Yield a node on the domain, and the last progress that it receives, if any so far."""
+    """Yield a node on the domain, and a queue of the last progress message that it received."""
     os.environ.update(environment(domain))
     rclpy.init(
         args=['--ros-args', '--enclave', '/observer'],
@@ -295,7 +299,7 @@ def most_left(progress: Progress | None, robots: int) -> float:
         return inf
     if now.state in (MissionState.DONE, MissionState.ENDED):
         return 0.0
-    # Nobody can call the services of the planner, which may be about to search again.
+    # Nobody calls the planner's services, but it may search again by itself.
     if now.reason.startswith(OPERATOR_AWAITED):
         return OPERATOR_WAIT
     return END_WAIT if progress and now.deployments >= robots else inf
@@ -310,7 +314,9 @@ def watch(observer: Node, received: deque[Progress], robots: int, processes: Pro
         while time.monotonic() <= since + most_left(now, robots):
             executor.spin_once(timeout_sec=0.2)
             if processes.ended():
-                raise RuntimeError(f'nodes ended early, by exit code: {processes.ended()}')
+                raise RuntimeError(
+                    f'nodes ended during the mission, with these exit codes: {processes.ended()}'
+                )
             if not received:
                 present = observer.get_node_names()
                 absent = [name for name in NODES if name not in present]
@@ -328,8 +334,8 @@ def watch(observer: Node, received: deque[Progress], robots: int, processes: Pro
 
 
 def conclude(log: Path, note: str) -> int:
-    """Replay the log, report it, say what became known; return the exit code."""
-    say('computing every belief of the log again, and writing the report')
+    """Replay and report the log, and print what was learnt; return the exit code."""
+    say('replaying the log and writing the report')
     recorded, progress = MissionLog(log), partial(with_progress, log_size(log))
     reproduction = replay(recorded, progress, asked_on_record(recorded))
     folder = report_folder(log)
@@ -342,11 +348,11 @@ def conclude(log: Path, note: str) -> int:
     say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
     for name, known in last.state.numbers.items():
         low, _, middle, _, high = known.quantiles
-        is_known = f'; it is {mission.numbers[name]:.3g}' if name in mission.numbers else ''
+        is_known = f'; true: {mission.numbers[name]:.3g}' if name in mission.numbers else ''
         say(f'{name} learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}{is_known}')
     return 1 if reproduction.grade == Grade.DIFFERENT else 0
 
 
 def report_folder(log: Path) -> Path:
-    """Return where the report of a log goes, beside it."""
+    """Return the folder of a log's report, beside the log."""
     return log.with_name('report' if log.name == NAME else f'{log.stem}_report')

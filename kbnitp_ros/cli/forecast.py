@@ -85,30 +85,30 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar='LOG',
         type=Path,
         nargs='?',
-        help='the log of a mission to continue: its first file, or its folder. Robots that were '
-        'out are sent again',
+        help='the log of a mission to continue: its first file, or its folder. Robots in flight '
+        'at its end are sent again',
     )
     add_namespace(parser)
     parser.add_argument(
         '--params',
         metavar='FILE',
         help='YAML file with parameters of planner and estimator, such as config/mission.yaml; '
-        'with a log only those of the planner count; default: those on record',
+        'with LOG only those of the planner; default with LOG: the recorded ones',
     )
     parser.add_argument(
         '--set',
         metavar='[NODE:]NAME=VALUE',
         action='append',
         default=[],
-        help='a parameter of planner and estimator, or of one; with a log only of the planner. '
-        'May be given any number of times; `python3 -m kbnitp_ros NODE --help` lists them',
+        help='set a parameter of planner and estimator, or of one NODE; with LOG of the planner '
+        'only. Can be repeated; `python3 -m kbnitp_ros NODE --help` lists the parameters',
     )
     parser.add_argument(
         '--worlds',
         metavar='N',
         type=count,
         default=200,
-        help='how many missions to run, at least 1; default 200',
+        help='number of missions to run, at least 1; default 200',
     )
     parser.add_argument(
         '--seed',
@@ -121,7 +121,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--workers',
         metavar='N',
         type=count,
-        help='number of processes, at least 1; default one a core; the result is the same',
+        help='number of processes, at least 1; default one per core; no effect on the result',
     )
     parser.add_argument(
         '--out',
@@ -238,7 +238,7 @@ def lines(found: Forecast) -> Iterator[str]:
     )
     reached = [] if found.confidence is None else ['reached']
     yield in_markdown(
-        'After so many robots, or when the mission was over:',
+        'By number of robots sent; missions that ended earlier count with their last values:',
         ['robots', *(f'{name}, {each}' for name in ('lost', what) for each in SPREAD), *reached],
         [
             [
@@ -258,7 +258,7 @@ def in_markdown(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]
 
 
 def quantiles(values: NDArray[np.float64]) -> list[float]:
-    """Return the `QUANTILES` of some values, each an observed value."""
+    """Return the `QUANTILES` of some values, without interpolation."""
     found: list[float] = np.quantile(values, QUANTILES, method='inverted_cdf').tolist()
     return found
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the nodes of a command, from a file, from rules, or from a log."""
+"""The parameters of a command's nodes, from a file, from --set, or from a log."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def set_parameter(
     if of_one and node not in parameters:
         raise ValueError(
             f'--set {rule}: {node!r} is no node of the {command}: {nearest(node, parameters)}'
-            f'they are {", ".join(parameters)}'
+            f'its nodes are {", ".join(parameters)}'
         )
     if name in own:
-        raise ValueError(f'--set {rule}: the {command} decides {name} by itself')
+        raise ValueError(f'--set {rule}: the {command} sets {name} itself')
     nodes = [node] if of_one else [*parameters]
     try:
         check_known(name, nodes)
@@ -90,8 +90,8 @@ def set_parameter(
 
 
 def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
-    """Return the recorded values of a node, with the defaults of that time for others."""
-    # A parameter that the recording version lacked has the value that it had implicitly.
+    """Return the recorded values of a node, with defaults for parameters not recorded."""
+    # The default of a parameter added later is the behaviour of the versions before.
     values = {
         name: parameter.default if recorded.get(name) is None else recorded[name]
         for name, parameter in node_parameters(node).items()
@@ -104,7 +104,7 @@ def recorded_planner(log: MissionLog) -> dict[str, Any]:
     recorded = log.parameters
     names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
     if len(names) != 1:
-        raise ValueError(f'{log.path} does not have the parameters of one planner on record')
+        raise ValueError(f'{log.path} does not record the parameters of exactly one planner')
     return recorded_values(recorded[names[0]], 'planner')
 
 

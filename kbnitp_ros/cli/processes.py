@@ -19,24 +19,24 @@ from typing import Any, IO
 from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.graph import udp_only
 
-# Domains beyond 101 use ports that Linux hands out to others.
+# Domains above 101 use ports that Linux assigns to other programs.
 DOMAINS = range(1, 102)
 
-# Fast DDS has ports for no further domains.
+# Highest domain that Fast DDS has ports for.
 MAX_DOMAIN = 232
 
-# Makes the system interrupt a node when its parent process is killed.
+# Command by which Linux interrupts a node when its parent process is killed.
 END_WITH_PARENT = ('setpriv', '--pdeathsig', 'SIGINT')
 
-# Seconds that nodes may take to end after a signal: a planner completes its plan first, and a busy
-# machine is ten times slower.
+# Seconds that nodes may take to end after a signal: a planner completes its plan first, and a
+# machine under load is ten times slower.
 PATIENCE = 30.0
 
 
 def environment(domain: int) -> dict[str, str]:
     """Return the environment of a process in a ROS domain of this machine only."""
     paths = [str(Path(__file__).parents[2]), os.environ.get('PYTHONPATH', '')]
-    # Profiles and peers of the user do not apply here.
+    # The user's DDS profiles and peers are for nodes on other machines.
     local = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
     local |= {name: os.environ[name] for name in os.environ.keys() & {'ROS_LOCALHOST_ONLY'}}
     return {
@@ -148,7 +148,7 @@ class Processes:
         return self.ended()
 
     def __enter__(self) -> Processes:
-        """Return these processes, none of them started."""
+        """Return itself."""
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -83,12 +83,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
-    """Pass on the messages of a log, with a progress bar on a terminal."""
+    """Yield the messages of a log, with a progress bar on a terminal."""
     with tqdm(total=size, unit='B', unit_scale=True, desc='reading', disable=None) as bar:
         for item in items:
             yield item
             bar.update(item.position - bar.n)
-        # The index follows the last message.
+        # The rest of the file is its index.
         bar.update(size - bar.n)
 
 
@@ -124,7 +124,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
     yield from first_few('not compared', report.not_compared)
     yield from first_few('repeated', report.repeated)
     for key in report.passed_over:
-        yield f'not reproduced: deployment {key} is in no belief, though later ones are'
+        yield f'not reproduced: deployment {key} is in no belief, but a later deployment is'
     for key in report.not_yet_held:
         yield f'deployment {key} is in no belief yet'
     for key in evidence.without_report:
@@ -150,7 +150,7 @@ def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Itera
 
 
 def computed_with(log: str | Path, report: ReplayReport) -> Iterator[str]:
-    """Yield by how much beliefs differ, and what the recorded ones were made with."""
+    """Yield the largest difference of the beliefs, and the versions that recorded them."""
     gaps = (each.largest for found in report.roundings for each in found.differences)
     largest = max((gap for gap in gaps if not isnan(gap)), default=0.0)
     yield f'equal to {TOLERANCE:g}, not identical: the largest difference is {largest:.2g}'

@@ -15,7 +15,7 @@ from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from tqdm import tqdm
 
-# The benchmark, which is not a study.
+# Name of the benchmark, which is run in place of a study.
 BENCHMARK = 'benchmark'
 
 DESCRIPTION = """
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Pandas takes a second to import, and the help does not need it.
         return run_benchmark(options) if is_benchmark else study(options)
     except KeyboardInterrupt:
-        further = '' if is_benchmark else f'; the same command goes on from {options.out}'
+        further = '' if is_benchmark else f'; the same command continues in {options.out}'
         complain('study', f'interrupted{further}')
         return 130
 
@@ -54,7 +54,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         'scenario',
         metavar='SCENARIO',
-        help='a YAML file as docs/files.md describes it, or one of those shipped: '
+        help='a YAML file (its format: docs/files.md), or the name of a shipped study: '
         f'{", ".join(sorted(path.stem for path in share("scenarios").glob("*.yaml")))}',
     )
     parser.add_argument(
@@ -62,7 +62,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar='DIR',
         type=Path,
         required=True,
-        help='folder for the results; trials that it holds already are not run again',
+        help='folder for the results; trials whose results it holds are not run again',
     )
     parser.add_argument(
         '--backend',
@@ -74,7 +74,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--workers',
         metavar='N',
         type=count,
-        help='number of processes, at least 1; default one a core',
+        help='number of processes, at least 1; default one per core',
     )
     parser.add_argument(
         '--scheduler',

@@ -36,11 +36,11 @@ EXAMPLES = (
 
 HOST, PORT = '127.0.0.1', 8080
 
-# Seconds between two looks at the log, and after which a log that does not grow is reported: a
-# recorder writes diagnostics every second.
+# Seconds between two reads of the log, and seconds without growth after which that is reported:
+# a recorder writes diagnostics every second.
 LOOK, STILL = 0.5, 5.0
 
-# Seconds after which a waiting browser is sent something, so that it notices a dead server.
+# Maximum seconds between two messages to a browser, so that it notices a dead server.
 BEAT = 5.0
 
 
@@ -61,13 +61,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar='N',
         type=partial(count, least=0),
         default=PORT,
-        help=f'port to listen on, from 0 to 65535; default {PORT}, and 0 takes a free one',
+        help=f'port to listen on, from 0 to 65535; default {PORT}, 0 for a free one',
     )
     parser.add_argument(
         '--host',
         metavar='ADDRESS',
         default=HOST,
-        help=f'address to listen on; default {HOST}, which this machine alone can reach',
+        help=f'address to listen on; default {HOST}, which only this machine can reach',
     )
     options = parser.parse_args(argv)
     end_on_signals()
@@ -126,7 +126,7 @@ class Follower:
     def __init__(self, log: Path, namespace: str | None = None) -> None:
         self.log = log
         self.page = self._bare = ''
-        # Number of changes of the page, and the sentence about the log.
+        # Number of changes of the page, and the state of the log in a sentence.
         self.version = 0
         self.sentence = ''
         self.changed = Condition()
@@ -152,7 +152,7 @@ class Follower:
             except FileNotFoundError:
                 self._describe('Waiting for the recorder to begin the log.')
             except (ValueError, OSError) as error:
-                self._describe(f'The page shows an earlier moment: {error}')
+                self._describe(f'The page is out of date, since the log cannot be read: {error}')
             # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)
 
@@ -162,11 +162,11 @@ class Follower:
         now = time.monotonic()
         if state == self._state:
             if is_finished(self.log):
-                self._describe('The log is finished. If the mission is resumed, the page goes on.')
+                self._describe('The log is finished. If the mission is resumed, so is the page.')
             elif now > self._grown_at + STILL:
                 self._describe(
                     f'The log has not grown for {now - self._grown_at:.0f} s: its recorder has '
-                    'ended or was killed. If the mission is resumed, the page goes on.'
+                    'ended or was killed. If the mission is resumed, so is the page.'
                 )
             return
         is_replaced = self._file not in (0, state[0][0])
@@ -179,7 +179,8 @@ class Follower:
         mission = read_mission(self.log, namespace=self._namespace)
         page, _ = mission_page(mission, mission_curves(mission), is_live=True)
         self._describe(
-            f'Following the log: {len(mission.ended)} robots reported, {mission.in_flight} out.'
+            f'Following the log: {len(mission.ended)} robots reported, {mission.in_flight} in '
+            'flight.'
         )
         if page != self._bare:
             self._show(page)
@@ -199,14 +200,14 @@ class Follower:
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Request handler for the page, its parts that change, and events."""
+    """Request handler for the page, for the page without Plotly, and for events."""
 
     def __init__(self, follower: Follower, *arguments: object) -> None:
         self._follower = follower
         super().__init__(*arguments)  # type: ignore[arg-type]
 
     def do_GET(self) -> None:
-        """Answer a request; other sites must not read the page by a host name of theirs."""
+        """Answer a request; refuse foreign host names: other sites must not read the page."""
         name = self.headers.get('Host', '').rpartition(':')[0]
         is_local = self.client_address[0] == HOST
         if is_local and name not in (HOST, 'localhost'):
@@ -214,7 +215,7 @@ class Handler(BaseHTTPRequestHandler):
         elif self.path == '/':
             self._answer(self._follower.page)
         elif self.path == '/update':
-            # The browser has Plotly already.
+            # The browser has loaded Plotly already.
             self._answer(self._follower.page.replace(library(), ''))
         elif self.path == '/events':
             self._send_changes()
@@ -242,7 +243,7 @@ class Handler(BaseHTTPRequestHandler):
                 if known == (follower.version, follower.sentence):
                     follower.changed.wait(BEAT)
                 version, sentence = news = follower.version, follower.sentence
-            # A comment, which browsers ignore.
+            # A comment of the protocol, which browsers ignore.
             events = ': \n\n'
             if version != known[0]:
                 events += f'event: page\ndata: {version}\n\n'

@@ -286,9 +286,9 @@ def test_a_demo_states_its_reach_and_shows_two_learnt_numbers(whole):
     history = read_history(out)
     assert len(history.learnt) == len(history.beliefs) == 7
     low, _, middle, _, high = history.learnt[-1]['lethality'].quantiles
-    told = f'lethality learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}; it is 0.9'
+    told = f'lethality learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}; true: 0.9'
     assert told in printed.splitlines()
-    assert re.search(r'^hazard_density learnt: .* it is 0\.15$', printed, re.M)
+    assert re.search(r'^hazard_density learnt: .* true: 0\.15$', printed, re.M)
     assert (out / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
     # Only the robots knew the truth.
     assert history.learnt[0]['lethality'].mean == pytest.approx(0.5, abs=1e-3)
@@ -394,11 +394,11 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--size', '600', '--max-steps', '1200'], 'max_steps = 1200.*takes about .* GB.*: lower one'),
     (['--set', 'robots'], '--set robots: it must be NAME=VALUE or NODE:NAME=VALUE'),
     (['--set', 'robbots=3'], 'robbots=3: parameter robbots is unknown to every.*mean robots?'),
-    (['--set', 'agent:robots=3'], 'robots is unknown to the agent: it is one of planner'),
+    (['--set', 'agent:robots=3'], 'robots is unknown to the agent: it is a parameter'),
     (['--set', 'agnt:seed=3'], "'agnt' is no node of the demo: did you mean agent?"),
-    (['--set', 'team.scout_2.max_steps=3'], 'is for scout_2: did you mean scout_1.* agents nam'),
+    (['--set', 'team.scout_2.max_steps=3'], 'of agent scout_2, .* did you mean scout_1'),
     (['--set', 'agent:team.scout_1.max_steps=3'], 'max_steps is 18 of .* and 3 of agent'),
-    (['--set', 'publish_truth=false'], 'the demo decides publish_truth by itself'),
+    (['--set', 'publish_truth=false'], 'the demo sets publish_truth itself'),
     (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', but the hazards of"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 of .* and 5 of planner: .* must agree'),
     (['--set', 'grid.blocked=[1, 9, 10]'], 'scout_1 cannot leave .*cell 0: no other cell can be'),
@@ -481,7 +481,7 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running, c
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130, stderr
     assert 'Traceback' not in stderr
-    assert f'interrupted; to go on: python3 -m kbnitp_ros demo --resume {log}' in stderr
+    assert f'interrupted; resume it with: python3 -m kbnitp_ros demo --resume {log}' in stderr
     assert replay_command([str(log)]) == 0
     assert 'unfinished' not in capsys.readouterr().out
 
@@ -497,7 +497,9 @@ def test_demo_fails_when_a_node_dies(running, node):
     os.kill(nodes[node], signal.SIGKILL)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert re.search(f'nodes ended early.*{node}.*-9.*; to go on: .* demo --resume ', stderr)
+    assert re.search(
+        f'nodes ended during the mission.*{node}.*-9.*; resume it with: .* demo --resume ', stderr
+    )
     assert not any(Path(f'/proc/{pid}').exists() for pid in nodes.values())
 
 

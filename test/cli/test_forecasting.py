@@ -79,7 +79,7 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
     (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
     (['--set', 'map_topic=map'], 'map_topic is map: the forecast subscribes to no map'),
     (['nothere.mcap'], 'nothere.mcap cannot be read: No such file'),
-    (['--out', '/proc'], '/proc is there already and not empty'),
+    (['--out', '/proc'], '/proc exists and is not empty'),
     (['--workers', '2000'], 'workers is 2000: it must be from 1 to 1024'),
 ])  # fmt: skip
 def test_bad_input_is_refused(capsys, options, complaint):
@@ -95,7 +95,7 @@ def test_a_log_in_which_all_robots_were_sent_is_refused(tmp_path, capsys):
     assert main([str(path)]) == 2
     assert f'has 8 deployments, and robots is {robots}' in capsys.readouterr().err
     assert main([str(path), '--set', 'sensor.lethality=0.3']) == 2
-    assert 'unknown to the planner: it is one of' in capsys.readouterr().err
+    assert 'unknown to the planner: it is a parameter of' in capsys.readouterr().err
 
 
 @for_each('option', ['--worlds', '--workers'])
