@@ -49,7 +49,7 @@ def make_priors(values: Mapping[str, Any]) -> dict[str, Beta]:
 
 
 def make_unknowns(values: Mapping[str, Any]) -> Unknowns:
-    """Return the numbers that these parameters leave to be learnt."""
+    """Return the unknown numbers, which are learnt."""
     priors, rates = make_priors(values), [*itertools.chain(*HAZARD_RATES.values())]
     return Unknowns(
         **{name: priors[name] for name in values['learn.numbers'] if name not in rates}
@@ -106,8 +106,7 @@ def make_execution(values: Mapping[str, Any]) -> Execution:
     if values['silent_loss'] and values['contact_probability'] > 0.0:
         raise ValueError(
             f'contact_probability is {values["contact_probability"]}, and silent_loss is true: '
-            'simulated robots either report their steps or are silent; set one of '
-            'them'
+            'simulated robots either report their steps or are silent; set only one of them'
         )
     return Execution(
         detour=values['detour_probability'],

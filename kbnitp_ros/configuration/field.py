@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The grid of the parameters, its geographic position, and hidden worlds in files."""
+"""The grid and the geographic datum that the parameters describe, and hidden worlds in files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
         'through_corners': corners == 'cut' or (corners == 'auto' and field is None),
     }
     if field is not None:
-        # Rounded as in messages, so that all nodes have one grid.
+        # Rounded as in messages, so that all nodes have the same grid.
         field = replace(
             field, resolution=rounded_resolution(field.resolution), yaw=rounded_yaw(field.yaw)
         )
@@ -53,7 +53,7 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
         if max(grid.width, grid.height) > MAX_SIDE:
             raise ValueError(
                 f'the map makes a grid of {grid.width} x {grid.height} cells: at most '
-                f'{MAX_SIDE} a side may be; set a coarser grid.resolution'
+                f'{MAX_SIDE} per side are possible; set a coarser grid.resolution'
             )
         return with_bases(grid, values)
     origin = values['grid.origin']
@@ -95,7 +95,7 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
 
 
 def make_datum(values: Mapping[str, Any]) -> Datum | None:
-    """Return the geographic datum of these parameters, or None; ValueError if off the earth."""
+    """Return the geographic datum of these parameters, or None; raise ValueError if invalid."""
     return Datum.of(values['datum'])
 
 

@@ -2,7 +2,7 @@
 """
 Parameters that users give, in files and on the command line, checked against the table.
 
-ROS hands a node the values only, and passes over in silence what is misspelt or meant for others.
+ROS passes only values to a node, and silently ignores misspelt names and parameters of others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kbnitp_ros.files import read_yaml
 # Sections of a file for several nodes at once.
 WILDCARDS = ('*', '**')
 
-# The relevant ROS flags, with their other spellings.
+# ROS flags for parameters and names, each with its spellings.
 REMAP, RULE, FILE = ('-r', '--remap'), ('-p', '--param'), ('--params-file',)
 
 # Values by parameter name, by section of a file.
@@ -46,8 +46,8 @@ def check_sections(config: Any, names: Mapping[str, str]) -> Sections:
     for section, values in _sections(config, ''):
         nodes = _nodes_in(section, names)
         if not nodes:
-            # It belongs to another program, unless a parameter of the node with a similar name is
-            # in it.
+            # The section is for another program, unless it has parameters of a node with a
+            # similar name.
             for node in get_close_matches(section.rpartition('/')[2], NODES, n=1, cutoff=0.8):
                 if any(find_parameter(node, name) for name in values):
                     raise ValueError(f'section {section!r} names no node: did you mean {node}?')
@@ -88,7 +88,7 @@ def _leaves(tree: Any, section: str, above: str = '') -> Iterator[tuple[str, Any
 
 
 def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
-    """Return the executables that a section or the start of a rule applies to."""
+    """Return the executables that a section, or the node of a rule, applies to."""
     name = section.rpartition('/')[2]
     if name in WILDCARDS:
         return NODES
@@ -96,7 +96,7 @@ def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
 
 
 def values_for(sections: Sections, node: str) -> dict[str, Any]:
-    """Return the values that ROS gives a node from sections: the last section that fits wins."""
+    """Return the values that ROS gives a node: a later section overrides an earlier one."""
     values = {}
     for section, given in sections.items():
         if _fits(section, node):
@@ -105,7 +105,7 @@ def values_for(sections: Sections, node: str) -> dict[str, Any]:
 
 
 def _fits(section: str, node: str) -> bool:
-    """Return whether a section applies to the node of this full name, as in rclpy."""
+    """Return whether rclpy applies a section to the node of this full name."""
     return bool(re.fullmatch(f'/{section.removeprefix("/")}'.replace('/*', r'(/\w+)'), node))
 
 
@@ -122,10 +122,10 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
         node, _, parameter = rule.partition(':=')[0].rpartition(':')
         if not (nodes := _nodes_in(node, {called: name}) if node else [name]):
             meant = nearest(node, [called])
-            raise ValueError(f'-p {rule}: no node is called {node!r}: {meant}this one is {called}')
+            raise ValueError(f'-p {rule}: this node is not {node!r}: {meant}it is {called}')
         check_known(parameter, nodes)
         if not node:
-            # ROS takes it for a line of section /**.
+            # ROS applies it like a line of section /**.
             own = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
             check_counts(sections, '/**', own, {parameter: rule.partition(':=')[2]}, '-p ')
 
@@ -133,7 +133,7 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
 def check_counts(
     sections: Sections, section: str, node: str, given: Mapping[str, Any], flag: str = ''
 ) -> None:
-    """Check that ROS gives a node these values of a section: later sections count for more."""
+    """Check that no later section overrides these values of a node."""
     merged = {name: dict(values) for name, values in sections.items()}
     merged.setdefault(section, {}).update(given)
     for name, value in given.items():

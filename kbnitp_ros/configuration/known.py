@@ -40,7 +40,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
     whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'
     if others := [node for node in NODES if find_parameter(node, name)]:
         raise ValueError(
-            f'parameter {name} is unknown to {whose}: it is one of {", ".join(others)}'
+            f'parameter {name} is unknown to {whose}: it is a parameter of {", ".join(others)}'
         )
     table = [parameter for node in nodes for parameter in node_parameters(node).values()]
     known = {parameter.name for parameter in table}
@@ -62,6 +62,6 @@ def check_own(values: Mapping[str, Any]) -> None:
         if own and own[0] not in values['agents']:
             agents = values['agents']
             raise ValueError(
-                f'parameter {name} is for {own[0]}: {nearest(own[0], agents)}the parameter agents '
-                f'names {", ".join(agents)}'
+                f'parameter {name} is of agent {own[0]}, which is not in the team: '
+                f'{nearest(own[0], agents)}the parameter agents is {", ".join(agents)}'
             )

@@ -37,7 +37,7 @@ from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map, read_probabilities
 import numpy as np
 
-# Percent from which a pixel of a mask belongs to the area.
+# Minimum occupancy of a mask's pixels that belong to the goal, percent.
 MARKED = 50
 
 
@@ -121,7 +121,7 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
 
 MAPS = ('hazard', 'target', 'kappa')
 
-# Properties in which two fields must agree for one to take over the other's belief.
+# Properties that two fields must share, if the belief in one is to be the prior in the other.
 SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
 
@@ -143,7 +143,7 @@ def make_prior(values: Mapping[str, Any], grid: Grid) -> Belief:
     }
     prior = numbers | maps
     if 'hazard' in maps and 'target' not in maps and numbers['hazard'] < 1.0:
-        # The numbers, not the map, give the probability of a target without a hazard.
+        # The probability of a target without a hazard follows from the numbers, not from maps.
         background = numbers['target'] - numbers['kappa'] * numbers['hazard']
         background = min(max(background / (1.0 - numbers['hazard']), 0.0), 1.0)
         prior['target'] = prior['kappa'] * maps['hazard'] + background * (1.0 - maps['hazard'])
@@ -170,8 +170,8 @@ def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
             for robot_type in make_robot_types(values, grid).values()
         ):
             raise ValueError(
-                f'parameter learn.numbers has {name}: every agent has a value of its own, so no '
-                'robot has the number to learn'
+                f'parameter learn.numbers has {name}, and every agent has a value of its own: no '
+                'robot has the number that would be learnt'
             )
     return Estimator(
         make_prior(values, grid),

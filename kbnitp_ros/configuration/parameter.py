@@ -24,7 +24,7 @@ def own_name(name: str) -> tuple[str, str] | None:
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return the nearest known names as a question; empty if none is near."""
-    # A short name such as lethality is far from the same name within groups.
+    # Compared without groups, since lethality is far from sensor.lethality.
     meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
     meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
     return f'did you mean {" or ".join(meant)}? ' if meant else ''
@@ -37,9 +37,9 @@ KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: '
 class Parameter:
     """One row of the table."""
 
-    # As in ROS, with a dot for each level.
+    # Name in ROS, with a dot for each level.
     name: str
-    # Its type is the parameter's type.
+    # Default value, whose type is that of the parameter.
     default: Any
     # One sentence, with the unit.
     description: str
@@ -48,7 +48,7 @@ class Parameter:
     element: type | None = None
     # Lowest and highest value allowed.
     limits: tuple[float, float] | None = None
-    # A value below the limits that means none, such as 0 for no maximum.
+    # A value outside the limits that switches the parameter off, such as 0 for no maximum.
     off: float | None = None
     # The values allowed; empty for any. Those of a registry grow with plugins.
     choices: Collection[str] = ()
@@ -58,12 +58,12 @@ class Parameter:
     pattern: str = ''
     # Whether the value is fixed once the node runs.
     read_only: bool = True
-    # Whether an agent may have its own value, as ``team.AGENT.NAME``; NAME is `of_agent`.
+    # Whether an agent may have its own value, in ``team.AGENT.NAME`` with NAME as in `of_agent`.
     per_agent: bool = False
 
     @property
     def of_agent(self) -> str:
-        """Return its name below an agent, without the group `grid`."""
+        """Return the name below ``team.AGENT``, which lacks the group `grid`."""
         return self.name.removeprefix('grid.')
 
     @property
@@ -109,7 +109,7 @@ class Parameter:
         return self.check(value)
 
     def check(self, value: Any) -> Any:
-        """Return `value` as this parameter's type; whole numbers become numbers."""
+        """Check a value and return it in this parameter's type; whole numbers become floats."""
         if self.element is None:
             return self._check_one(value, type(self.default))
         # rclpy turns an empty YAML list into None.

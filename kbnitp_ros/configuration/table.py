@@ -25,7 +25,7 @@ MAX_CELLS = MAX_SIDE**2
 # The topic of the operator's actions.
 OPERATOR = 'operator'
 
-# The numbers that can be learnt: their meanings and their priors.
+# Learnable numbers: a description of each and its prior.
 LEARN = {
     'lethality': ('sensor.lethality', (0.0, 1.0)),
     'malfunction': ('sensor.malfunction', (0.0, 1.0, 2.0, 30.0)),
@@ -42,13 +42,13 @@ LEARN = {
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
 }
 
-# The sensors of robots: the defaults, and their meanings.
+# Sensors of robots: defaults and descriptions.
 SENSOR = {
     'lethality': (
         0.5,
         'Probability that a hazard strikes a robot that steps into its cell. The sensor '
-        'parameters of the agent are the truth, those of the estimator what estimator and planner '
-        'believe.',
+        'parameters of the agent are the truth, those of the estimator the belief of estimator '
+        'and planner.',
     ),
     'malfunction': (0.05, 'Probability that a robot is lost in a step without any hazard.'),
     'false_negative': (0.05, 'Probability that a robot survives a hazard that strikes it.'),
@@ -58,36 +58,44 @@ SENSOR = {
 
 # Rates of hazards: events per deployment.
 RATES = {
-    'appear': 'a free cell gets a hazard, for changing hazards; 0 with a learnt hazards.vanish '
-    'stands for the rate that keeps the expected number of hazards',
+    'appear': 'a free cell gets a hazard, for changing hazards; with a learnt hazards.vanish, 0 '
+    'is the rate that keeps the expected number of hazards constant',
     'vanish': 'a hazard disappears, for changing hazards',
     'move': 'a hazard goes to a free neighbouring cell, for moving hazards',
 }
 
-# Probabilities before the first deployment, and in a drawn world: the defaults and the events.
+# Probabilities before the first deployment, and in a drawn world: defaults and events.
 PRIOR = {
     'hazard': (0.5, 'a hazard in each cell'),
     'target': (0.45, 'a target in each cell'),
     'kappa': (0.8, 'a target where there is a hazard,'),
 }
 DRAWN = {
-    'hazard_density': (0.15, 'a hazard in each cell of a drawn world but the bases'),
+    'hazard_density': (0.15, 'a hazard in each cell of a drawn world except the bases'),
     'kappa': (0.8, 'a target in a cell of a drawn world that has a hazard'),
     'target_background': (0.1, 'a target in a cell of a drawn world that has no hazard'),
 }
 
-# Nodes that wait, those that they wait for, and what these must subscribe to.
+# Defaults of await_nodes: waiting nodes, awaited nodes, and descriptions.
 AWAITED = (
-    (('planner',), ('agent', 'estimator'), 'the paths to await before the first is sent'),
-    (('estimator',), ('planner',), 'the belief to await before the first is published'),
+    (
+        ('planner',),
+        ('agent', 'estimator'),
+        'Nodes that must subscribe to paths before the planner sends the first one',
+    ),
+    (
+        ('estimator',),
+        ('planner',),
+        'Nodes that must subscribe to beliefs before the estimator publishes the first one',
+    ),
     (
         ('agent', 'robot'),
         ('planner', 'estimator'),
-        'the reports to await before the first robot leaves',
+        'Nodes that must subscribe to reports before the first robot leaves',
     ),
 )
 
-# Rows of one node alone; those of the planner that can change while it runs are `changeable`.
+# Constructors of rows for a single node; `changeable` is for planner parameters that can change.
 for_planner, for_agent, for_robot, for_estimator, for_recorder = (
     partial(Parameter, nodes=(node,)) for node in NODES
 )
@@ -97,8 +105,8 @@ TABLE = (
     Parameter(
         'map',
         '',
-        'YAML file of a map, as map_server reads it, that gives the field in place of grid.width, '
-        'grid.height, grid.origin and grid.blocked; empty for none.',
+        'YAML file of a map in the format of map_server, in place of grid.width, grid.height, '
+        'grid.origin and grid.blocked; empty for none.',
         GRID,
     ),
     Parameter(
@@ -114,13 +122,17 @@ TABLE = (
         'Whether robots avoid cells that are partly unknown in the map.',
         GRID,
     ),
-    Parameter('grid.width', 9, 'Cells along x.', GRID, limits=(1, MAX_SIDE)),
-    Parameter('grid.height', 9, 'Cells along y.', GRID, limits=(1, MAX_SIDE)),
+    Parameter(
+        'grid.width', 9, 'Width of the field, along x, in cells.', GRID, limits=(1, MAX_SIDE)
+    ),
+    Parameter(
+        'grid.height', 9, 'Height of the field, along y, in cells.', GRID, limits=(1, MAX_SIDE)
+    ),
     Parameter(
         'grid.base',
         0,
-        'Cell (row * width + column, row 0 at the bottom) that paths start and end in; for one '
-        'agent team.AGENT.base.',
+        'Base cell, where paths start and end, by number: row * width + column, row 0 at the '
+        'bottom. For a single agent team.AGENT.base.',
         GRID,
         limits=(0, MAX_CELLS - 1),
         per_agent=True,
@@ -128,8 +140,8 @@ TABLE = (
     Parameter(
         'grid.base_position',
         (),
-        'Point in the base cell, x and y in metres in the frame map, in place of grid.base; empty '
-        'for none. For one agent team.AGENT.base_position.',
+        'Position of the base: x and y of a point in its cell, metres in the frame map, in place '
+        'of grid.base; empty for none. For a single agent team.AGENT.base_position.',
         GRID,
         element=float,
         per_agent=True,
@@ -137,24 +149,25 @@ TABLE = (
     Parameter(
         'grid.resolution',
         0.0,
-        "Side of a cell in metres, at least the map's; 0 for the map's, without a map 1.",
+        'Side of a cell in metres, at least the resolution of the map; 0 for the resolution of '
+        'the map, or for 1 without a map.',
         GRID,
         limits=(0.0, 1000.0),
     ),
     Parameter(
         'grid.origin',
         (0.0, 0.0),
-        'Lower-left corner of cell 0 in metres, x and y in the frame map; a third number is the '
-        'angle from the x axis of that frame to the rows, counterclockwise, in rad.',
+        'Lower-left corner of the field, x and y in metres in the frame map; an optional third '
+        'number is the angle from the x axis of that frame to the rows, counterclockwise, in rad.',
         GRID,
         element=float,
     ),
     Parameter(
         'datum',
         (),
-        'Latitude and longitude of the origin of the frame map, WGS84 in degrees, and the angle '
-        'from east to its x axis, counterclockwise, in rad, as for robot_localization; empty for '
-        'none.',
+        'Geographic datum: latitude and longitude of the origin of the frame map, WGS84 in '
+        'degrees, and the angle from east to its x axis, counterclockwise, in rad, as for '
+        'robot_localization; empty for none.',
         ('estimator', 'robot'),
         element=float,
     ),
@@ -169,20 +182,25 @@ TABLE = (
     Parameter(
         'grid.corners',
         'auto',
-        'Whether a diagonal step may touch a blocked cell: cut, as in the paper, or avoid; auto '
-        'for avoid on a map and cut without one.',
+        'Whether diagonal steps may touch blocked cells: cut allows it, as in the paper; avoid '
+        'forbids it; auto is avoid with a map and cut without one.',
         GRID,
         choices=('auto', 'avoid', 'cut'),
     ),
     Parameter(
-        'max_steps', 18, 'Maximum steps of a path.', GRID, limits=(1, MAX_STEPS), per_agent=True
+        'max_steps',
+        18,
+        'Maximum number of steps of a path.',
+        GRID,
+        limits=(1, MAX_STEPS),
+        per_agent=True,
     ),
     changeable(
         'max_distance',
         0.0,
-        'Maximum length of a path, metres: a diagonal step is 1.41 times as long as a straight '
-        'one, a stay has no length. For the planners beam and relaxed and the goal map; 0 for no '
-        'limit.',
+        'Maximum length of a path in metres: a diagonal step is 1.41 times as long as a straight '
+        'one, and a stay has length 0. For the planners beam and relaxed with the goal map; 0 for '
+        'no limit.',
         limits=(0.0, 1e9),
         per_agent=True,
     ),
@@ -195,8 +213,8 @@ TABLE = (
         'static',
         'Dynamics of hazards: static, changing from one deployment to the next, moving to '
         'neighbouring cells, or used up when they strike; learn to infer the kind from the '
-        'evidence. The value of the agent is the truth, that of the estimator the belief of '
-        'estimator and planner.',
+        'evidence. The value of the agent is the truth, the value of the estimator is the belief '
+        'of estimator and planner.',
         SENSING,
         choices=HAZARDS,
     ),
@@ -223,21 +241,22 @@ TABLE = (
         for_estimator(
             f'prior.{name}_map',
             '',
-            f'File with prior.{name} of each cell: a map_server map of mode scale, or rows and '
-            'columns in .npy; empty for the number, which also holds where the map has nothing.',
+            f'File with prior.{name} of each cell: a map of map_server in mode scale, or a .npy '
+            f'array of rows and columns. Cells without a value have prior.{name}; empty for '
+            f'prior.{name} in all cells.',
         )
         for name in PRIOR
     ),
     for_estimator(
         'prior.resample',
         False,
-        'Whether a prior map in .npy may have another number of rows and columns than the field: '
-        'each cell then takes the mean of the values over it.',
+        'Whether to resample a prior map in .npy whose numbers of rows and columns differ from '
+        "the field's: each cell gets the mean of the values over it.",
     ),
     for_estimator(
         'prior.clustering',
         0.0,
-        'Coupling of hazards in cells that share a side (a Markov random field), for '
+        'Coupling of hazards in cells that share a side (a Markov random field), for the method '
         'kappa_bnitp_sampled; 0 for independent hazards, learn for an unknown coupling.',
         limits=(0.0, STRONGEST),
         word=LEARNT_COUPLING,
@@ -252,29 +271,32 @@ TABLE = (
     for_estimator(
         'filter.type',
         -1,
-        'Type of a costmap filter of Nav2 whose mask is belief/hazard, for the topic '
+        'Nav2 costmap filter that takes belief/hazard as its mask, announced on '
         'belief/costmap_filter_info: 0 for a KeepoutFilter, 1 for a SpeedFilter in percent, 2 for '
-        'one in m/s; -1 for none.',
+        'a SpeedFilter in m/s; -1 for none.',
         limits=(0, 2),
         off=-1,
     ),
     for_estimator(
         'filter.base',
         0.0,
-        'What 0 percent of hazard means to that filter: 0 for a KeepoutFilter, or a speed limit.',
+        'Value of the Nav2 costmap filter at 0 percent of hazard: 0 for a KeepoutFilter, a speed '
+        'limit for a SpeedFilter.',
         limits=(-1e6, 1e6),
     ),
     for_estimator(
         'filter.multiplier',
         1.0,
-        'What each percent of hazard adds to filter.base: 1 for a KeepoutFilter.',
+        'Change of the value of the Nav2 costmap filter for each percent of hazard: 1 for a '
+        'KeepoutFilter.',
         limits=(-1e6, 1e6),
     ),
     for_estimator(
         'learn.numbers',
         (),
-        'Numbers to learn from the evidence, with kappa_bnitp, relaxed_itp (all but kappa) or, in '
-        'a static field, kappa_bnitp_sampled. Robots are planned with their current estimates.',
+        'Numbers to learn from the evidence, with the methods kappa_bnitp, relaxed_itp (all but '
+        'kappa) or, in a static field, kappa_bnitp_sampled. Robots are planned with the current '
+        'estimates.',
         element=str,
         choices=tuple(LEARN),
     ),
@@ -282,8 +304,8 @@ TABLE = (
         for_estimator(
             f'learn.{name}',
             interval,
-            f'Prior of {meaning}, if it is learnt: low and high, and unless uniform a and b of a '
-            'Beta distribution.',
+            f'Prior of {meaning} if it is learnt: low and high of a uniform distribution, or '
+            'low, high, a and b of a Beta distribution.',
             element=float,
         )
         for name, (meaning, interval) in LEARN.items()
@@ -300,22 +322,23 @@ TABLE = (
     for_agent(
         'agent',
         '',
-        'The agent whose robots this node simulates, one of agents; empty for all of them.',
+        'Agent whose robots this node simulates, one of the parameter agents; empty for all.',
         pattern=f'({NAME})?',
     ),
     for_robot('agent', 'scout_1', 'Agent name of this robot.', pattern=NAME),
-    changeable('robots', 100, 'Robots to deploy, one after another.', limits=(0, MAX_ROBOTS)),
+    changeable('robots', 100, 'Number of robots to deploy.', limits=(0, MAX_ROBOTS)),
     changeable(
         'planner',
         'beam',
-        'Search for paths; random, coverage and shortest_unvisited seek no information and serve '
-        'as baselines.',
+        'Planner that searches for paths; random, coverage and shortest_unvisited seek no '
+        'information and serve as baselines.',
         choices=PLANNERS,
     ),
     changeable(
         'beam_width',
         16,
-        'Width of the beam planner, which keeps a quarter as many labels for each cell and step.',
+        'Width of the beam planner: it keeps a quarter of this number of labels for each cell and '
+        'step.',
         limits=(1, 10_000),
     ),
     for_planner(
@@ -324,23 +347,28 @@ TABLE = (
         'Whether to compute, with each plan, an upper bound on the value of any path, for '
         'progress and the report; for a single agent that seeks information.',
     ),
-    changeable('max_visits', 3, 'Maximum visits of a path to one cell.', limits=(1, 10_000)),
     changeable(
-        'allocation', 'greedy', 'How the robots of a round share the field.', choices=ALLOCATIONS
+        'max_visits', 3, 'Maximum number of visits of a path to a cell.', limits=(1, 10_000)
+    ),
+    changeable(
+        'allocation',
+        'greedy',
+        'Allocation of paths to the robots of a round.',
+        choices=ALLOCATIONS,
     ),
     changeable(
         'objective',
         'information',
-        'Objective of paths: expected information; behavioral: the fall of behavioral entropies; '
-        'information_per_loss: information for each robot expected to be lost. The last two need '
-        'the planner beam or relaxed.',
+        'Objective of paths: information, the expected information; behavioral, the decrease of '
+        'behavioral entropies; information_per_loss, the information for each robot expected to '
+        'be lost. The last two need the planner beam or relaxed.',
         choices=OBJECTIVES,
     ),
     changeable(
         'alpha',
         1.0,
-        'Prelec weight of the objective behavioral: 1 gives the information; below 1 near '
-        'certainty counts as less sure, above 1 as surer.',
+        'Prelec weight of the objective behavioral: 1 gives the information; below 1, '
+        'probabilities near 0 or 1 count as less certain, above 1 as more certain.',
         limits=ALPHAS,
     ),
     changeable(
@@ -353,40 +381,40 @@ TABLE = (
     for_planner(
         'goal.kind',
         'map',
-        'Goal of the mission: map, the most information; lane, a way from the base to a cell that '
-        'is free of hazards; area, cells that are free of hazards.',
+        'Goal of the mission: map, as much information as possible; lane, a way free of hazards '
+        'from the base to a cell; area, cells free of hazards.',
         choices=GOALS,
     ),
     for_planner(
         'goal.cells',
         (),
-        'Cells of the goal; for a lane the one cell that it leads to.',
+        'Cells of the goal, by number: the cells of an area, or the last cell of a lane.',
         element=int,
     ),
     for_planner(
         'goal.position',
         (),
-        'Point in the one cell of the goal, x and y in metres in the frame map, in place of '
-        'goal.cells; empty for none.',
+        'Position of the goal: x and y of a point in its only cell, metres in the frame map, in '
+        'place of goal.cells; empty for none.',
         element=float,
     ),
     for_planner(
         'goal.mask',
         '',
-        'YAML file of a map, as map_server reads it, with a pixel for each cell of the field: '
-        'occupied ones are the goal, in place of goal.cells; empty for none.',
+        'YAML file of a map in the format of map_server, with a pixel for each cell of the field: '
+        'occupied pixels are the cells of the goal, in place of goal.cells; empty for none.',
     ),
     changeable(
         'stop.confidence',
         0.0,
-        'Probability at which the goal is reached and no more robots leave; 0 for never.',
+        'Probability of the goal at which it is reached and the mission ends; 0 for never.',
         limits=(0.0, 1.0 - 1e-6),
     ),
     changeable(
         'stop.gain',
         0.0,
-        'Minimum gain of the best deployment for each robot that it is expected to lose, below '
-        'which the mission ends: nats, with the goal lane probability; 0 for never.',
+        'Minimum gain of the best deployment for each robot that it is expected to lose: below it '
+        'the mission ends. In nats, or for the goal lane a probability; 0 for never.',
         limits=(0.0, 1e9),
     ),
     changeable(
@@ -398,15 +426,15 @@ TABLE = (
     changeable(
         'minimum_survival',
         0.0,
-        'Paths that a robot survives with a lower probability are refused; the mission is over '
+        'Minimum survival probability of a path: other paths are refused, and the mission is over '
         'when none is left.',
         limits=PROBABILITY,
     ),
     changeable(
         'approval',
         False,
-        'Whether robots leave only after the operator has approved their paths, shown on '
-        'AGENT/proposal, by the service approve.',
+        'Whether robots leave only after the operator has approved their paths by the service '
+        'approve. The paths are proposed on AGENT/proposal.',
     ),
     for_planner(
         'keep_running', True, 'Whether the planner keeps running when the mission is over.'
@@ -414,13 +442,13 @@ TABLE = (
     for_planner(
         'rolling',
         False,
-        'Whether each robot leaves as soon as its agent is free, instead of in rounds with all '
-        'others.',
+        'Whether each robot leaves as soon as its agent is free, instead of in rounds with the '
+        'other robots.',
     ),
     Parameter(
         'step_period',
         0.0,
-        'Seconds a robot takes for a step; 0 for as fast as possible.',
+        'Seconds that a robot takes for a step; 0 for as fast as possible.',
         ('planner', 'agent'),
         limits=(0.0, 1e6),
         per_agent=True,
@@ -428,20 +456,20 @@ TABLE = (
     for_agent(
         'detour_probability',
         0.0,
-        'Probability that a simulated robot takes a step through a third cell.',
+        'Probability that a simulated robot makes a detour through a third cell in a step.',
         limits=PROBABILITY,
     ),
     for_agent(
         'early_return_probability',
         0.0,
-        'Probability that a simulated robot turns back before a step; never before its first.',
+        'Probability that a simulated robot turns back before a step other than its first.',
         limits=PROBABILITY,
     ),
     Parameter(
         'contact_probability',
         0.0,
-        'Probability that the base receives, after each step survived, how far a robot is, so '
-        'that later silence tells where it was lost; 0 infers nothing from silence.',
+        'Probability that the base receives the progress of a robot after each step that it '
+        'survives, so that silence tells where it was lost; 0 to infer nothing from silence.',
         ('planner', 'agent'),
         limits=PROBABILITY,
     ),
@@ -454,33 +482,34 @@ TABLE = (
     Parameter(
         'silent_loss',
         False,
-        'Whether a destroyed robot sends no report, so that only its absence tells of the loss.',
+        'Whether a destroyed robot sends no report, so that the base infers the loss from its '
+        'absence.',
         ('planner', 'agent'),
     ),
     for_planner(
         'return_deadline',
         10.0,
-        'Seconds of ROS time after the expected return when a silent robot is given up as lost.',
+        'Seconds of ROS time from the expected return of a silent robot until it is given up as '
+        'lost.',
         limits=(1e-3, 1e9),
     ),
     changeable(
         'presume_departure',
         False,
         'Whether robots count as departed once their paths are sent (with recorded: are on disk), '
-        'instead of when their agents report it on AGENT/status. With silent_loss an agent that '
-        'never reports departures gets no path.',
+        'instead of when their agents report the departure on AGENT/status. If false, with '
+        'silent_loss, an agent that never reports departures gets no path.',
     ),
     for_agent(
         'publish_pose',
         False,
-        'Whether robots that are out are shown on /tf, as AGENT/base_link in the frame map.',
+        'Whether robots in flight are shown on /tf, as AGENT/base_link in the frame map.',
     ),
     *(
         Parameter(
             'await_nodes',
             default,
-            f'Subscribers of {awaited}: planner, agent, estimator, recorder, whatever their nodes '
-            'are called, or names of nodes.',
+            f'{awaited}, by role (planner, agent, estimator, recorder) or by name.',
             nodes,
             element=str,
             pattern=NAME,
@@ -493,7 +522,7 @@ TABLE = (
     for_agent(
         'seed',
         0,
-        'Seed of the hidden world and of what happens to the robots in it.',
+        'Seed of the hidden world and of the outcomes of robots.',
         limits=(0, 2**63 - 1),
     ),
     for_agent(
@@ -523,9 +552,9 @@ TABLE = (
     for_robot(
         'journal',
         '',
-        "File on the robot's own disk that keeps its orders, its way and its readings; when a "
-        'mission begins, that of the one before is moved to a folder beside. Empty for '
-        'AGENT.journal in the folder .ros/kbnitp_ros of the home.',
+        'Journal of the robot: a file on its own disk with its orders, its way and its readings. '
+        'When a mission begins, the journal of the last one is moved to a folder beside it. Empty '
+        'for .ros/kbnitp_ros/AGENT.journal in the home folder.',
     ),
     for_robot(
         'driver',
@@ -542,78 +571,80 @@ TABLE = (
     for_robot(
         'position',
         'tf',
-        'Source of the robot position: tf for TF, or fix for sensor_msgs/NavSatFix on fix, which '
-        'takes a datum.',
+        'Source of the robot position: tf for TF, or fix for sensor_msgs/NavSatFix on the topic '
+        'fix, which needs a datum.',
         choices=('tf', 'fix'),
     ),
     for_robot(
         'base_frame',
         'base_link',
-        'Frame of the robot, whose place in the frame map TF tells, and the frame of fixes.',
+        'Frame of the robot: TF gives its place in the frame map, and fixes must be in this '
+        'frame.',
     ),
     for_robot(
         'tf_timeout',
         2.0,
-        'Maximum age of a transform, a fix or a detection, seconds. A jump of more than a cell '
-        'counts if it lasts as long.',
+        'Maximum age of a transform, a fix or a detection, seconds. A jump of more than a cell is '
+        'accepted once it has lasted that long.',
         limits=(1e-3, 1e6),
     ),
     for_robot(
         'max_speed',
         0.0,
-        'Maximum speed of the robot, in m/s: after a faster jump its position is uncertain and no '
-        'more readings of its walk count; 0 for no check.',
+        'Maximum speed of the robot, in m/s: after a faster jump its position is uncertain, and '
+        'later readings of that deployment do not count; 0 for no check.',
         limits=(0.0, 1e6),
     ),
     for_robot(
         'arrival_tolerance',
         0.5,
-        'Metres from the middle of the base within which the robot is home.',
+        'Maximum distance of a robot at home from the middle of its base, metres.',
         limits=(1e-3, 1e6),
     ),
     for_robot(
         'stay_time',
         2.0,
-        'Seconds that a robot waits in a cell where its path stays for a step.',
+        'Seconds that a robot waits in a cell for each step in which its path stays.',
         limits=(0.0, 1e6),
     ),
     for_robot(
         'attempts',
         3,
-        'Maximum number of goals in a row that bring the robot to no new cell, before it goes '
-        'home.',
+        'Maximum number of goals in a row without a new cell, after which the robot goes home.',
         limits=(1, 1000),
     ),
     for_robot(
         'time_budget',
         0.0,
-        'Maximum seconds from departure to return: the robot turns back when the rest is the time '
-        'of the way back, by its steps so far; 0 for no limit.',
+        'Maximum seconds from departure to return; 0 for no limit. The robot turns back when the '
+        'way back, at the pace of its steps so far, takes the rest of that time.',
         limits=(0.0, 1e9),
     ),
     for_robot(
-        'retry_delay', 2.0, 'Seconds from a failed goal to the next one.', limits=(0.0, 1e6)
+        'retry_delay', 2.0, 'Seconds from a failed goal to the next try.', limits=(0.0, 1e6)
     ),
     for_robot(
         'server_timeout',
         10.0,
-        'Seconds without feedback after which an action server is taken for dead.',
+        'Seconds without feedback after which an action server counts as dead.',
         limits=(1e-3, 1e6),
     ),
     for_robot(
         'detection_type',
         'bool',
-        'Type of the messages on detections: std_msgs/Bool, or vision_msgs/Detection2DArray where '
-        'that package is installed.',
+        'Type of detection messages: bool for std_msgs/Bool, or detection2d_array for '
+        'vision_msgs/Detection2DArray where that package is installed.',
         choices=('bool', 'detection2d_array'),
     ),
     for_robot(
-        'detection_class', '', 'Class of a detection in an array that is a target; empty for any.'
+        'detection_class',
+        '',
+        'Class of the detections that are targets, for detection2d_array; empty for any.',
     ),
     for_robot(
         'detection_score',
         0.5,
-        'Score that a detection in an array must have to count.',
+        'Minimum score of the detections that count, for detection2d_array.',
         limits=PROBABILITY,
     ),
     Parameter(
@@ -628,20 +659,21 @@ TABLE = (
         'The log to write, which must not exist yet; empty for runs/TIME/mission.mcap. Not used '
         'with resume.',
     ),
-    for_recorder('compression', 'none', 'How the log is compressed.', choices=('none', 'zstd')),
+    for_recorder('compression', 'none', 'Compression of the log.', choices=('none', 'zstd')),
     for_recorder(
         'max_file_size',
         2**24,
-        'Bytes after which the log continues in another file beside the first, which frees the '
-        'memory of its index; 0 for one file. What each file starts with, up to '
-        '100 kB, does not count.',
+        'Maximum bytes of a file of the log, after which the log continues in another file beside '
+        'the first, which frees the memory of its index; 0 for one file. The first records of a '
+        'file, up to 100 kB, do not count.',
         limits=(2**20, 2**62),
         off=0,
     ),
     for_recorder(
         'max_file_duration',
         0.0,
-        'Seconds after which the log continues in another file beside the first; 0 for one file.',
+        'Maximum seconds of a file of the log, after which the log continues in another file '
+        'beside the first; 0 for one file.',
         limits=(0.0, 1e9),
     ),
 )

@@ -38,8 +38,8 @@ def written(folder, content):
     ({'planner': {'ros__parameters': {}, 'robots': 3}}, "'planner' must hold ros__parameters"),
     ({'planner': {'ros__parameters': 3}}, "'planner' holds 3: it must hold parameters"),
     ([], 'it holds []: it must hold sections'),
-    (section('planner', seed=3), 'seed is unknown to the planner: it is one of agent, estimator'),
-    (section('recorder', step_period=1.0), 'step_period is unknown to the recorder: it is one'),
+    (section('planner', seed=3), 'seed is unknown to the planner: it is a parameter of agent'),
+    (section('recorder', step_period=1.0), 'step_period is unknown to the recorder: it is a'),
     (section('/**', sensor={'lethal': 1.0}), "'/**': parameter sensor.lethal is unknown to"),
     (section('/**', seed='x'), "seed is 'x': it must be a whole number"),
     (section('/a/agent', seed=-1), 'seed is -1: it must be from 0'),
@@ -209,11 +209,11 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
 
 
 @for_each('name, rule, told', [
-    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
+    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is a'),
     ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
     ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
-    ('planner', 'planer:robots:=3', "no node is called 'planer': did you mean planner?"),
-    ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is one of planner'),
+    ('planner', 'planer:robots:=3', "this node is not 'planer': did you mean planner?"),
+    ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is a'),
 ])  # fmt: skip
 def test_a_bad_rule_is_refused(name, rule, told):
     for flag in ('-p', '--param'):

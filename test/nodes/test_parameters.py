@@ -104,7 +104,7 @@ def test_nodes_declare_the_table(make_node, name):
     ({'learn': ['kappa']}, 'parameter learn is called learn.numbers now'),
     ({'team.scout_1.max_step': 9}, 'every node: did you mean team.scout_1.max_steps? '),
     ({'team.scout_1.seed': 3}, 'team.scout_1.seed: all agents have the same seed'),
-    ({'team.scuot_1.max_steps': 9}, 'is for scuot_1: did you mean scout_1? the parameter'),
+    ({'team.scuot_1.max_steps': 9}, 'of agent scuot_1, which is not in the team: did you'),
     ({'team.scout_1.sensor.lethality': 2.0}, 'lethality is 2.0: it must be from 0.0 to'),
 ])  # fmt: skip
 def test_bad_values_are_refused_at_start_up(make_node, overrides, told):
@@ -206,7 +206,7 @@ def test_an_agent_s_values_for_other_nodes_are_ignored(make_node):
 def test_a_number_that_no_robot_shares_cannot_be_learnt():
     own = {'team.scout_1.sensor.lethality': 0.3, 'learn.numbers': ('lethality',)}
     values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}
-    with pytest.raises(ValueError, match='learn.numbers has lethality: every agent has a value'):
+    with pytest.raises(ValueError, match='learn.numbers has lethality, and every agent has a'):
         make_estimator(values, make_grid(values))
     two = values | {'agents': ('scout_1', 'scout_2')}
     assert make_estimator(two, make_grid(two)).unknowns.priors.keys() == {'lethality'}
@@ -225,7 +225,7 @@ def test_values_follow_changes(make_node):
     ('robots', -1, 'out of range'),
     ('planner', 'guess', f"'guess': it must be one of {', '.join(PLANNERS)}"),
     ('beam_width', 2.5, 'type'),
-    ('use_sim_time', True, 'use_sim_time cannot change: start the node again with it'),
+    ('use_sim_time', True, 'use_sim_time cannot change: restart the node with the'),
 ])  # fmt: skip
 def test_bad_values_are_refused_while_running(make_node, name, value, told):
     node = make_node()
@@ -366,7 +366,7 @@ def test_bad_bases_are_refused_by_name(tmp_path, given, told):
 
 def test_a_map_of_too_many_cells_is_refused(tmp_path):
     values = write_map(tmp_path, ['.' * 1001], resolution=0.05)
-    with pytest.raises(ValueError, match='grid of 1001 x 1 cells: at most 1000 a side'):
+    with pytest.raises(ValueError, match='grid of 1001 x 1 cells: at most 1000 per side'):
         make_grid(values)
     assert make_grid(values | {'grid.resolution': 0.1, 'unknown_blocks': False}).width == 501
 

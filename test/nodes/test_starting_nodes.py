@@ -80,7 +80,7 @@ CANNOT_START = [
     ('recorder', 'file:=/', "'/'"),
     ('recorder', 'file', "Couldn't parse parameter override rule"),
     ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is one of'),
+    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is a'),
     ('recorder', 'max_file_size:=90000', 'max_file_size is 90000: it must be 0 or from 1048576'),
 ]  # fmt: skip
 
@@ -226,10 +226,12 @@ def test_nodes_name_what_they_wait_for(field):
     field.start('estimator', PARAMETERS)
     field.start('agent', PARAMETERS)
     until_said(
-        field, '/agent', 'waiting for planner to listen to /scout_1/report (parameter await_nodes)'
+        field,
+        '/agent',
+        'waiting for planner to subscribe to /scout_1/report (parameter await_nodes)',
     )
     until_said(
-        field, '/estimator', 'waiting for planner to listen to /belief (parameter await_nodes)'
+        field, '/estimator', 'waiting for planner to subscribe to /belief (parameter await_nodes)'
     )
     until_said(
         field,
