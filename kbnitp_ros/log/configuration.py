@@ -25,7 +25,7 @@ def numerical_environment() -> dict[str, str]:
     numba = next((each.version for each in distributions(name='numba')), 'none')
     return {
         'processor': _processor(),
-        # numpy and the C library compute logarithms differently on processors with more features.
+        # The logarithms of numpy and the C library depend on the processor's features.
         'processor_features': ' '.join([*found.get('baseline', ()), *found.get('found', ())]),
         'c_library': ' '.join(platform.libc_ver()),
         'numpy': np.__version__,
@@ -65,7 +65,7 @@ def parameters_record(values: Mapping[str, Any]) -> dict[str, str]:
 
 def _package_version(package: str) -> str:
     """Return the version in a ROS package's manifest."""
-    # Needed by writers of logs alone.
+    # Imported here, since only writers of logs need it.
     from ament_index_python.packages import get_package_share_directory
 
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a log, their errors, and the lock against a second writer."""
+"""The files of a log, their errors, and the lock that excludes a second writer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUFFIXES = ('.mcap', '.db3')
 METADATA = 'metadata.yaml'
 INFORMATION = 'rosbag2_bagfile_information'
 
-# The suffix of later parts after the name of the log; a date has more digits.
+# Suffix of the names of later parts: at most five digits, since a date has more.
 NUMBER = r'_([1-9]\d{0,4})'
 
 
@@ -38,7 +38,7 @@ def log_parts(path: str | Path) -> list[Path]:
         if listed and not listed[0].exists():
             raise LogError(
                 f'{listed[0]}, which {METADATA} lists, is missing: put it back, or name the other '
-                'parts singly'
+                'parts one by one'
             )
         firsts = [*listed[:1], *(file for file in files if not is_later_part(file))]
         if not firsts:
@@ -63,7 +63,8 @@ def with_later_parts(first: Path) -> list[Path]:
     parts = [first.with_name(name) for name in dict.fromkeys(names)]
     if missing := [part.name for part in parts[1:] if not part.exists()]:
         raise LogError(
-            f'{missing[0]} of the log {first} is missing: put it back, or name the parts singly'
+            f'{missing[0]} of the log {first} is missing: put it back, or name the parts one by '
+            'one'
         )
     return parts
 
@@ -121,13 +122,15 @@ def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
     except NotYamlError:
         return {}
     except ValueError as error:
-        raise LogError(f'{path}: {error}; without it the log can be read, too') from error
+        raise LogError(
+            f'{path}: {error}; delete {path.name}, which reading does not need'
+        ) from error
     information = content.get(INFORMATION) if isinstance(content, dict) else None
     return information if isinstance(information, dict) else {}
 
 
 def check_is_new(first: Path) -> None:
-    """Check that a new log's name is not that of another log or of a part of one."""
+    """Check that the name of a new log differs from those of other logs and their parts."""
     if first.suffix != '.mcap':
         raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
     try:
@@ -138,12 +141,12 @@ def check_is_new(first: Path) -> None:
         raise FileExistsError(f'{first} exists and is not overwritten: name another file')
     if is_later_part(first):
         raise FileExistsError(
-            f'{first} would be taken for a part of the log beside it: give it another name'
+            f'{first} has the name of a later part of another log: choose another name'
         )
     if first.parent.is_dir() and (later := numbered(first)):
         raise FileExistsError(
-            f'{next(iter(later.values()))} would be taken for a part of {first}: '
-            'give that another name'
+            f'{next(iter(later.values()))} has the name of a later part of {first}: choose '
+            'another name for the new log'
         )
 
 
@@ -154,14 +157,14 @@ class LogLock:
         self.path = first
         self._file = locked(first)
         try:
-            # The former holder may have put another file in its place.
+            # The process that held the lock before may have replaced the file.
             check_in_place(self._file, first)
         except OSError as error:
             self.release()
-            raise LogError(f'{first} was replaced just now: try again') from error
+            raise LogError(f'{first} was replaced while it was opened: try again') from error
 
     def put_in_place(self, new: Path, part: Path) -> None:
-        """Rename a new file to a part; a first part is locked before."""
+        """Rename a new file to a part, and move the lock if that is the first part."""
         if part != self.path:
             new.replace(part)
             return
@@ -171,7 +174,7 @@ class LogLock:
         self._file = file
 
     def check_in_place(self) -> None:
-        """Check that the locked file is there; raises FileNotFoundError."""
+        """Check that the locked file was not replaced; raise FileNotFoundError."""
         check_in_place(self._file, self.path)
 
     def release(self) -> None:
@@ -203,7 +206,7 @@ def locked(path: Path) -> IO[bytes]:
 
 
 def check_in_place(file: IO[bytes], path: Path) -> None:
-    """Check that an open file is still the one with its name."""
+    """Check that an open file was not removed or replaced."""
     try:
         is_in_place = os.path.samestat(os.fstat(file.fileno()), path.stat())
     except FileNotFoundError:

@@ -33,7 +33,7 @@ class Moment:
     snapshot: Snapshot
     # When it was received, nanoseconds.
     time: int
-    # Position of the belief in the log, bytes.
+    # Position of the belief in the log, in bytes.
     position: int
     # Index of the deployment assimilated last; None for the prior.
     deployment: int | None = None
@@ -50,7 +50,7 @@ class Moment:
 
     @property
     def belief(self) -> Belief:
-        """Return the belief given the deployments held."""
+        """Return the belief."""
         return self.snapshot.belief
 
     @property
@@ -80,7 +80,7 @@ class History:
     decision: Decision | None = None
     # The hidden truth, if the agent published it.
     world: World | None = None
-    # Corrupt places, after which a file is not read.
+    # The first corrupt place of each file, where reading ends.
     corrupt: list[LogError] = field(default_factory=list)
 
     @property
@@ -133,7 +133,9 @@ def read_history(
             elif role.name == 'belief':
                 snapshot = logged.said
                 if snapshot.grid != first.grid:
-                    raise ValueError(f'it is on {snapshot.grid}, and the first on {first.grid}')
+                    raise ValueError(
+                        f'grid is {snapshot.grid}: in the first belief it was {first.grid}'
+                    )
                 history.moments.append(Moment(snapshot, logged.log_time, logged.position))
                 evidence.take(role, logged)
             elif role.name == 'model':

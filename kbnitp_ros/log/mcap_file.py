@@ -40,15 +40,14 @@ Definition = tuple[str, str, bytes]
 
 
 class FileWriter:
-    """An MCAP file being written, to be abandoned after an OSError."""
+    """A writer of an MCAP file, to be abandoned after an OSError."""
 
     def __init__(self, path: Path, compression: str) -> None:
         self.path = path
-        # The file's content so far.
+        # Topics and times written so far.
         self.contents = BagFile(path.name)
         self._file = path.open('xb')
-        # Bytes before the first message: the types and channels known by then, and metadata
-        # records.
+        # Bytes before the first message: types, channels and metadata records.
         self.preamble = 0
         self._written = 0
         self._pending = 0
@@ -58,7 +57,7 @@ class FileWriter:
         try:
             self._writer = Writer(
                 self._file,
-                # This class ends the chunks.
+                # `flush` ends chunks.
                 chunk_size=2**62,
                 compression=COMPRESSIONS[compression],
                 enable_data_crcs=True,
@@ -124,7 +123,7 @@ class FileWriter:
         if contents.last < contents.first:
             self.preamble = self.size
         if len(data) > CHUNK:
-            # In a chunk with others it might become too large to be read.
+            # Together with other messages the chunk might become too large to be read.
             self.flush()
         self._writer.add_message(channel, log_time, data, publish_time, sequence)
         topic['message_count'] += 1
@@ -137,7 +136,7 @@ class FileWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Pass all that was written to the system, which keeps it if the process is killed."""
+        """Pass written messages to the system, where they survive the end of the process."""
         with naming(self.path):
             self._writer.flush()
         self._written = self._file.tell()
@@ -145,10 +144,10 @@ class FileWriter:
 
     def sync(self) -> None:
         """Put everything written so far onto the disk; raise an OSError if that fails."""
-        # Writing after a cut fills it with zeros.
+        # Checked first: writing after a cut would fill the gap with zeros.
         self._check_size()
         self.flush()
-        # Like fsync, without the times of the file.
+        # Unlike fsync, this does not sync the times of the file.
         with naming(self.path):
             os.fdatasync(self._file.fileno())
         self.check_in_place()
@@ -178,13 +177,13 @@ class FileWriter:
             self._file.close()
 
     def abandon(self) -> None:
-        """Leave the file unfinished, as it was after the last flush; raises nothing."""
+        """Close the file, unfinished, as it was after the last flush; raise nothing."""
         if self._file.closed:
             return
         with suppress(OSError):
             os.ftruncate(self._file.fileno(), self._written)
         with suppress(OSError):
-            # Not through the buffer, which would write again.
+            # Closing the buffer would write again.
             self._file.raw.close()
 
 
@@ -193,7 +192,7 @@ def repair(
     target: Path,
     progress: Callable[[Iterator[Recorded]], Iterable[Recorded]] = iter,
 ) -> tuple[int, list[str]]:
-    """Write the readable part of a log to a new file; return its messages and what was lost."""
+    """Copy the readable part of a log to a new file; return its messages and the errors."""
     check_is_new(target)
     lost = [f'{part} is unfinished' for part in log_parts(path) if not is_finished_part(part)]
     corrupt: list[LogError] = []
@@ -257,7 +256,7 @@ def copy(recorded: Iterable[Recorded], target: Path, name: str, compression: str
                     channel, record.data, record.log_time, record.publish_time, record.sequence
                 )
             elif record.name != BAG_RECORD and metadata.get(record.name) != record.values:
-                # Each part has all of them.
+                # Every part repeats all metadata.
                 metadata[record.name] = record.values
                 part.add_metadata(record.name, record.values)
         part.finish()

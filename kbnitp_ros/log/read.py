@@ -28,7 +28,7 @@ from mcap_ros2.decoder import DecoderFactory
 # Bytes of a record.
 MAX_RECORD = 2**30
 
-# First bytes of other files than MCAP, and what to do with them.
+# First bytes of files that are not MCAP, and their remedies.
 SQLITE_MAGIC = b'SQLite format 3\0'
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 REMEDIES = {
@@ -65,7 +65,7 @@ class RecordedMessage(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
-    # End of its record, bytes.
+    # End of its record in the file, bytes.
     position: int
 
 
@@ -149,7 +149,7 @@ def read_metadata(
 
 
 def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
-    """Yield the changed parameters of some nodes, with old and new values, in words."""
+    """Describe each change of a parameter of these nodes, with old and new value."""
     known: dict[str, dict[str, str]] = {}
     for item in read_recorded(path, []):
         if not (isinstance(item, RecordedMetadata) and item.name.startswith(f'{PARAMETERS}/')):
@@ -166,7 +166,7 @@ def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[
 def read_parameters(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Return the last parameters of a run's nodes."""
+    """Return the last recorded parameters of each node."""
     parameters = {}
     for name, record in read_metadata(path, corrupt).items():
         if name.startswith(f'{PARAMETERS}/'):
@@ -253,12 +253,15 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
                 elif isinstance(record, Channel):
                     channels[record.id] = record
                 elif isinstance(record, Statistics) and record.message_count != messages:
-                    raise ValueError(f'{messages} of {record.message_count} messages are there')
+                    raise ValueError(
+                        f'it has {messages} messages, and its statistics say '
+                        f'{record.message_count}'
+                    )
         except Exception as error:
-            # The parser raises many types of them.
+            # The parser raises many types of errors.
             found = LogError(
                 f'{part} is corrupt after byte {position} ({in_words(error)}): replay --repair '
-                'saves what is before, mcap recover may save more'
+                'saves the messages before, mcap recover may save more'
             )
             if corrupt is None:
                 raise found from error
@@ -266,7 +269,7 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
 
 
 def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
-    """Yield the records of the first bytes of a file, with their ends; raises any Exception."""
+    """Yield the records in the first `size` bytes of a file, with their ends."""
     ends = list(record_ends(file, size))
     file.seek(0)
     records = StreamReader(
@@ -284,7 +287,7 @@ def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
 
 
 def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
-    """Yield where each whole record of a file ends, by kinds and lengths."""
+    """Yield the end of each whole record of a file, in bytes."""
     end = len(MCAP0_MAGIC)
     while end + HEAD.size <= size:
         file.seek(end)
@@ -296,7 +299,7 @@ def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
 
 
 def check_cut(file: BinaryIO, end: int, size: int) -> None:
-    """Check that no record follows the last whole one: the file ends there or was cut."""
+    """Check that a file ends, or was cut, after its last whole record."""
     ends_well = ends_finished(file, size)
     if ends_well and size <= end + len(MCAP0_MAGIC):
         return
@@ -305,7 +308,7 @@ def check_cut(file: BinaryIO, end: int, size: int) -> None:
     with suppress(EndOfFile, struct.error):
         kind, length = rest.read1(), rest.read8()
         if kind == 0:
-            # Space that the file system reserved.
+            # Zeros are space that the file system reserved.
             while block := file.read(2**20):
                 if block.strip(b'\0'):
                     raise ValueError('a record has no kind')
@@ -322,7 +325,7 @@ def check_cut(file: BinaryIO, end: int, size: int) -> None:
         else:
             return
         if rest.count + left != HEAD.size + length:
-            raise ValueError(f'a record of {length} bytes has content of another length')
+            raise ValueError(f'the content of a record of {length} bytes has another length')
 
 
 def check_start(file: BinaryIO, part: Path) -> int:
@@ -331,7 +334,7 @@ def check_start(file: BinaryIO, part: Path) -> int:
     for magic, remedy in REMEDIES.items():
         if start.startswith(magic):
             raise LogError(f'{part} {remedy}')
-    # A killed writer may have left a part of them.
+    # A killed writer may have left only some of the first bytes.
     if not MCAP0_MAGIC.startswith(start[: len(MCAP0_MAGIC)]):
         raise LogError(f'{part} is no MCAP file')
     return os.fstat(file.fileno()).st_size

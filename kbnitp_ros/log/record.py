@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike
 
 
 class MissingError(ValueError):
-    """A message refers to another one that has not arrived, or that the log lacks."""
+    """A message refers to another one, which has not arrived or is not in the log."""
 
 
 class Departures:
@@ -44,7 +44,7 @@ class Departures:
         # Robots that have departed and were not reported.
         self.out: set[DeploymentKey] = set()
         self._statuses: dict[DeploymentKey, AgentStatus] = {}
-        # When the agent made its report, by its own clock; None for other sources.
+        # Time of the agent's report, by its own clock; None for reports of others.
         self._reported: dict[DeploymentKey, int | None] = {}
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
@@ -57,8 +57,8 @@ class Departures:
             is_late = reported is not None and status.stamp > reported
             if status.state is OrderState.REFUSED or is_late:
                 raise ValueError(
-                    f'deployment {key} is {status.state.name} after it was reported: the report '
-                    'holds'
+                    f'status {status.state.name} of deployment {key} contradicts its report, '
+                    'which counts'
                 )
         elif status.state is OrderState.DEPARTED:
             self.out.add(key)
@@ -76,8 +76,8 @@ class Departures:
             # A restarted agent repeats its earlier statuses.
             return False
         raise ValueError(
-            f'deployment {key} is {status.state.name}, and was {known.state.name} before: the '
-            f'first counts (do two robots have the name {key.agent}?)'
+            f'status {status.state.name} of deployment {key} contradicts the earlier status '
+            f'{known.state.name}, which counts (do two robots have the name {key.agent}?)'
         )
 
     def end(self, key: DeploymentKey, reported: int | None) -> None:
@@ -93,12 +93,12 @@ class Departures:
         return self._statuses.get(key)
 
     def is_refused(self, key: DeploymentKey) -> bool:
-        """Return whether the robot stays at the base."""
+        """Return whether an order was refused, so that its robot stays at the base."""
         status = self._statuses.get(key)
         return status is not None and status.state is OrderState.REFUSED
 
     def is_at_base(self, key: DeploymentKey) -> bool:
-        """Return whether the last status of an order keeps the robot at the base."""
+        """Return whether the robot is at the base by the last status of its order."""
         status = self._statuses.get(key)
         return status is not None and status.state is not OrderState.DEPARTED
 
@@ -106,12 +106,12 @@ class Departures:
         """Check that a robot can have been lost; raises `MissingError` if it never departed."""
         if self.is_refused(key):
             raise ValueError(
-                f'deployment {key} is reported lost, and its robot stays at the base: '
+                f'deployment {key} is reported lost, but its agent refused it: '
                 f'{self._statuses[key].reason}'
             )
         if self.is_at_base(key) and key not in self._reported:
             raise MissingError(
-                f'deployment {key} is reported lost, and its agent has not reported its departure'
+                f'deployment {key} is reported lost, but its agent has not reported its departure'
             )
 
 
@@ -135,8 +135,8 @@ def required_belief(log: MissionLog) -> Snapshot:
     if belief := first_belief(log):
         return belief
     raise LogError(
-        f'{log.path} has no beliefs on record that can be read: it must have messages of type '
-        f'{BELIEF} on {log.roles.names["belief"]}'
+        f'{log.path} has no readable beliefs: it must have messages of type {BELIEF} on '
+        f'{log.roles.names["belief"]}'
     )
 
 
@@ -156,7 +156,7 @@ def begun(prior: Snapshot) -> Ledger:
 
 
 def last_belief(log: MissionLog) -> Snapshot | None:
-    """Return the recorded belief with the most deployments, the last of equals."""
+    """Return the recorded belief with the most deployments, the latest of several."""
     last: Snapshot | None = None
     for _, logged in log.read('belief'):
         if last is None or logged.said.deployments >= last.deployments:
@@ -193,11 +193,11 @@ class RecordedMission(MissionRecord):
         mission: int | None = None,
     ) -> None:
         super().__init__(grid, max_steps, robot_types)
-        # Start of the mission whose paths are taken, nanoseconds; None for all missions.
+        # Start of the mission whose paths are accepted, nanoseconds; None for all missions.
         self.mission = mission
         # First belief of the mission, if it was read.
         self.prior: Snapshot | None = None
-        # Maximum number of steps of all robots, and of agents with their own limit.
+        # Step limits accepted: the common one, and those of agents with their own.
         self._rules = [(max_steps, own_steps(robot_types))]
         # The reports that count, by deployment, in the order of arrival.
         self.reports: dict[DeploymentKey, Report] = {}
@@ -205,18 +205,18 @@ class RecordedMission(MissionRecord):
         self.operator = OperatorState()
         # Serialized paths by deployment, and serialized actions of the operator by stamp.
         self.messages: dict[DeploymentKey | int, bytes] = {}
-        # When the path of a deployment, and its report of a stamp, were received, nanoseconds.
+        # Times of receiving each path, and each report by its stamp, nanoseconds.
         self.sent: dict[DeploymentKey, int] = {}
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
         # Messages that no estimator accepts, and why.
         self.refused: list[str] = []
-        # All paths and reports by the hashes of their messages; the matching reports by time.
+        # All paths and reports by hashes of their messages; reports that match a path by stamp.
         self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
         self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
         self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)
 
     def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
-        """Accept paths up to the step limits of the estimator of a belief."""
+        """Accept paths up to these step limits, too."""
         if (rules := (max_steps, own_steps(robot_types))) not in self._rules:
             self._rules.append(rules)
         self.max_steps = max(self.max_steps, max_steps)
@@ -226,7 +226,7 @@ class RecordedMission(MissionRecord):
         return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
-        """Record a path, report, status, action or rules of a belief, or why it is refused."""
+        """Record a path, report, status, action, or the step limits of a belief."""
         if role.name == 'operator':
             action = read_operator_action(self.grid, logged.message)
             if self.operator.apply(action):
@@ -255,12 +255,12 @@ class RecordedMission(MissionRecord):
             record(self, role, logged)
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """Record a path, also one that is not the first of its deployment."""
+        """Record a path, even if another path of its deployment counts."""
         self._paths_read.setdefault((key, content), path)
         return super().record_path(key, path, content)
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Record a report, also one that does not count."""
+        """Record a report, even if another report of its deployment counts."""
         self._reports_read.setdefault((key, report.content), report)
         return super().record_report(key, report)
 
@@ -277,20 +277,20 @@ class RecordedMission(MissionRecord):
             self.refused.append(self.contradicted[key][:MAX_SHOWN])
 
     def find_report(self, key: DeploymentKey, stamp: int) -> Report:
-        """Return the first report of a deployment with this time, or else the one that counts."""
+        """Return the first report of a deployment with this stamp, else the one that counts."""
         return self._by_stamp[key].get(stamp, self.reports[key])
 
     def named(
         self, key: DeploymentKey, path: int, report: int, stamp: int
     ) -> tuple[ArrayLike, Report]:
-        """Return the path and the report with these hashes, which a belief of a time names."""
+        """Return the path and the report with these hashes, named by a belief of this stamp."""
         if (key, path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')
         if found := self._reports_read.get((key, report)):
             return self._paths_read[key, path], found
         missing = f'report of deployment {key} is not on record'
         if min(self._by_stamp[key], default=stamp) > stamp:
-            raise MissingError(f'{missing}, but a later one')
+            raise MissingError(f'{missing}, but a later report is')
         raise ValueError(missing)
 
     @property
@@ -303,7 +303,7 @@ class RecordedMission(MissionRecord):
         return None if self.departures.is_refused(key) else self.outcomes.get(key)
 
     def has_departed(self, key: DeploymentKey) -> bool:
-        """Return whether a robot is known to have departed."""
+        """Return whether a robot has departed by its status, or has an outcome."""
         status = self.departures.status(key)
         says_so = status is not None and status.state is OrderState.DEPARTED
         return says_so or self.outcome(key) is not None
@@ -360,7 +360,7 @@ def read_newest_round(
     log: MissionLog, record: RecordedMission
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
     """Return the recorded belief that the newest deployments were planned on, and their keys."""
-    # A refused order is awaited by nobody, and in no belief.
+    # Beliefs do not count refused orders.
     keys = [key for key in record.orders if not record.departures.is_refused(key)]
     planned_on = None
     for _, logged in log.read('belief'):
@@ -379,7 +379,7 @@ def read_newest_round(
 
 
 def read_mission(log: MissionLog) -> int | None:
-    """Return when the mission of a log began, in nanoseconds; None if it has no belief."""
+    """Return the start of the mission of a log, in nanoseconds; None if it has no belief."""
     stated: dict[int, None] = {}
     sent: dict[int, None] = {}
     for role, logged in log.read('belief', 'path'):
@@ -395,7 +395,7 @@ def read_mission(log: MissionLog) -> int | None:
 
 
 def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:
-    """Return whether a recorded path or report can be of the mission begun at a time."""
+    """Return whether a recorded path or report can be of this mission."""
     return mission is None or role.name != 'path' or logged.said[1] == mission
 
 
@@ -404,13 +404,13 @@ def read_ledger(log: MissionLog) -> Ledger:
     prior = required_belief(log)
     if prior.deployments:
         raise LogError(
-            f'{log.path} begins with a belief in {prior.deployments} deployments: the prior is '
-            'not on record'
+            f'{log.path} begins with a belief that holds {prior.deployments} deployments: the '
+            'prior is not on record'
         )
     ledger, mission = begun(prior), read_mission(log)
     for role, logged in log.read('path', 'report'):
         if is_of_mission(role, logged, mission):
-            # The estimator refused it as well.
+            # The estimator refused this evidence, too.
             with suppress(ValueError):
                 record(ledger, role, logged)
     return ledger

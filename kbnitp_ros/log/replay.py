@@ -2,9 +2,9 @@
 """
 Compute a log's beliefs again from its paths and reports.
 
-A belief on record names the evidence that was assimilated since the belief before it. A replay
-assimilates the same evidence, and compares its belief with the one on record, field by field.
-After a missing belief none is compared until one that names all of its evidence. The same holds
+A recorded belief names the evidence that was assimilated since the belief before it. A replay
+assimilates the same evidence, and compares its belief with the recorded one, field by field.
+After a missing belief, beliefs are not compared until one names all of its evidence; likewise
 after a belief whose report is missing, if the log has later reports of that deployment.
 """
 
@@ -39,7 +39,7 @@ from kbnitp_ros.messages.beliefs import (
 from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
 from kbnitp_ros.messages.progress import decision_fields
 
-# Roles computed from the evidence, and all roles read.
+# Roles that are computed again from the evidence, and all roles that are read.
 COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
 READ = (*COMPUTED, 'path', 'report', 'status', 'operator', 'progress')
 
@@ -55,7 +55,7 @@ def replay(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     asked: RecordedGoal | None = None,
 ) -> ReplayReport:
-    """Compute a log's beliefs again, and decisions, and compare them with those on record."""
+    """Compute a log's beliefs and decisions again, and compare them with the recorded ones."""
     log = log if isinstance(log, MissionLog) else MissionLog(log)
     first = required_belief(log)
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
@@ -91,16 +91,17 @@ class Fold:
         self.report = report
         self._topic = topic
         self._ledger: Ledger | None = None
-        # Evidence that the ledger has assimilated, as the hashes of path and report; the digests
-        # of the belief that names it, empty if none does, and of the last one on record.
+        # Evidence that the ledger has assimilated, as the hashes of path and report.
         self._assimilated: dict[DeploymentKey, tuple[int, int]] = {}
+        # Digests of the last belief that was computed, empty after a failure, and of the last one
+        # read.
         self._held = self._last = b''
         self._index = -1
         self._seen: set[bytes] = set()
         self.views = ReplayedViews()
         self._asked = asked
-        # Topic, index and message of the decisions not compared yet, by the stamp and the number
-        # of deployments of their belief.
+        # Topic, index and message of decisions to be compared, by the stamp and the number of
+        # deployments of their belief.
         self._decisions: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
 
     def take(self, logged: LoggedMessage) -> None:
@@ -109,7 +110,7 @@ class Fold:
         belief = logged.message
         newest = newest_deployment(belief)
         digest = blake2b(logged.data, digest_size=16).digest()
-        # A restarted estimator counts from the start, so equal counts alone prove nothing.
+        # A restarted estimator counts from 0 again, so equal counts alone prove nothing.
         follows = self._held == self._last and belief.since == len(self._assimilated)
         self._last = digest
         if digest in self._seen:
@@ -131,7 +132,7 @@ class Fold:
                 newest, read_assimilated(belief), not belief.since, stamp
             ):
                 raise MissingError(
-                    f'the belief of {belief.since} deployments that it adds to is missing'
+                    f'the belief before it, which holds {belief.since} deployments, is missing'
                 )
             self._held = digest
             self._compare(belief, newest, stamp)
@@ -162,7 +163,7 @@ class Fold:
     ) -> bool:
         """Assimilate the named evidence; return False if the log lacks a belief before it."""
         if newest not in named:
-            raise ValueError(f'taken_in does not name {newest}, which it assimilated last')
+            raise ValueError(f'taken_in does not name {newest}, the deployment assimilated last')
         if is_complete and self._assimilated.items() - named.items():
             # A restarted estimator may hold less, or other reports of a deployment.
             assert self.report.evidence.prior is not None
@@ -187,7 +188,7 @@ class Fold:
         assert self._ledger is not None
         prior = self.report.evidence.prior
         assert prior is not None
-        # The mission of the paths, which may state none.
+        # Beliefs of early logs may state no mission.
         states_mission = read_stamp('mission', belief.mission) != NO_MISSION
         mission = prior.mission if states_mission else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
@@ -198,14 +199,14 @@ class Fold:
         found = tuple(differences(belief, computed, TOLERANCE, learnt))
         is_equal = all(each.is_rounding for each in found)
         if found and is_equal:
-            # Its maps follow from its joint by sums and quotients, which no processor rounds
-            # otherwise.
+            # The maps follow from the joint by sums and quotients, which all processors round
+            # alike.
             maps = read_joint('joint', belief.joint, self._ledger.grid)
             own = Fields(hazard=maps.hazard, target=maps.target, kappa=maps.kappa)
             found += tuple(differences(belief, own, 0.0))
         if found:
             self.report.add(BeliefFinding(self._topic, self._index, newest, found))
-        # The grids of a belief with other rounding were made from that belief.
+        # Grids were made from the recorded belief, so a rounding difference is in them, too.
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
         self.views.expect(self._ledger, seen, newest, stamp)
         if not found:
@@ -238,7 +239,7 @@ class Fold:
                 self.report.add(BeliefFinding(topic, index, ledger.newest, found))
 
     def finish(self) -> None:
-        """Compare the views with their beliefs, and find decisions and deployments left over."""
+        """Compare views with their beliefs, and report decisions and deployments left over."""
         report = self.report
         if self._ledger is not None:
             estimator = self._ledger.estimator
@@ -247,7 +248,7 @@ class Fold:
         reason = (
             'the goal is not on record'
             if self._asked is None
-            else 'the belief that it is made with is not reproduced or not on record'
+            else 'its belief is not on record, or differs from the computed one'
         )
         report.not_compared += [
             BeliefFinding(topic, index, None, reason=reason)
@@ -266,6 +267,6 @@ class Fold:
             else:
                 report.not_yet_held.append(key)
         if self._held != self._last:
-            # A missing or uncompared belief may hold the deployments passed over.
+            # The last belief was not compared, and may hold these deployments.
             report.not_yet_held[:0] = report.passed_over
             report.passed_over = []

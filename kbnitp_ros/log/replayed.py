@@ -28,7 +28,7 @@ VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
 
 @dataclass(frozen=True)
 class Difference:
-    """A field that differs from the computed one."""
+    """The difference of a recorded field from the computed one."""
 
     # Name, such as 'info.width'.
     field: str
@@ -48,13 +48,13 @@ class Difference:
 def differences(
     recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
 ) -> Iterator[Difference]:
-    """Yield the differences of a recorded message in the computed fields."""
+    """Yield the fields in which a recorded message differs from the computed one."""
     for name, ours in vars(computed).items():
         # Logs of earlier versions lack fields that were added.
         if not hasattr(recorded, name):
             continue
         theirs = getattr(recorded, name)
-        # A learnt number; kappa is also the name of a map.
+        # A learnt number. The map kappa is an array.
         if name in rounded and np.ndim(ours) == 0:
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
         else:
@@ -81,7 +81,7 @@ def _differences_of_field(
     elif isinstance(ours, np.ndarray):
         yield from _array_differences(name, theirs, ours, tolerance)
     elif isinstance(ours, list) and len(theirs) != len(ours):
-        yield Difference(name, f'has {len(theirs)} values, computed are {len(ours)}')
+        yield Difference(name, f'has {len(theirs)} values, and the computed one {len(ours)}')
     elif isinstance(ours, list):
         for index, elements in enumerate(zip(theirs, ours)):
             yield from _differences_of_field(f'{name}[{index}]', *elements, tolerance)
@@ -96,7 +96,7 @@ def _array_differences(
     """Yield the largest difference of two arrays, if there is any."""
     recorded = np.asarray(theirs, dtype=ours.dtype)
     if recorded.size != ours.size:
-        yield Difference(name, f'has {recorded.size} values, computed are {ours.size}')
+        yield Difference(name, f'has {recorded.size} values, and the computed one {ours.size}')
         return
     differ = recorded.view(np.uint8) != ours.view(np.uint8)
     differ = differ.reshape(ours.size, ours.itemsize).any(axis=1)
@@ -124,7 +124,7 @@ TOLERANCE = 1e-9
 
 
 class Grade(IntEnum):
-    """How well the beliefs of a log are reproduced."""
+    """The result of comparing a log's beliefs with computed ones."""
 
     IDENTICAL = 0
     EQUAL = 1
@@ -173,13 +173,13 @@ class ReplayReport:
     # Beliefs that lack evidence in the log, and beliefs recorded twice.
     not_compared: list[BeliefFinding] = field(default_factory=list)
     repeated: list[BeliefFinding] = field(default_factory=list)
-    # Deployments that no belief holds although later ones are held: lost evidence.
+    # Deployments in no belief although a belief holds a later one: lost evidence.
     passed_over: list[DeploymentKey] = field(default_factory=list)
-    # Deployments after the last one known to be held.
+    # Deployments after the last one held by a belief.
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
     # Whether the log was finished by its writer.
     finished: bool = False
-    # Corrupt places, after which a file is not read.
+    # The first corrupt place of each file, where reading ends.
     corrupt: list[LogError] = field(default_factory=list)
 
     def add(self, finding: BeliefFinding) -> None:
@@ -194,7 +194,7 @@ class ReplayReport:
 
     @property
     def grade(self) -> Grade:
-        """Return how well the compared beliefs are reproduced."""
+        """Return the grade of the compared beliefs."""
         if self.mismatches or self.passed_over:
             return Grade.DIFFERENT
         return Grade.EQUAL if self.roundings else Grade.IDENTICAL
@@ -205,10 +205,10 @@ class ReplayReport:
         return self.grade == Grade.IDENTICAL
 
 
-# Fields of a grid.
+# A nav_msgs/OccupancyGrid, for the names of its fields.
 ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
 
-# The belief that a view belongs to, and the fields of a model or the digest of a grid.
+# A computed view: the deployment assimilated last, and the fields of a model or digest of a grid.
 Expected = tuple['DeploymentKey | None', Any]
 
 
@@ -220,7 +220,7 @@ class ReplayedViews:
         self._recorded: dict[tuple[str, str], list[tuple[int, int, Any]]] = defaultdict(list)
         # Computed views by role and stamp; beliefs may share a stamp.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
-        # Number of recorded beliefs of a stamp that were not computed.
+        # Number of recorded beliefs that were not computed, by stamp.
         self.unknown: Counter[int] = Counter()
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
@@ -237,7 +237,7 @@ class ReplayedViews:
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
         if ledger.estimator.parameters or ledger.estimator.check.alternatives:
             fields = model_fields(ledger, stamp)
-            # This sentence rounds numbers, and other processors round differently.
+            # The sentence contains rounded numbers, and other processors round differently.
             del fields.reason
             self._expected['model', stamp].append((newest, fields))
 
@@ -265,10 +265,10 @@ class ReplayedViews:
 
 
 def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
-    """Return the difference of a view from that of a belief; grids by their digests."""
+    """Return the differences of a recorded view from a computed one; grids by their digests."""
     if not isinstance(view, bytes):
         return tuple(differences(view, computed, TOLERANCE))
-    return () if view == computed else (Difference('data', 'is not that of the belief'),)
+    return () if view == computed else (Difference('data', 'does not match the belief'),)
 
 
 def grid_digest(view: Any) -> bytes:

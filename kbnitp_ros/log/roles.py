@@ -45,7 +45,7 @@ STATUS = 'kbnitp_msgs/msg/AgentStatus'
 VIEWS = ('hazard', 'target', 'kappa')
 TRUTH = ('truth/hazard', 'truth/target')
 
-# The roles of a mission, and those of each agent below its name, with their types.
+# Roles of a mission, and roles of each agent, with their message types.
 OF_MISSION = {
     'belief': BELIEF,
     'model': MODEL,
@@ -87,11 +87,11 @@ ROLES_OF = {
     'recorder': (*OF_MISSION, *OF_AGENT),
 }
 
-# The metadata record of the roles, and its value that is no role.
+# Name of the metadata record of the roles, and its key that is no role.
 RECORD = 'roles'
 NAMESPACE = 'namespace'
 
-# Maximum number of characters shown of a message: a report may name any number of cells.
+# Maximum number of characters of an invalid message in an error.
 MAX_SHOWN = 500
 
 # Fields of beliefs that 0.3.0 lacks.
@@ -150,7 +150,7 @@ class Roles:
         return {NAMESPACE: self.namespace, **self.names}
 
     def meant_by(self, node: str, stated: Mapping[str, str]) -> dict[str, str]:
-        """Return the roles of this mission that a node of this full name states."""
+        """Return the roles of this mission that a node states in its parameters."""
         root, above = self.namespace.rstrip('/'), node.rpartition('/')[0]
         if above == root:
             # Agents outside the team do not concern it.
@@ -168,7 +168,7 @@ class Roles:
         return above in (root, *(f'{root}/{agent}' for agent in self.agents))
 
     def difference(self, stated: Mapping[str, str]) -> str:
-        """Describe the first difference to another node's roles; empty if there is none."""
+        """Describe the first difference from another node's roles; empty if there is none."""
         for role, topic in stated.items():
             if (own := self.names.get(role)) is None:
                 agents = ', '.join(self.agents)
@@ -182,7 +182,7 @@ class Roles:
 def roles_on_record(
     log: str | Path, namespace: str | None = None, own: Roles | None = None
 ) -> Roles:
-    """Return the recorded roles of a mission, completed by those of a reader."""
+    """Return the recorded roles of a mission, with the reader's roles where none are recorded."""
     nodes: dict[str, dict[str, str]] = {}
     topics: dict[str, str] = {}
     for item in read_recorded(log, []):
@@ -214,7 +214,7 @@ def roles_of_old(
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
         raise LogError(f'{log} has missions in the namespaces {found}: choose one by --namespace')
-    # A log without parameters and beliefs so far names no mission.
+    # A log without parameters and beliefs does not name a mission yet.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
     for name, own in nodes.items():
@@ -267,7 +267,7 @@ class MissionLog:
 
     @contextmanager
     def leaving_out(self, logged: LoggedMessage) -> Iterator[None]:
-        """Record a message as invalid if the body raises ValueError."""
+        """Leave out a message if the body raises ValueError."""
         try:
             yield
         except LogError:

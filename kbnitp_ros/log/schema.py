@@ -33,7 +33,7 @@ INTERFACES = 'rosidl_interfaces'
 def check_installed(type_name: str) -> None:
     """Check that the ament index lists a message type."""
     package, _, interface = type_name.partition('/')
-    # Needed by writers of logs alone.
+    # Imported here, since only writers of logs need it.
     from ament_index_python.resources import get_resource, get_resources
 
     listed: list[str] = []
@@ -84,7 +84,7 @@ def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
 
 def check_readable(type_name: str, data: bytes) -> None:
     """Check that readers of a log can decode a message; raises ValueError."""
-    # rclpy replaces invalid UTF-8, and fills in what is missing at the end.
+    # rclpy accepts invalid UTF-8 and cut messages; decoders of logs do not.
     try:
         installed_decoder(type_name)(data)
     except (UnicodeDecodeError, struct.error) as error:
@@ -122,14 +122,14 @@ def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
 VERSION = 9
 
 
-# A topic with one QoS as in rosbag2: topic_metadata, with name, type, serialization_format,
-# offered_qos_profiles and type_description_hash, and message_count.
+# A topic with one QoS, as in rosbag2: message_count, and topic_metadata with name, type,
+# serialization_format, offered_qos_profiles and type_description_hash.
 BagTopic = dict[str, Any]
 
 
 @dataclass
 class BagFile:
-    """The content of a file of a bag."""
+    """A description of a file of a bag: its topics and times."""
 
     name: str
     topics: list[BagTopic] = field(default_factory=list)
@@ -183,7 +183,7 @@ def merged(files: Sequence[BagFile]) -> list[BagTopic]:
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
-    """Replace metadata.yaml, and return True, unless it is of another bag."""
+    """Replace metadata.yaml, unless it is of another bag; return whether it was replaced."""
     if is_of_another_bag(folder, files[0].name):
         return False
     target = folder / METADATA
@@ -207,5 +207,5 @@ def is_of_another_bag(folder: Path, first: str) -> bool:
     listed = read_information(folder).get('relative_file_paths')
     if not isinstance(listed, list) or listed[:1] == [first]:
         return False
-    # A list of missing files alone is of a log that was renamed.
+    # If all files listed are missing, the log was renamed.
     return any((folder / str(name)).exists() for name in listed)

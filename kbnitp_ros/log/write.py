@@ -35,7 +35,7 @@ class LogWriter:
     """
     Writer of CDR messages to a new log, or with `resume` to a new part of an old one.
 
-    All messages written are on the disk after `sync`. An OSError closes the log at its last write.
+    After `sync` all messages written are on the disk. After an OSError the log is closed.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class LogWriter:
             self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
             self._lock = LogLock(self.path)
             try:
-                # A writer that has just ended may have added one.
+                # A writer that has just ended may have added a part.
                 parts = log_parts(path)
                 self._finished = [finished(part, compression, self._lock) for part in parts]
                 self._number = len(parts)
@@ -156,12 +156,12 @@ class LogWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the log, also after an error: its content is worth keeping."""
+        """Close the log, also after an error."""
         self.close()
 
     @contextmanager
     def _writing(self) -> Iterator[FileWriter]:
-        """Yield the current part; after an OSError give up, and what reached the disk stays."""
+        """Yield the current part; after an OSError, abandon it."""
         if self._part is None:
             raise ValueError(f'{self.path} is closed')
         try:
@@ -174,7 +174,7 @@ class LogWriter:
             raise
 
     def _next_part(self) -> FileWriter:
-        """Start another file, which can be read without those before."""
+        """Start another file, which can be read without the earlier ones."""
         self._finish_part()
         self._number += 1
         self.current_path = part_path(self.path, self._number)
@@ -193,7 +193,7 @@ class LogWriter:
 
 
 def check_goes_on(first: Path) -> None:
-    """Check that a log can be resumed under the name of this file."""
+    """Check that a file is the first one of a log that can be resumed."""
     if is_later_part(first):
         raise LogError(f'{first} is a later part of a log: name its first file')
     if first.suffix != '.mcap':

@@ -205,7 +205,7 @@ def test_contradictions_are_refused_and_change_nothing():
 def test_a_robot_at_its_base_is_not_lost_and_a_returned_one_has_departed():
     departures = Departures()
     departures.take(KEY, REFUSED)
-    with pytest.raises(ValueError, match='its robot stays at the base: a newer path came'):
+    with pytest.raises(ValueError, match='lost, but its agent refused it: a newer path came'):
         departures.check_loss(KEY)
     departures.end(KEY, HOME)
     assert not departures.is_refused(KEY)

@@ -210,7 +210,7 @@ def test_a_corrupt_chunk_is_an_error_after_those_before(files, tmp_path, place, 
     path.write_bytes(content)
     found, error = messages(path)
     assert 'corrupt.mcap is corrupt after byte ' in str(error)
-    assert 'replay --repair saves what is before, mcap recover may save more' in str(error)
+    assert 'replay --repair saves the messages before, mcap recover may save more' in str(error)
     assert len(found) == read
     # On request the error is returned, not raised.
     assert len(list(read_log(path, None, corrupt := []))) == read
@@ -229,7 +229,7 @@ def test_a_missing_chunk_is_noticed(files, tmp_path):
     path = tmp_path / 'corrupt.mcap'
     path.write_bytes(content)
     _, error = messages(path)
-    assert f'{written - 1} of {written} messages are there' in str(error)
+    assert f'it has {written - 1} messages, and its statistics say {written}' in str(error)
 
 
 def test_a_corrupt_record_of_values_is_noticed(tmp_path):

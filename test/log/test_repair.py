@@ -70,7 +70,7 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
 @for_each('name, told', [
     ('mission.mcap', 'mission.mcap'),
     ('x.db3', "x.db3' is no name for a log: it must end in .mcap"),
-    ('mission_3.mcap', 'would be taken for a part'),
+    ('mission_3.mcap', 'has the name of a later part of another log'),
 ])  # fmt: skip
 def test_a_bad_target_is_refused_and_left_alone(folder, capsys, name, told):
     before = {file: file.read_bytes() for file in folder.iterdir()}

@@ -326,7 +326,7 @@ def interval(**values):
     ('info', lambda info: changed(info, width=10), 'joint has 80 values'),
     ('info', lambda info: changed(info, height=8), 'joint has 80 values'),
     ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
-    ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, computed are 20'),
+    ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, and the computed one 20'),
 ], every=3)  # fmt: skip
 def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     original = beliefs(learnt_mission.sent)[5]
@@ -458,7 +458,7 @@ def flip_reading(report):
 
 
 TRUTH = occupancy_grid(GRID, np.zeros(20), START)
-ADDS = 'deployments that it adds to is missing'
+ADDS = 'the belief before it, which holds'
 CHANGES = {
     'nothing': (lambda whole: whole.sent, 0, 9, [], [], [
         '/belief: 9 of 9 messages reproduced\n/belief/hazard: 9 of 9 messages reproduced\n'
@@ -591,8 +591,8 @@ def test_beliefs_of_a_repeated_report_are_not_compared(
     assert report.reproduced
     assert report.passed_over == report.not_yet_held == []
     assert indices(report.not_compared) == [1, 2]
-    missing = f'report of deployment {key} is not on record, but a later one'
-    builds_on = f'the belief of 1 {ADDS}'
+    missing = f'report of deployment {key} is not on record, but a later report is'
+    builds_on = f'{ADDS} 1 deployments, is missing'
     reasons = [finding.reason for finding in report.not_compared]
     assert reasons == [missing, missing if is_complete else builds_on]
     assert main([str(path)]) == 0
@@ -700,7 +700,7 @@ def every_belief(**fields):
 @for_each('change, told', [
     (lambda sent: sent + mission(2, namespace='/other').sent,
      'has missions in the namespaces /, /other: choose one by --namespace'),
-    (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no beliefs on record'),
+    (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no readable beliefs'),
     (every_belief(method_version=2), 'the beliefs were computed by version 2 of kappa_bnitp, and'),
     (every_belief(method='guessing'), "cannot be computed: method is 'guessing': .*known are"),
     (every_belief(method='kappa_bnitp_smoothed'), "'kappa_bnitp_smoothed': .*0.3.0 reads .*use"),

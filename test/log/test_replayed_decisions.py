@@ -85,7 +85,7 @@ def test_decisions_on_missing_beliefs_are_not_compared(tmp_path, sent):
     assert report.compared['/decision'] < ROBOTS
     left = [finding for finding in report.not_compared if finding.topic == '/decision']
     assert left
-    assert 'not reproduced or not on record' in str(left[0])
+    assert 'is not on record, or differs from' in str(left[0])
 
 
 def test_without_a_goal_on_record_no_decision_is_compared(tmp_path, sent):
