@@ -23,7 +23,7 @@ with extra('report'):
     from matplotlib.path import Path as Outline
     from matplotlib.transforms import Affine2D, Transform
 
-# Number of markers on a line, which tell it apart without colour.
+# Number of markers on a line, by which it is recognized without colour.
 MARKERS = 8
 
 
@@ -65,21 +65,21 @@ SERIES = (
 RETURNED, LOST = SERIES[0], SERIES[1]
 
 
-# Colours of a probability at 0, half way to the prior, at it, half way from it to 1, and at 1, as
-# '#rrggbb'.
+# Colours of five probabilities, as '#rrggbb': 0, half way to the prior, the prior, half way to 1,
+# and 1.
 Scale = tuple[str, str, str, str, str]
 
 
 def stops(scale: Scale, prior: float) -> list[tuple[float, str]]:
-    """Return the position of each colour from 0 to 1, diverging at the prior."""
+    """Return the position of each colour, from 0 to 1, with the third at the prior."""
     middle = min(max(prior, MIN_HALF), 1.0 - MIN_HALF)
     return list(zip((0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0), scale))
 
 
-# Minimum width of each half of a scale.
+# Minimum width of each half of a colour scale, as a probability.
 MIN_HALF = 0.1
 
-# Colours of the maps, on light paper and on a dark screen: no news has neither colour.
+# Colours of the maps, on light paper and on a dark screen: the prior is a neutral grey.
 MAPS: dict[str, Scale] = {
     'hazard': ('#74add1', '#b5d7ea', '#f7f7f7', '#f09c7b', '#99000d'),
     'target': ('#d3b878', '#e8dbb8', '#f7f7f7', '#7fbf7b', '#00441b'),
@@ -107,10 +107,10 @@ EMBEDDED = {'svg.fonttype': 'path', 'svg.hashsalt': 'kbnitp_ros', 'pdf.fonttype'
 # Inches: two columns of a journal.
 WIDTH = 7.2
 
-# Layout is set by each figure alone.
+# Each figure sets its layout, whatever the user's defaults are.
 AS_ASKED = {'figure.autolayout': False, 'figure.constrained_layout.use': False}
 
-# Letters at their size in print.
+# Font sizes, in points of the printed figure.
 LETTERS = {
     'font.size': 8,
     'axes.titlesize': 8,
@@ -135,7 +135,7 @@ def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path
     with rc_context({**EMBEDDED, **AS_ASKED}):
         for file, each in zip(files, formats):
             figure.savefig(file, dpi=dpi, metadata=METADATA[each])
-            # Laid out once, so that all formats are alike.
+            # One layout, so that all formats look the same.
             figure.set_layout_engine(None)
     return files
 
@@ -212,7 +212,7 @@ def draw_map(
 
 
 def extent(grid: Grid) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top of a grid in metres, without its turn."""
+    """Return left, right, bottom and top of a grid in metres, before its rotation."""
     left, bottom = grid.origin
     right, top = left + grid.width * grid.resolution, bottom + grid.height * grid.resolution
     return left, right, bottom, top

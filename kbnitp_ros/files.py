@@ -18,7 +18,7 @@ PACKAGE = Path(__file__).parent
 
 
 def installed() -> str:
-    """Return the installed version of the package and its folder: there may be several."""
+    """Return the version and the folder of the installed package: several may be installed."""
     return f'kbnitp_ros {version("kbnitp_ros")} in {PACKAGE}'
 
 
@@ -49,7 +49,7 @@ NAMED = 3
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
     """Add a file name to every OSError without one."""
-    # The system names a file that is opened, but not an open one that is written.
+    # An OSError names a file that cannot be opened, but not one that cannot be written.
     try:
         yield
     except OSError as error:
@@ -59,7 +59,7 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Put a folder's list of files onto the disk."""
+    """Sync a folder, so that its list of files is on the disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with naming(folder):
@@ -104,11 +104,11 @@ Loader.add_constructor(  # type: ignore[type-var]
 
 
 class NotYamlError(ValueError):
-    """A text is no YAML, for example since it was cut off."""
+    """A text is not valid YAML, for example because it was cut off."""
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Return the content of a YAML file; raise OSError or as `parse_yaml`."""
+    """Return the content of a YAML file; raise an OSError, or an error of `parse_yaml`."""
     with naming(path):
         return parse_yaml(Path(path).read_bytes())
 
@@ -119,7 +119,7 @@ def parse_yaml(text: str | bytes) -> Any:
         node = yaml.compose(text, Loader)
         if node is None:
             return None
-        # Construction merges mappings, so the keys are looked at before.
+        # Repeated keys are searched first, since construction merges mappings.
         if not (repeated := repeated_key(node, set())):
             return Loader('').construct_document(node)
     except Exception as error:
@@ -129,7 +129,7 @@ def parse_yaml(text: str | bytes) -> Any:
 
 
 def repeated_key(node: yaml.Node, seen: set[int]) -> str:
-    """Describe the first key that a mapping has twice; aliases lead to nodes seen before."""
+    """Describe the first repeated key of a mapping; a node is visited once, despite aliases."""
     if id(node) in seen or isinstance(node, yaml.ScalarNode):
         return ''
     seen.add(id(node))

@@ -32,8 +32,8 @@ from launch_ros.substitutions import FindPackageShare
 SHARE = FindPackageShare('kbnitp_ros')
 SWITCH = ['true', 'false']
 
-# Exit codes of processes that launch stopped: one that did not listen yet was killed, and for one
-# that ended just before the signal asyncio says 255.
+# Exit codes of processes that launch stopped: negative if the signal came before its handler, and
+# 255, from asyncio, if the process ended just before the signal.
 ENDED = (0, -signal.SIGINT, -signal.SIGTERM, 255)
 
 # Exit codes of nodes that are not restarted: their work is done, or they cannot start.
@@ -41,7 +41,7 @@ FINAL = (0, 2)
 
 RESPAWN_DELAY = 2.0  # Seconds.
 
-# Parameters that are arguments as well, of all nodes that have them.
+# Parameters that are launch arguments as well, passed to all nodes that have them.
 OPTIONS = (
     'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
     'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
@@ -55,7 +55,7 @@ def transport(context: LaunchContext) -> list[SetEnvironmentVariable]:
     return [SetEnvironmentVariable(*each) for each in udp_only(os.environ, config).items()]
 
 
-# Fast discovery, returned memory and no shared memory, unless the user has a Fast DDS profile.
+# DDS over UDP without shared memory, unless the user has a Fast DDS profile.
 TRANSPORT = OpaqueFunction(function=transport)
 
 
@@ -73,7 +73,7 @@ ARGUMENTS = (
         'file',
         '',
         None,
-        'The log to write; empty for the one that the parameters name, or if they name none, '
+        'Log to write; empty for the parameter file of the recorder or, without one, '
         'runs/TIME/mission.mcap.',
     ),
     ('resume', '', None, 'Log of an interrupted mission to resume; empty for a new mission.'),
@@ -103,8 +103,8 @@ def mission_description(
     arguments: Sequence[DeclareLaunchArgument],
     nodes: Callable[[MissionArguments], Iterable[Action]],
 ) -> LaunchDescription:
-    """Return the description of a launch file, whose nodes start once the arguments are known."""
-    # Launch handles signals by itself.
+    """Return the description of a launch file, whose nodes are made from its arguments."""
+    # Launch handles SIGINT itself.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: None)
     names = [argument.name for argument in arguments]
@@ -120,13 +120,13 @@ def mission_description(
 
 
 def respawned(make: Callable[[], Node]) -> TimerAction:
-    """Return the options that restart a node after a pause."""
+    """Return an action that restarts a node after a pause."""
     start = OpaqueFunction(function=lambda _: [make()])
     return TimerAction(period=RESPAWN_DELAY, actions=[start])
 
 
 def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
-    """Check that no argument of this file is misspelt; a file that includes it has its own."""
+    """Check that no argument of this file is misspelt; an including file may have others."""
     known = context.get_locals_as_dict()
     ours = Path(known['current_launch_file_path']).resolve()
     for entity in getattr(known['event'], 'launch_description', LaunchDescription()).entities:
@@ -144,14 +144,14 @@ class MissionArguments:
     def __init__(self, context: LaunchContext) -> None:
         self._context = context
         self._failures: list[str] = []
-        # Evaluated here: a restarted node is outside the groups of launch files.
+        # Evaluated here, since a restarted node is outside the groups of launch files.
         self._namespace = context.launch_configurations.get('ros_namespace', '').strip('/')
         self._sections = read_sections(self.argument('params_file'))
         self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
         self.agents = agents_named(self.argument('agents')) or list(
             self._values('planner').get('agents', node_parameters('planner')['agents'].default)
         )
-        # Restarted nodes resume it.
+        # The log that restarted nodes resume.
         self._log: Path | None = None
         if self.argument('record') == 'true':
             file = self.argument('file') or self._values('recorder').get('file')
@@ -170,7 +170,7 @@ class MissionArguments:
 
     @property
     def poses(self) -> list[tuple[str, str]]:
-        """Return the remapping of poses: robots of one name in two teams differ."""
+        """Return the remapping of poses, which separates robots of one name in two teams."""
         return [('/tf', self._full_name('tf'))] if self._namespace else []
 
     def base(self, **of_real_robots: str) -> list[Action]:
@@ -189,7 +189,7 @@ class MissionArguments:
             remappings=self.poses,
         )
         return [
-            # First, so that nothing runs yet if it is not installed.
+            # RViz first, so that no node has started if it is not installed.
             *([rviz] if self.argument('rviz') == 'true' else []),
             *([LogInfo(msg=f'recording to {log}')] if log else []),
             *([self.node('recorder', {'file': str(log)})] if log else []),
@@ -228,7 +228,7 @@ class MissionArguments:
                     f'{event.process_name} ended with exit code {event.returncode}'
                 )
             if self._failures and (ends_mission or context.is_shutdown):
-                # The only way to an exit code of launch other than 0.
+                # Only an exception makes launch end with another exit code than 0.
                 failures = ', '.join(self._failures)
                 self._failures.clear()
                 raise RuntimeError(f'the mission failed: {failures}; see the output above')

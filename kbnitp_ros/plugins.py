@@ -126,14 +126,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return self[given]
 
     def why_not(self, name: object, *others: str) -> str:
-        """Explain why there is no such name: it is refused, or unknown."""
+        """Explain why a name has no entry: it is refused, or unknown."""
         known = f'known are {", ".join((*self, *others))}'
         reason = self._refused.get(name) if isinstance(name, str) else None
         return f'{reason}; {known}' if reason else known
 
     @contextmanager
     def blamed(self, given: str | Callable[..., Any]) -> Iterator[None]:
-        """Raise a PluginError that names the package for any error of an entry but ValueError."""
+        """Raise a PluginError that names the package, for any error except ValueError."""
         try:
             yield
         except (ValueError, PluginError):
@@ -144,7 +144,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             raise self.fault(given, f'failed: {in_words(error)}') from error
 
     def fault(self, given: str | Callable[..., Any], words: str) -> PluginError:
-        """Return the error that blames an entry."""
+        """Return a PluginError that names an entry and its package."""
         source = given.__module__ if callable(given) else self._sources[given]
         return PluginError(
             f'{self.kind} {entry_name(given)!r} of {source} {words}; '
@@ -155,7 +155,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """Load the entry points of other packages, once."""
         if self._is_searched:
             return
-        # A module that asks for names while it is imported sees those found by then.
+        # Set first, since an imported module may ask for names: it gets the names found so far.
         self._is_searched = True
         points = sorted(entry_points(group=f'{PACKAGE}.{self.kind}s'), key=entry_source)
         count = Counter(point.name for point in points)
@@ -164,9 +164,9 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             try:
                 if count[point.name] > 1:
                     others = [entry_source(each) for each in points if each.name == point.name]
-                    raise ValueError(f'{" and ".join(others)} have one of this name')
+                    raise ValueError(f'{" and ".join(others)} have the same name')
                 self._add(point.name, point.load(), source)
-            # Importing a module may raise anything, and end the process.
+            # The import of a foreign module may raise anything, and end the process.
             except (Exception, SystemExit) as error:
                 reason = f'it is refused, of {source}: {in_words(error)}'
                 self._refused[point.name] = reason
@@ -203,12 +203,12 @@ def takes(given: object, arguments: Iterable[str]) -> Any:
 
 
 def entry_source(point: EntryPoint) -> str:
-    """Return the distribution of an entry point, and its value."""
+    """Describe the distribution of an entry point, and its value."""
     whose = f'{point.dist.name} {point.dist.version}' if point.dist else 'a distribution'
     return f'{whose} (entry point {point.name} = {point.value})'
 
 
 def in_words(error: BaseException) -> str:
-    """Return an error as one line, with its type unless checks raise it."""
+    """Return an error as one line, with its type if that is no ValueError or TypeError."""
     words = ' '.join(str(error).split())
     return words if type(error) in (ValueError, TypeError) else f'{type(error).__name__}: {words}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The executables by name, and their start, during which a signal ends them cleanly."""
+"""Start of the executables by name, during which a signal ends them cleanly."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from types import FrameType
 
 from kbnitp_ros.plugins import extra
 
-# Imports of commands that pip installs; all others need ROS 2.
+# Extras of pip that install the imports of a command; other executables need ROS 2.
 EXTRAS = dict.fromkeys(('replay', 'report', 'watch'), 'report') | {
     'study': 'study',
     'forecast': 'all',
@@ -42,8 +42,8 @@ EXECUTABLES = {**COMMANDS, **NODES}
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Import and run one of `EXECUTABLES`; return its exit code."""
-    # Read when numpy is imported. Products of small matrices wait for further threads longer than
-    # they take, and their sums would be rounded by the number of processors.
+    # Set before numpy is imported. Further threads slow down products of small matrices, and
+    # make their rounding depend on the number of processors.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
     def end(number: int, _frame: FrameType | None) -> None:
@@ -70,8 +70,8 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
 
 
 def missing_rmw() -> str:
-    """Return that the configured middleware is not installed; empty if it is."""
-    # rcl ends the process when it is imported.
+    """Explain that the configured middleware is missing; empty if it is installed."""
+    # Without it, rcl ends the process on import.
     rmw = os.environ.get('RMW_IMPLEMENTATION')
     if not (rmw and os.environ.get('AMENT_PREFIX_PATH')):
         return ''

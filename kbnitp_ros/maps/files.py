@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Map files in Nav2's format: read and written, as pictures and as prior probabilities."""
+"""Map files in Nav2's format: reading, writing, pictures, and prior probabilities."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 import yaml
 
-# Pillow's names of the formats of Nav2's map_saver: PGM, PNG and BMP. Other decoders are not
-# tried; that of EPS starts another program.
+# Formats of Nav2's map_saver, PGM, PNG and BMP, by Pillow's names. Other decoders are excluded,
+# since the one of EPS starts another program.
 FORMATS = ('PPM', 'PNG', 'BMP')
 
 MODES = ('trinary', 'scale', 'raw')
@@ -47,7 +47,7 @@ class MapFile:
     yaw: float
     # Whether white is occupied.
     negate: bool
-    # Darkness from which a pixel is occupied, and up to which it is free.
+    # Minimum darkness of an occupied pixel, and maximum darkness of a free one.
     occupied_thresh: float
     free_thresh: float
     # One of `MODES`.
@@ -192,7 +192,7 @@ def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) 
 
 
 def quantise_belief(belief: Belief) -> dict[str, NDArray[np.uint8]]:
-    """Return the maps of a belief, rounded to steps of 1/255 that form a belief again."""
+    """Return the maps of a belief, rounded to steps of 1/255 so that they still form a belief."""
     exact = np.stack([belief.hazard, belief.target, belief.kappa]) * WHITE
     best = np.rint(exact)
     distance = np.full(belief.cells, np.inf)
