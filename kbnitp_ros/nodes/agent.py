@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node of simulated agents, whose robots enter a hidden world that they and time change."""
+"""The node of simulated agents, whose robots traverse a hidden world."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ from rclpy.qos import QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-# Seconds that a robot waits for paths that may come before its own: missing acknowledgements are
-# requested again after 1 s and 2 s.
+# Maximum seconds that a robot waits for paths earlier in deployment order: missing
+# acknowledgements are requested again after 1 s and 2 s.
 PATIENCE = 5.0
 
 
@@ -53,11 +53,11 @@ SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
 class Simulation:
     """The hidden field of a team, and the outcomes of its robots as in core's run_mission."""
 
-    # Hazards that change are a fold of all paths in deployment order, so a robot leaves when those
-    # before it are known. Where all agents take part in each round in their order, robot n of an
-    # agent, from 0, waits for n + 1 paths of each agent before it and n of each after it. An agent
-    # whose robot is out or waits gets no earlier path. Of others it may never come, as at the end
-    # of a mission or when agents leave one by one, so nobody waits for longer than `PATIENCE`.
+    # If hazards change, the field depends on all earlier paths in deployment order, so a robot
+    # leaves once these are known. In rounds of all agents, robot n (from 0) of an agent waits for
+    # n + 1 paths of each agent before it and n of each after it. Agents with a robot in flight or
+    # waiting will not get an earlier path. Other agents may never get one, as at the end of a
+    # mission or with `rolling`, so no robot waits for longer than `PATIENCE`.
 
     def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
@@ -68,20 +68,20 @@ class Simulation:
         self._models = {agent: each.model(common) for agent, each in robot_types.items()}
         self.agents = agent_names(values, self.grid)
         dynamics = self._dynamics = true_dynamics(values)
-        # Whether hazards stay.
+        # Whether hazards are static.
         self.is_static = dynamics.effect == 'static'
         self._execution = make_execution(values)
         self._seeds = np.random.SeedSequence(values['seed'])
-        # The present field.
+        # The current world.
         self._world = self._first_world()
-        # The recorded paths, and the mission of each agent's paths.
+        # The accepted paths, and the mission of each agent's paths.
         self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
         self._missions = dict.fromkeys(self.agents, record.mission)
-        # The known paths, and the number of robots that left, by agent; and waiting paths.
+        # Numbers of known paths and of robots that left, by agent; and paths that wait.
         self._known = dict.fromkeys(self.agents, 0)
         self._left = dict.fromkeys(self.agents, 0)
         self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
-        # When these became known.
+        # Times from which these paths wait, seconds.
         self._since: dict[DeploymentKey, float] = {}
         # Agents whose robots have left and are not back.
         self.out: set[str] = set()
@@ -90,13 +90,13 @@ class Simulation:
             for name in ('hazard', 'target')
             if values['publish_truth']
         }
-        # Outcomes of robots that leave at once, and robots that move once their outcome is known.
+        # Outcomes not reported yet, and deployments to start once their outcome is known.
         self._outcomes: dict[DeploymentKey, Traverse] = {}
         self._moving: set[DeploymentKey] = set()
         for key in record.orders:
             self._restore(key, record)
         self._publish_truth()
-        # Callbacks with the outcomes, by agent; agents of other nodes have none.
+        # Callbacks that take the outcomes, by agent; agents of other nodes have none.
         self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
         if not self.is_static:
             node.create_poll(self._leave_all)
@@ -135,7 +135,7 @@ class Simulation:
         return ''
 
     def read_path(self, agent: str, message: Path) -> SentPath | None:
-        """Return what a path of an agent says; None if the path is known."""
+        """Return the deployment, cells and mission of a path; None if the path is known."""
         key, path = self.node.read_path(agent, message)
         mission = mission_of_path(message)
         check_mission(mission, self._missions[agent])
@@ -180,7 +180,7 @@ class Simulation:
                 self.leave[key.agent](key, made)
 
     def _traverse_all(self) -> None:
-        """Compute the outcomes of the robots that leave now."""
+        """Compute the outcomes of all robots that need not wait."""
         while self._waiting and not self.awaited:
             key = min(self._waiting, key=deployment_order)
             is_first = not any(self._left.values())
@@ -203,14 +203,14 @@ class Simulation:
             self._outcomes[key] = made
 
     def is_over(self, observation: Observation | None) -> bool:
-        """Return whether a robot on record is done."""
-        # A silent robot was only given up, and may be on its way home.
+        """Return whether a recorded deployment needs no simulation any more."""
+        # With `silent_loss` a robot recorded as lost may still be on its way home.
         return observation is not None and (
             observation.survived or not self.node.values['silent_loss']
         )
 
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
-        """Restore a deployment on record, unless its robot is still to depart."""
+        """Restore a recorded deployment, unless its robot has not departed."""
         is_at_home = self.is_static and not record.has_departed(key)
         if record.departures.is_refused(key) or is_at_home:
             return
@@ -239,9 +239,9 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
-        # Paths whose robots may not depart yet.
+        # Deployments whose robots must not depart yet.
         self._at_home: list[DeploymentKey] = []
-        # Paths whose robots have departed, by the log.
+        # Deployments whose robots have departed, by the log.
         self._departed = {key for key in record.orders if record.has_departed(key)}
         self._hold = HoldSubscription(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
@@ -250,7 +250,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         for key in record.orders:
             outcome = record.outcome(key)
             if key.agent == name and outcome is not None and simulation.is_over(outcome):
-                # Its report is published again, and its robot not sent a second time.
+                # The report is published again, and the robot does not leave a second time.
                 simulation.paths[key] = record.paths[key]
                 self._publish_status(key, OrderState.DEPARTED)
                 stamp = record.reports[key].stamp
@@ -262,16 +262,16 @@ class SimulatedAgent(RecordedPaths[SentPath]):
 
     @property
     def pending(self) -> int:
-        """Return the number of its robots that have not departed yet."""
+        """Return the number of robots that have not departed."""
         return super().pending + len(self._at_home)
 
     @property
     def awaited(self) -> str:
-        """Describe the wait of the agent's robots; empty if there is none."""
+        """Describe the condition that its robots wait for; empty if there is none."""
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
     def _take_path(self, sent: SentPath) -> None:
-        """Accept a path, whose robot departs at once if its departure is on record."""
+        """Accept a path; its robot departs at once if the departure is on record."""
         key = self._simulation.accept(sent)
         self._at_home.append(key)
         self._publish_status(key, OrderState.ACCEPTED)
@@ -281,7 +281,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Start the robots at home: all, or if departures are held those that had departed."""
+        """Start the robots at home; while departures are held, only those that had departed."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)
@@ -294,7 +294,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
 
     def _move(self, key: DeploymentKey) -> None:
         if key in self._at_home:
-            # The recorder had its departure before this node restarted.
+            # The departure was recorded before this node restarted.
             self._depart(key)
         self._simulation.take(key)
 
@@ -314,7 +314,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
                 self._after(period * step, partial(self._show, cell))
 
     def _after(self, seconds: float, callback: Callable[[], None]) -> None:
-        """Call back once, after a time on the simulated clock, or else on a steady one."""
+        """Call back once after a delay, on the simulated clock if there is one."""
 
         def once() -> None:
             self._node.destroy_timer(timer)
@@ -358,7 +358,7 @@ class AgentNode(FieldNode):
             )
         played = [name] if name else team
         self._agents = [SimulatedAgent(simulation, name, record) for name in played]
-        # Robots of other nodes change the field as well, unless hazards stay.
+        # Robots of other nodes change the field as well, unless hazards are static.
         others = () if simulation.is_static else set(team).difference(played)
         self._others = [
             RecordedPaths(
@@ -372,7 +372,7 @@ class AgentNode(FieldNode):
         self.create_poll(self._look)
 
     def _look(self) -> None:
-        """Accept paths, which are kept until then, once the reports have subscribers."""
+        """Subscribe to paths once the reports have subscribers; publishers keep earlier paths."""
         if not self._agents[0].is_listening:
             if missing := self.missing_listeners([agent.reports for agent in self._agents]):
                 self.diagnostics.state = waiting_for(missing)
@@ -382,8 +382,8 @@ class AgentNode(FieldNode):
         awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]
         if agent_awaited := self._simulation.awaited:
             awaited.append(
-                f'the path of {agent_awaited} in the same round, at most {PATIENCE} s: robots '
-                'change the field in their order (parameter hazards.dynamics)'
+                f'the path of {agent_awaited} in the same round, for at most {PATIENCE} s: robots '
+                'change the field in the order of their agents (parameter hazards.dynamics)'
             )
         names = ', '.join(each.agent for each in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)

@@ -25,8 +25,8 @@ from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from rclpy.task import Future
 
-# Why a call of safest_path has no answer.
-UNKNOWN = 'no belief is known together with all its evidence'
+# Reason why a call of safest_path has no answer.
+UNKNOWN = 'the evidence of the newest belief has not been received completely'
 
 
 class Decisions:
@@ -40,14 +40,14 @@ class Decisions:
         self._newest: Snapshot | None = None
         self._decision: Decision | None = None
         self._is_decided = False
-        # Number of beliefs and parameter changes so far; then that number, and the amount of
-        # evidence, at the start of the last decision.
+        # Number of beliefs and parameter changes so far; and that number with the number of paths
+        # and reports, at the start of the last decision.
         self._news = 0
         self._begun_with = 0, 0
         self._deciding: futures.Future[Decision | None] | None = None
         self._finding: futures.Future[SafestPath] | None = None
-        # Why the plans on the newest belief end the mission; empty if they do not. And the last
-        # message about it.
+        # Reason why the plans on the newest belief end the mission, empty if they do not; and the
+        # last reason that was logged.
         self.not_worth = ''
         self._said = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
@@ -65,7 +65,7 @@ class Decisions:
                 self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:
-        """Decide on a belief, the newest, and act."""
+        """Take the newest belief, decide on it, and act."""
         if not newest.deployments:
             self.knowledge.begin(newest)
         self._newest = newest
@@ -86,7 +86,7 @@ class Decisions:
     @property
     def is_deciding(self) -> bool:
         """Return whether a decision is being computed, or will be at the next poll."""
-        # A belief that does not match the evidence is decided on once more evidence arrives.
+        # If a belief does not match the evidence, the decision waits for more evidence.
         now = self._news, self.knowledge.evidence
         return self._deciding is not None or now != self._begun_with
 
@@ -108,7 +108,7 @@ class Decisions:
             )
 
     def why_over(self) -> str:
-        """Return why no more robots leave; empty if they do."""
+        """Return the reason why no more robots leave; empty if they do."""
         decision = self._decision if self.knowledge.goal is not None else None
         why = (
             make_stop(self._node.values).why(decision, self.knowledge.record.lost)
@@ -128,7 +128,7 @@ class Decisions:
         )
         self._publisher.publish(message)
         self._lane.publish(message.path)
-        taken = '' if self.knowledge.are_joint else '; cells are taken as independent'
+        taken = '' if self.knowledge.are_joint else ' (cells assumed independent)'
         self._node.get_logger().info(
             f'{decision.goal} free of hazards with probability {decision.p_free:.3f}, '
             f'{decision.hazards_mean:.2f} hazards expected, after '
@@ -138,13 +138,13 @@ class Decisions:
     def _on_safest_path(
         self, request: GetPlan.Request, response: GetPlan.Response
     ) -> GetPlan.Response | Future:
-        """Answer with the safest path between two places; without poses if there is none."""
+        """Answer with the safest path between two places, or a path without poses."""
         newest = self._newest
         try:
             if newest is None:
                 raise ValueError(UNKNOWN)
             if self._finding is not None:
-                raise ValueError('another call is being answered: ask again')
+                raise ValueError('another call is being answered: call again later')
             start, to = (
                 int(self._grid.cells_at([[at.pose.position.x, at.pose.position.y]])[0])
                 for at in (request.start, request.goal)

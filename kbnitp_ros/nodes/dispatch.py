@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's orders, and the reports and statuses that follow."""
+"""The planner's orders, and the statuses and reports of the agents."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.subscription import Subscription
 
-# Seconds for which an agent that refused an order gets none, doubled with each further refusal,
-# and their maximum.
+# Seconds without orders for an agent that refused one, doubled with each further refusal; and
+# their maximum.
 FIRST_PAUSE, MAX_PAUSE = 1.0, 60.0
 
 # Seconds that the nodes of a base may take to process a return.
@@ -68,15 +68,15 @@ class Dispatch:
         }
         # The robots in flight.
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
-        # Robots that were given up, and until when they may still return.
+        # Robots that were given up, and the time until which they may return.
         self._late: dict[DeploymentKey, float] = {}
-        # Agents that refused their last orders: the pause in seconds, and its end.
+        # Pauses of agents after refusals: the length in seconds, and the end.
         self._pauses: dict[str, tuple[float, float]] = {}
-        # Losses of robots that are not known to have departed.
+        # Reported losses of robots that are not known to have departed.
         self._early = PendingMessages(node, self._on_report)
         # The stamp of the last deployment, in nanoseconds.
         self.last_stamp = 0
-        # Descriptions of paths whose robots are not known to have departed.
+        # Descriptions of the plans of robots that have not departed.
         self._goals: dict[DeploymentKey, str] = {}
 
     def restore(self, record: RecordedMission) -> None:
@@ -93,7 +93,7 @@ class Dispatch:
                     self.in_flight[key].has_departed = True
             if record.departures.is_refused(key):
                 continue
-            # No other publisher has it now.
+            # The publisher of the former planner, which kept the path, is gone.
             self.paths[key.agent].publish(record.messages[key])
             self._rounds.count_path(path)
             if (outcome := record.outcome(key)) is not None:
@@ -120,12 +120,12 @@ class Dispatch:
 
     @property
     def left_alone(self) -> list[str]:
-        """Return the agents that refused their last order and must not be sent another one yet."""
+        """Return the agents that get no orders for a while because they refused one."""
         now = time.monotonic()
         return [agent for agent, (_, until) in self._pauses.items() if now < until]
 
     def _await_late(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
-        """Await a robot that was given up, for the longest time that its path may take."""
+        """Keep the base running for a robot that was given up, until its path times out."""
         self._late[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
 
     @property
@@ -135,7 +135,7 @@ class Dispatch:
         return {key: until - now for key, until in self._late.items() if until > now}
 
     def send(self, plans: Plans, mission: int) -> None:
-        """Publish the paths of robots that leave now."""
+        """Publish the paths of a round."""
         for key, plan in plans.items():
             message = path_message(self._node.grid, plan.path, key.stamp, mission)
             content = content_hash(message)
@@ -156,7 +156,7 @@ class Dispatch:
         self._await_late(key, path)
 
     def give_up_overdue(self) -> None:
-        """Report robots as lost that are long overdue."""
+        """Report robots as lost that have timed out."""
         if self._values['silent_loss']:
             for key in self.in_flight.overdue(self._node.elapsed()):
                 self.give_up(key, Source.SILENCE)
@@ -179,7 +179,7 @@ class Dispatch:
             if not report.survived:
                 self.in_flight.departures.check_loss(key)
             if is_awaited := key in self.in_flight:
-                # The estimator would refuse it too, and the robot is still in flight.
+                # A report that does not match the path is refused, and the robot stays in flight.
                 path = self.in_flight[key].path
                 max_steps = value_for(self._values, 'max_steps', agent)
                 make_observation(report, key, path, self._node.grid, max_steps)
@@ -197,7 +197,7 @@ class Dispatch:
                 self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
             if is_awaited and len({cell for cell, _ in report.readings}) == 1:
                 self._node.get_logger().warning(
-                    f'{key} returned without moving; it still counts as a deployment: see the '
+                    f'{key} returned without moving, which counts as a deployment: see the '
                     'console of its robot'
                 )
         self._knowledge.note_report(key, report)
@@ -222,13 +222,12 @@ class Dispatch:
             self._pauses[agent] = pause, time.monotonic() + pause
             self._goals.pop(key, None)
             self._node.get_logger().warning(
-                f'{key} is refused by its agent, so its robot stays at the base and brings no '
-                f'evidence: {status.reason}'
+                f'{key} was refused by its agent, so its robot stays at the base: {status.reason}'
             )
         self.log_departures()
 
     def _on_path(self, agent: str, message: Path) -> None:
-        """Record a path: another planner's path may be on disk in place of the own one."""
+        """Record a path, which may be another planner's and recorded instead of the own one."""
         try:
             key, path = self._node.read_path(agent, message)
             mission = mission_of_path(message)
@@ -239,8 +238,8 @@ class Dispatch:
         if is_other:
             self._node.diagnostics.refuse(
                 f'{agent}/path',
-                f'{key} follows the path of another planner, which the recorder wrote first; the '
-                'path that this planner sent is not used',
+                f'{key} follows the path of another planner, which was recorded first, and not '
+                'the path of this planner',
             )
 
     def _on_recorded(self, agent: str, message: Recorded) -> None:
@@ -250,7 +249,7 @@ class Dispatch:
             self._node.diagnostics.refuse(f'{agent}/recorded', error)
             return
         if self.in_flight.record(key, message.content):
-            # The publisher keeps the path for nodes that join later.
+            # A new subscription receives the recorded path, which its publisher keeps.
             self._node.destroy_subscription(self._sent_paths[agent])
             self._sent_paths[agent] = self._subscribe_to_paths(agent)
         self.log_departures()

@@ -41,7 +41,7 @@ REQUEST, FLAGS, ADDRESS = struct.Struct('16s24x'), struct.Struct('16xH'), struct
 
 
 def addresses() -> dict[str, str]:
-    """Return the IPv4 address of each interface with a link, by name, lo left out."""
+    """Return the IPv4 address of each network interface with a link, by name, except lo."""
     found = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         for _, name in socket.if_nameindex():
@@ -50,14 +50,14 @@ def addresses() -> dict[str, str]:
                 (flags,) = FLAGS.unpack_from(ioctl(asked, SIOCGIFFLAGS, request))
                 (address,) = ADDRESS.unpack_from(ioctl(asked, SIOCGIFADDR, request))
             except OSError:
-                # It has no address, or is gone.
+                # The interface has no address, or is gone.
                 continue
             if flags & IFF_RUNNING and not flags & IFF_LOOPBACK:
                 found[name] = socket.inet_ntoa(address)
     return found
 
 
-# Values of the parameter detection_type; the package of the second is not always installed.
+# Message types by the parameter detection_type; vision_msgs may not be installed.
 TYPES = {'bool': 'std_msgs/msg/Bool', 'detection2d_array': 'vision_msgs/msg/Detection2DArray'}
 
 
@@ -68,13 +68,14 @@ def detection_class(name: str) -> type:
     except LookupError as error:
         package = TYPES[name].partition('/')[0]
         raise ValueError(
-            f'parameter detection_type is {name!r}: {error}; install {package}, such as by rosdep '
-            f'or as ros-jazzy-{package.replace("_", "-")}, or have the detector say std_msgs/Bool'
+            f'parameter detection_type is {name!r}: {error}; install {package} (by rosdep, or as '
+            f'ros-jazzy-{package.replace("_", "-")}), or use a detector that publishes '
+            'std_msgs/Bool'
         ) from error
 
 
 def read_detection(message: Any, values: Mapping[str, Any]) -> tuple[bool, int | None]:
-    """Return whether a detector saw a target, and when in nanoseconds if its message tells."""
+    """Return whether a detector saw a target, and the stamp in nanoseconds, None without one."""
     if values['detection_type'] == 'bool':
         return bool(message.data), None
     wanted, least = values['detection_class'], values['detection_score']
@@ -85,11 +86,11 @@ def read_detection(message: Any, values: Mapping[str, Any]) -> tuple[bool, int |
         for result in detection.results
     )
     stamp = read_stamp('header.stamp', message.header.stamp)
-    # The time is 0 if the driver fills no header.
+    # The stamp is 0 if the detector does not fill the header.
     return seen, stamp or None
 
 
-# Largest distance between poses of a path for a controller, in metres.
+# Maximum distance between poses of a path for a controller, in metres.
 SPACING = 0.1
 
 ENDINGS = {
@@ -119,7 +120,7 @@ def goal_along(action: Any, points: NDArray[np.float64], stamp: int) -> Any:
 
 
 def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
-    """Return a pose at each point, along the way that leads to it; the first along the way out."""
+    """Return a pose at each point, in the direction of the way to it, or from the first point."""
     moves = np.diff(points, axis=0)
     directions = np.arctan2(moves[:, 1], moves[:, 0]).tolist()
     return [
@@ -144,7 +145,7 @@ class Driver:
         self.is_busy = False
         # Why the last goal failed; empty if it succeeded.
         self.failure = ''
-        # Whether another client cancelled it.
+        # Whether another client cancelled the last goal.
         self.was_cancelled = False
         self._node = node
         self._grid = grid
@@ -163,7 +164,7 @@ class Driver:
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
         self._handle: ClientGoalHandle | None = None
-        # Counts the goals, so that late answers to earlier ones are ignored.
+        # Number of goals sent, so that late answers to earlier ones are ignored.
         self._number = 0
         self._fed_back_at = 0.0
 
@@ -181,7 +182,7 @@ class Driver:
             return awaited
         if self._states.service_is_ready():
             return self._not_active()
-        # A server without a lifecycle is tried with a goal that ends where the robot is.
+        # A server without a lifecycle is probed by a goal at the robot's own place.
         if self._takes_goals:
             self._takes_goals = None
             return ''
@@ -237,7 +238,7 @@ class Driver:
         answer.add_done_callback(self._node.guarded(partial(self._on_answer, number)))
 
     def look(self) -> None:
-        """Check that the action server is there and gives feedback; to be called repeatedly."""
+        """End the drive if the action server is gone or silent; to be called repeatedly."""
         if not self.is_busy:
             return
         if not self._client.server_is_ready():
@@ -260,7 +261,7 @@ class Driver:
     def _on_answer(self, number: int, answer: Future) -> None:
         handle = answer.result()
         if number != self._number:
-            # Cancelled before it was accepted.
+            # The goal was cancelled before it was accepted.
             if handle.accepted:
                 handle.cancel_goal_async()
             return
@@ -278,7 +279,7 @@ class Driver:
         why = f'error code {ended.result.error_code}, {error}'
         missed = [each.index for each in getattr(ended.result, 'missed_waypoints', ())]
         if ended.status != GoalStatus.STATUS_SUCCEEDED:
-            how = ENDINGS.get(ended.status, f'left with status {ended.status}')
+            how = ENDINGS.get(ended.status, f'ended with status {ended.status}')
             if number == self._number:
                 self.was_cancelled = ended.status == GoalStatus.STATUS_CANCELED
             self._end(number, f'the goal of {self.name} was {how}: {why}')

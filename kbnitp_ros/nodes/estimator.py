@@ -51,13 +51,13 @@ class EstimatorNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        # The report reads it from the log, so errors are found before the mission.
+        # Only checked: the report reads the datum from the log.
         make_datum(self.values)
         estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
-        # The mission of the paths in the ledger; None while there is none.
+        # The mission of the paths in the ledger; None without paths.
         self._mission: int | None = None
         self._departures = Departures()
         if self.values['resume']:
@@ -88,7 +88,7 @@ class EstimatorNode(FieldNode):
             sent.listen()
             self.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
-        # Losses of robots that are not known to have departed.
+        # Reported losses of robots that are not known to have departed.
         self._early = PendingMessages(self, self._on_report)
         self._started = 0
         self._unconverged = ''
@@ -96,7 +96,7 @@ class EstimatorNode(FieldNode):
         self._awaiting = self.create_poll(self._publish_first)
 
     def _publish_filter_info(self) -> None:
-        """Announce the map of hazards as the mask of Nav2's costmap filters."""
+        """Announce the hazard map as the mask of a Nav2 costmap filter."""
         from nav2_msgs.msg import CostmapFilterInfo
 
         filter_type, base = self.values['filter.type'], self.values['filter.base']
@@ -109,7 +109,7 @@ class EstimatorNode(FieldNode):
         publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _take_in(self, log: MissionLog) -> None:
-        """Restore the paths and reports on record; known ones change nothing."""
+        """Read the recorded paths, reports and statuses; known ones change nothing."""
         if self._mission is None:
             self._mission = read_mission(log)
         evidence = log.read('path', 'report', 'status')
@@ -129,12 +129,11 @@ class EstimatorNode(FieldNode):
             self.diagnostics.state = waiting_for(missing or CLOCK)
         else:
             if log := self.values['resume']:
-                # The recorder may have received messages of nodes that ended before this one
-                # started.
+                # The recorder may have written messages since the log was read.
                 self._take_in(resumed_log(log, self.roles))
             self._started = now
             self._awaiting.cancel()
-            # A log can be recomputed from the prior.
+            # Replay starts from the prior.
             self._publish(self._prior)
             if self._ledger.deployments:
                 self._publish(self._ledger)
@@ -142,7 +141,7 @@ class EstimatorNode(FieldNode):
 
     def _on_matched(self, status: QoSPublisherMatchedInfo) -> None:
         if status.current_count_change > 0:
-            # It has not received the earlier beliefs.
+            # The new subscriber has not received the earlier beliefs.
             self._new.name_all()
 
     def _read_path(self, agent: str, message: Path) -> SentPath | None:
@@ -150,7 +149,7 @@ class EstimatorNode(FieldNode):
         self._ledger.check_path(key, cells)
         mission = mission_of_path(message)
         if not self._is_begun_by(mission):
-            # The recorder never names one of another mission.
+            # The recorder acknowledges no paths of other missions.
             check_mission(mission, self._mission)
         if mission == self._mission and key in self._ledger.paths:
             self._accept(key, self._ledger.record_path(key, cells))
@@ -163,7 +162,7 @@ class EstimatorNode(FieldNode):
         try:
             changed = self._ledger.record_path(key, cells, content)
         finally:
-            # Reports that do not match the path have been dropped.
+            # The ledger has dropped pending reports that do not match the path.
             self._update_warning()
         self._accept(key, changed)
 
@@ -188,13 +187,13 @@ class EstimatorNode(FieldNode):
             # The last step leads into the base, where a robot need not look.
             if changed and steps - last > 1:
                 self.get_logger().warning(
-                    f'{key} has no readings after step {last} of {steps}: its detector failed, '
-                    'or its place was uncertain'
+                    f'{key} has no readings after step {last} of {steps}: the detector failed, or '
+                    'the position of the robot was uncertain'
                 )
             self._accept(key, changed)
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
-        """Record an agent's status; the belief depends on reports alone."""
+        """Record an agent's status, which does not affect the belief."""
         try:
             is_new = self._departures.take(*read_status(message, agent))
         except ValueError as error:
@@ -211,14 +210,14 @@ class EstimatorNode(FieldNode):
         self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
-        """Return whether a path of a mission ends the mission of the current paths."""
-        # Paths before the first belief may be of several missions, as in an old bag: the newest
-        # counts.
+        """Return whether a path of a mission begins that mission, and ends the current one."""
+        # Before the first belief, as in an old bag, paths may be of several missions: the newest
+        # one counts.
         is_newer = self._mission is not None and mission > self._mission
         return (is_newer and not self._started) or 0 < mission == self._started != self._mission
 
     def _join(self, mission: int) -> None:
-        """Join a mission, or check that it is the one of the current paths."""
+        """Begin a mission, or check that it is the current one."""
         if self._is_begun_by(mission):
             ledger = self._prior.copy()
             ledger.copy_pending(self._ledger)
@@ -229,7 +228,7 @@ class EstimatorNode(FieldNode):
         self._mission = mission
 
     def _refuse(self, topic: str, error: ValueError) -> None:
-        # A report that waited in vain for the right path has been dropped.
+        # The ledger may have dropped pending reports.
         self._update_warning()
         self.diagnostics.refuse(topic, error)
 
@@ -245,7 +244,7 @@ class EstimatorNode(FieldNode):
                 self._views.show_out(self._ledger)
             self._update_state()
         if changed and key in self._ledger.contradicted:
-            # The return that counted until now no longer does.
+            # The new report replaces another return, which is refused.
             self.diagnostics.refuse(f'{key.agent}/report', self._ledger.contradicted[key])
         else:
             self.diagnostics.accepted += 1
@@ -274,7 +273,7 @@ class EstimatorNode(FieldNode):
         self._update_checks(ledger)
 
     def _update_checks(self, ledger: Ledger) -> None:
-        """Publish the sampling error and the model check, and warn if either is bad."""
+        """Publish the sampling error and the model check, and warn of a bad result."""
         estimator, was_weak = ledger.estimator, self._weak_density
         self._weak_density = density_note(ledger)
         if self._weak_density and not was_weak:
@@ -289,16 +288,16 @@ class EstimatorNode(FieldNode):
         self._unconverged = (
             ''
             if estimator.is_converged
-            else f'sampling has not converged: its error is {error} nats'
+            else f'the sampling of the belief has not converged: its error is {error} nats'
         )
         self._update_warning()
 
     def _update_warning(self) -> None:
-        """Publish the number of reports without a path, and warn if there are more than robots."""
+        """Publish the number of reports without a path, and warn if it exceeds `MAX_AGENTS`."""
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
         if pending > MAX_AGENTS:
-            unknown = f'{pending} reports have no known path'
+            unknown = f'the paths of {pending} reports are unknown'
         self.diagnostics.warning = '; '.join(
             filter(None, (self._unconverged, self._weak_density, self._doubt, unknown))
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest belief of the planner's mission, and the robots that only the belief knows."""
+"""The newest belief of the planner's mission, and robots known only from the belief."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class NewestBelief:
         self._take = take
         # The mission, and the newest belief.
         self.tracker = MissionTracker()
-        # Number of robots sent that only the belief knows of.
+        # Number of robots sent that are known only from the belief.
         self.sent_unknown = 0
         # Number of deployments in the last belief received.
         self.last_received = 0
-        # Evidence that the estimator has refused since; empty if none.
+        # Last refusal of evidence by the estimator since that belief; empty if none.
         self.refusal = ''
-        # Whether the planner was warned that an estimator will never hold all deployments.
+        # Whether the warning about a belief that will never hold all deployments was given.
         self._is_incomplete_told = False
         self._subscription: Subscription | None = None
         node.subscribe_to_diagnostics(self._on_diagnostics)
@@ -56,7 +56,7 @@ class NewestBelief:
             self.refusal = f'{name} says: {said}'
 
     def subscribe(self) -> None:
-        """Subscribe to beliefs, again after one of several estimators has left."""
+        """Subscribe to beliefs; called again after one of several estimators has left."""
         self.tracker.newest = None
         if self._subscription:
             self._node.destroy_subscription(self._subscription)
@@ -81,8 +81,8 @@ class NewestBelief:
         if unknown > self.sent_unknown:
             self._node.get_logger().warning(
                 f'the belief holds {counted(unknown, "deployment")} that this planner does not '
-                'know: their paths were lost with the former planner, and a restarted estimator '
-                'will lack them unless its parameter resume is set to the log'
+                'know: their paths were lost with the former planner; before the estimator is '
+                'restarted, set its parameter resume to the log, or they will be lost there, too'
             )
             self.sent_unknown = unknown
         held = self.last_received = snapshot.deployments
@@ -100,7 +100,7 @@ class NewestBelief:
     def _check_rules(self, snapshot: Snapshot) -> None:
         grid, values = self._node.grid, self._node.values
         if snapshot.grid != grid:
-            raise ValueError(f'it is on {snapshot.grid}: the parameters say {grid}')
+            raise ValueError(f'its grid is {snapshot.grid}: by the parameters it must be {grid}')
         check_search(values, grid, snapshot.robot_types)
         for agent in self._agents:
             own = value_for(values, 'max_steps', agent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The services of the planner's operator, its proposals, and its hold on departures."""
+"""The services of the operator, the planner's proposals, and its hold on departures."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-# Minimum seconds between two answers to other values of `hold`.
+# Minimum seconds between two publications that correct another node's value of `hold`.
 MIN_PAUSE = 0.1
 
 # Seconds that the graph may take to name the author of a message.
 MAX_UNNAMED = 30.0
 
-# The response of any of the services: success and message.
+# Response of a service: success and message.
 Response = Any
 
 
 class Operator:
-    """The services of the operator, who takes one action at a time, with proposals and hold."""
+    """The operator's services, one action at a time, with proposals and hold."""
 
     def __init__(
         self,
@@ -63,12 +63,12 @@ class Operator:
         self._grid = grid
         self._in_flight = in_flight
         self._act = act
-        # The published value of `hold`, whether another node has published the opposite since, and
-        # the times of both, in seconds.
+        # The published value of `hold`, whether another node has published the opposite since,
+        # and the time of each, seconds.
         self._is_held: bool | None = None
         self._is_contradicted = False
         self._held_at = self._contradicted_at = -inf
-        # The action that is not on disk yet, and the hash of its message.
+        # The action that is not on disk yet, the hash of its message, its response and future.
         self._pending: tuple[OperatorAction, int, Response, Future] | None = None
         self._publisher = node.create_publisher(OperatorActionMessage, 'operator', qos.EVIDENCE)
         self._proposals = {
@@ -108,14 +108,14 @@ class Operator:
             self._answer()
 
     def _answer(self) -> None:
-        """Publish the own hold after another one, and refuse that once its author is known."""
+        """Correct another node's value of `hold`, and refuse it once that node is known."""
         now = time.monotonic()
         if self._is_contradicted and now > self._held_at + MIN_PAUSE:
             self._publish_hold()
         if now > self._contradicted_at + MAX_UNNAMED:
             return
         others = self._node.named_authors(self._holds.topic_name, BOOL)
-        # An own value from before the last change arrives as well: then there are no others.
+        # A late message of this planner itself has no other author.
         if len(others) > 1:
             self._contradicted_at = -inf
             self._node.diagnostics.refuse(
@@ -142,17 +142,17 @@ class Operator:
 
     @property
     def awaited(self) -> str:
-        """Describe the wait of an operator action; empty if there is none."""
+        """Describe the record that an operator action waits for; empty if none is pending."""
         if self._pending is None:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')
         return (
-            f'the recorder to confirm on {topic} that the operator {self._pending[0]} '
+            f'the recorder to confirm the action "the operator {self._pending[0]}" on {topic} '
             '(parameter recorded)'
         )
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
-        # A pending action may change that.
+        # A pending action may change the state.
         if not self._pending and request.data == self.state.is_paused:
             state = 'is paused' if request.data else 'is not paused'
             return answered(response, not self.state.is_ended, f'the mission {state} already')
@@ -173,13 +173,13 @@ class Operator:
         }
         if not out:
             names = ', '.join(sorted({key.agent for key in self._in_flight})) or 'none'
-            why = f'no robot of {shown(request.agent)} is in flight: {names} is'
+            why = f'no robot of {shown(request.agent)} is in flight (agents in flight: {names})'
             return answered(response, False, why)
         key = min(out)
         if not self._in_flight.has_departed(key):
             why = (
-                f'{key} has not reported its departure, so it cannot be declared lost: its agent '
-                f'reports that on {request.agent}/status, or presume_departure assumes it'
+                f'{key} has not reported its departure on {request.agent}/status, so it cannot be '
+                'declared lost, unless the parameter presume_departure is set'
             )
             return answered(response, False, why)
         try:
@@ -202,8 +202,8 @@ class Operator:
         times = sum(each.action == what for each in self.state.actions.values())
         if what in REPEATED and times >= MAX_TIMES:
             why = (
-                f'{what.name} was taken {times} times, the maximum: the service end_mission ends '
-                'this mission; begin another one'
+                f'{what.name} was called {times} times, the maximum in a mission: end this '
+                'mission by the service end_mission, and begin another one'
             )
             return answered(response, False, why)
         stamp = next_name(self._node.now(), *self.state.actions)
@@ -232,7 +232,7 @@ class Operator:
         pending = ''
         out = [key for key in self._in_flight if key not in self._in_flight.undeparted]
         if action.action == Action.END and out:
-            pending = f'; it is over when {some(out)} are reported'
+            pending = f'; the mission is over once {some(out)} are reported'
         return answered(response, True, f'the operator {action}{pending}')
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner: sends robots where their paths bring the most information or the goal nearest."""
+"""The planner: sends robots on the paths that bring most information, or the goal nearest."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MIN_REACHED = 0.5
 
 
 class PlannerNode(FieldNode):
-    """Publish paths, planned on the belief given all reports, for agents whose robots are home."""
+    """Plan paths on the newest belief, and send robots of free agents along them."""
 
     def __init__(self) -> None:
         super().__init__('planner')
@@ -62,15 +62,15 @@ class PlannerNode(FieldNode):
         self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
         self._in_flight = self._dispatch.in_flight
         self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._decisions.take)
-        # The estimator's progress, published again with the bound of the plan; and the bound, in
-        # nats, with the stamp of the belief planned on.
+        # The estimator's progress, published again with the bound of the plan; and the stamp of
+        # the belief planned on, with the bound in nats.
         self._progress: Progress | None = None
         self._bound = -1, nan
         if self.values['bound']:
             self._bounded = self.create_publisher(Progress, 'progress', qos.LATCHED)
             self.subscribe(Progress, 'progress', self._on_progress, qos.LATCHED)
         self._peers = Peers(self, self._agents)
-        # The search for the next round; its result is kept while robots must wait.
+        # The search for the next round, with its result while robots must wait.
         self._search: Search | None = None
         # Number of parameter changes.
         self._changes = 0
@@ -87,7 +87,7 @@ class PlannerNode(FieldNode):
         self._operator.hold(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
-        # Before the beliefs, which hold published paths only.
+        # Subscribed before beliefs, which are checked against the paths.
         self._dispatch.listen()
         self._beliefs.subscribe()
         self.create_look(self._look_at_graph)
@@ -100,7 +100,7 @@ class PlannerNode(FieldNode):
             self._operator.restore(action, record.messages[stamp])
         self._dispatch.restore(record)
         self._beliefs.tracker.mission = record.mission
-        # A round of one robot, or of robots that leave independently, has no missing part.
+        # With one agent, or with `rolling`, no paths of a round can be missing.
         has_rounds = len(self._agents) > 1 and not self.values['rolling']
         if has_rounds and (missing := missing_plans(log, record, self._agents, self._rounds)):
             plans, mission = missing
@@ -108,7 +108,7 @@ class PlannerNode(FieldNode):
         self._decisions.restore(record)
 
     def _log_reachability(self) -> None:
-        """Log what no path reaches, as a warning if it is most of the field."""
+        """Log the part of the field that no path reaches, with a warning if it is large."""
         log, max_steps = self.get_logger(), most_steps(self.values)
         bases = [own_base(self.values, agent, self.grid) for agent in self._agents]
         distance = most_distance(self.values, self._agents)
@@ -119,7 +119,7 @@ class PlannerNode(FieldNode):
             log.info(note)
 
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        """Refuse parameters that a running mission cannot change to."""
+        """Refuse parameter values that are invalid in the running mission."""
         new = {each.name: each.value for each in changes}
         newest = self._beliefs.tracker.newest
         believed = newest.robot_types if newest else {}
@@ -145,7 +145,7 @@ class PlannerNode(FieldNode):
 
     @property
     def _sent(self) -> int:
-        """Return the number of robots sent, those that only the belief knows of included."""
+        """Return the number of robots sent, including those known only from the belief."""
         return self._in_flight.sent + self._beliefs.sent_unknown
 
     def _act(self, action: OperatorAction) -> None:
@@ -185,14 +185,15 @@ class PlannerNode(FieldNode):
         )
 
     def _missing_listeners(self) -> str:
-        """Return the listeners still missing; empty once all were there."""
+        """Describe the missing subscribers; empty from when all have subscribed."""
         if self._has_subscribers:
             return ''
         missing = self.missing_listeners(self._dispatch.paths.values())
-        # In a field that changes, each simulating agent subscribes to the paths of all.
+        # A subscriber may be another agent's node: with changing hazards each simulated agent
+        # subscribes to all paths.
         absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
         if not missing and absent:
-            missing = f'agent to answer for {some(absent)} (parameter await_nodes)'
+            missing = f'a node of agent {some(absent)} (parameter await_nodes)'
         self._has_subscribers = not missing
         return missing
 
@@ -244,19 +245,19 @@ class PlannerNode(FieldNode):
             self._log_end(sentence)
 
     def _log_end(self, how: str) -> None:
-        """Log once how the mission ended, and until when the base stays."""
+        """Log once how the mission ended, and how long the base still runs."""
         if how == self._end_logged:
             return
         self._end_logged = how
         self.get_logger().info(f'the mission is over: {how}')
         if not self.values['keep_running'] and (late := self._dispatch.late):
             self.get_logger().info(
-                f'the base stays for up to {max(late.values()):.0f} s, since robots that were '
-                f'given up may return: {some(late)}'
+                f'the planner keeps running for up to {max(late.values()):.0f} s, since robots '
+                f'that were given up may return: {some(late)}'
             )
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
-        """Return the plans of the next robots: the proposed ones if they still apply."""
+        """Return the plans of the next round, the proposed ones if they still apply."""
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
         now = Search(belief, agents, len(refused), self._changes)
@@ -273,7 +274,8 @@ class PlannerNode(FieldNode):
             search = None
         if search is None:
             self._operator.withdraw()
-            # The stamp of the belief: a restarted planner then sends the same message again.
+            # Counted from the stamp of the belief, so that a restarted planner sends the same
+            # message again.
             held = -1 if newest.newest is None else newest.newest.stamp
             last = self._dispatch.last_stamp
             stamp = next_name(newest.stamp, newest.mission, held, last)
@@ -300,13 +302,13 @@ class PlannerNode(FieldNode):
         return planned.plans
 
     def _on_progress(self, message: Progress) -> None:
-        # Progress published here has a bound already.
+        # Progress with a bound was published by this planner.
         if isnan(message.upper_bound):
             self._progress = message
             self._publish_bound()
 
     def _publish_bound(self) -> None:
-        """Publish the progress at the belief of the last plan with the bound of that plan."""
+        """Publish progress with the bound of the last plan, if both are of the same belief."""
         stamp, upper_bound = self._bound
         if self._progress and from_stamp(self._progress.header.stamp) == stamp:
             self._progress.upper_bound = upper_bound
@@ -317,8 +319,8 @@ class PlannerNode(FieldNode):
         self._deploy()
         if self._search and not self._search.is_running:
             self.get_logger().info(
-                f'the plan for {some(self._search.agents)} is ready, and kept: '
-                f'{self.diagnostics.state}'
+                f'the plan for {some(self._search.agents)} is ready, but robots cannot leave '
+                f'yet: {self.diagnostics.state}'
             )
 
     def _are_approved(self, plans: Plans) -> bool:

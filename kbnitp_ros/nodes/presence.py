@@ -16,15 +16,16 @@ from std_msgs.msg import Bool
 
 INSTANCE = 'instance'
 
-# Published by every recorder from start to end, and by no other node. A publisher alone may be of
-# a killed process, and diagnostics alone may be of anybody.
+# Topic that every recorder, and no other node, publishes from start to end. A recorder is alive if
+# it publishes this topic and diagnostics: DDS lists publishers of killed processes, and any node
+# can publish diagnostics.
 OPERATORS = 'operator/recorded'
 
-# Diagnostics of a recorder: its log, and the start of the recording in nanoseconds.
+# Keys in the diagnostics of a recorder: its log, and the start of the recording in nanoseconds.
 LOG = 'log'
 BEGUN = 'begun'
 
-# Maximum numbers of characters of these values.
+# Maximum numbers of characters of the values of LOG and BEGUN.
 MAX_PATH = 4096
 MAX_TIME = 20
 
@@ -50,7 +51,7 @@ class Recorders:
         self._own = {INSTANCE: uuid4().hex, LOG: str(log), BEGUN: str(time.time_ns())}
         node.diagnostics.values |= self._own
         self._looks_until = time.monotonic() + LOOK
-        # The nodes of the others, their last diagnostics and when these came, by identifier.
+        # Other recorders by identifier: node, last diagnostics, and time of these in seconds.
         self._others: dict[str, tuple[str, Mapping[str, str], float]] = {}
         node.subscribe_to_diagnostics(self._on_diagnostics)
 
@@ -68,7 +69,7 @@ class Recorders:
             del self._others[next(iter(self._others))]
 
     def _publishers(self) -> Counter[str]:
-        """Return how often each node publishes the recorders' topic, this process left out."""
+        """Return the number of publishers of `OPERATORS` by node, without this process."""
         own = sum(each.topic_name == self._topic for each in self._node.publishers)
         if self._node.count_publishers(self._topic) <= own:
             return Counter()
@@ -77,15 +78,15 @@ class Recorders:
 
     @property
     def why_silent(self) -> str:
-        """Return why acknowledgements of this recorder do not count: the first one's do."""
+        """Explain why acknowledgements of this recorder do not count; empty if they do."""
         now = time.monotonic()
         if now < self._looks_until:
-            return 'diagnostics of another recorder'
+            return 'diagnostics of other recorders, if there are any'
         alive = [each for each in self._others.values() if each[2] >= now - SILENT]
         publishers = self._publishers() if alive else Counter()
         earlier = []
         for name, values, _ in alive:
-            # At most as many of a name as publish.
+            # Several recorders may have one name: at most as many as publish are alive.
             if publishers[name]:
                 publishers[name] -= 1
                 if rank(values) < rank(self._own):
@@ -109,7 +110,7 @@ class Peers:
     def __init__(self, node: MissionNode, agents: Sequence[str]) -> None:
         self._node = node
         self._agents = agents
-        # Numbers of other publishers by topic.
+        # Number of other publishers by topic.
         self._others: Counter[str] = Counter()
         self._unknown_agents: set[str] = set()
 
@@ -120,7 +121,7 @@ class Peers:
 
     @property
     def absent(self) -> list[str]:
-        """Return the agents that no node answers for."""
+        """Return the agents without a node that publishes their reports."""
         return [agent for agent in self._agents if not self._others[f'{agent}/report']]
 
     @property
@@ -130,21 +131,21 @@ class Peers:
         return [agent for agent in self._agents if not count(f'{agent}/status', STATUS)]
 
     def look(self) -> bool:
-        """Look at the graph, and warn; return whether one of several estimators left."""
+        """Check the graph and warn; return whether one of several estimators has left."""
         for agent in self._agents:
-            # The planner itself reports robots that are given up.
+            # The planner itself publishes reports, of robots that are given up.
             before, now = self._count(f'{agent}/report', REPORT, own=1)
             if now > max(before, 1):
                 self._node.diagnostics.refuse(
                     f'{agent}/report',
-                    f'{now} nodes answer for agent {agent}: unless one has just died, each needs '
-                    'a name of its own',
+                    f'{now} nodes publish reports of agent {agent}: unless one has just died, '
+                    'give each its own agent name',
                 )
             elif before and not now:
                 self._node.diagnostics.refuse(
                     f'{agent}/path',
-                    f'agent {agent} has left the graph: the others carry on, and so does '
-                    f'{agent} when it is back',
+                    f'agent {agent} has left the graph: the other agents continue, and {agent} '
+                    'does when it is back',
                 )
             self._look_for_planners(f'{agent}/path')
         self._look_for_unknown_agents()
@@ -172,7 +173,7 @@ class Peers:
             self._node.diagnostics.refuse(
                 topic,
                 f'{len(nodes)} planners publish it, nodes {", ".join(nodes)}: stop all but '
-                'one, unless one has just died; of two paths with the same stamp the one '
+                'one, unless one has just died; if two paths have the same stamp, the one '
                 'recorded first counts',
             )
         self._others[topic] = planners
@@ -196,7 +197,7 @@ BOOL = 'std_msgs/msg/Bool'
 
 
 class HoldSubscription:
-    """The planner's hold on departures: also while it is unknown, or others publish it."""
+    """A subscription to `hold`, which blocks departures until the planner alone allows them."""
 
     def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
         self._node = node
@@ -211,14 +212,17 @@ class HoldSubscription:
 
     @property
     def awaited(self) -> str:
-        """Return the condition that blocks departures; empty if there is none."""
+        """Describe the condition that blocks departures; empty if there is none."""
         if self.is_held is None:
             return f'the planner to publish on {self._topic} whether robots may depart'
         if self.is_held:
             return f'the operator to end the pause ({self._topic} is true)'
-        # A killed planner stays in the graph beside its successor of the same name.
+        # A killed planner stays in the graph beside its restarted node of the same name.
         if self._node.count_authors(self._topic, BOOL) > 1:
             others = sorted({*self._node.authors(self._topic, BOOL)})
             if len(others) > 1:
-                return f'one node alone to publish {self._topic}: {", ".join(others)} do'
+                return (
+                    f'all nodes but one to stop publishing {self._topic}: {", ".join(others)} '
+                    'publish it'
+                )
         return ''

@@ -16,19 +16,19 @@ from kbnitp_ros.robot.journal import Deployment, Journal
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 
-# Of several paths with one stamp all nodes follow the one that the recorder names. An
-# acknowledgement that comes before its path is not kept, since anybody can send any number: the
-# publisher keeps it and is asked again.
+# If several paths have one stamp, the one that the recorder acknowledges counts for all nodes. An
+# acknowledgement that arrives before its path is dropped, since any node can publish any number of
+# them: a new subscription requests it again from its publisher, which keeps it.
 
 
 P = TypeVar('P')
 
-# First and longest pause before AGENT/recorded is asked for again, in seconds.
+# First and longest pause between two requests for earlier acknowledgements, seconds.
 ASK_FIRST, ASK_LAST = 1.0, 60.0
 
 
 class RecordedPaths(Generic[P]):
-    """The paths sent to an agent, each followed once it is recorded."""
+    """The paths sent to an agent, each passed on once it is recorded."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class RecordedPaths(Generic[P]):
 
     @property
     def awaited(self) -> str:
-        """Describe the wait of the first of these paths; empty if there is none."""
+        """Describe the acknowledgement that the first path waits for; empty without a path."""
         if not self._unacknowledged:
             return ''
         stamp, _ = next(iter(self._unacknowledged))
@@ -76,7 +76,7 @@ class RecordedPaths(Generic[P]):
         )
 
     def when_recorded(self, departure: AgentStatus, depart: Callable[[], None]) -> None:
-        """Call back when a departure is on record; at once if await_nodes has no recorder."""
+        """Call back once a departure is on record, or at once without the parameter recorded."""
         if self._node.values['recorded']:
             stamp = from_stamp(departure.deployment)
             self._departures[stamp, content_hash(departure)] = depart
@@ -104,7 +104,7 @@ class RecordedPaths(Generic[P]):
         self._unacknowledged[from_stamp(message.header.stamp), content_hash(message)] = path
         if len(self._unacknowledged) > qos.DEPTH:
             stamp, content = next(iter(self._unacknowledged))
-            self._drop(stamp, content, f'{qos.DEPTH} later paths wait to be recorded as well')
+            self._drop(stamp, content, f'{qos.DEPTH} later paths wait to be recorded, too')
 
     def _on_recorded(self, message: Recorded) -> None:
         try:
@@ -135,7 +135,7 @@ class RecordedPaths(Generic[P]):
         self._node.diagnostics.refuse(f'{self.agent}/path', error)
 
     def _ask_again(self) -> None:
-        """Request the acknowledgements from before a path came again."""
+        """Request acknowledgements again that arrived before their paths."""
         if self._unacknowledged and self._has_missed and time.monotonic() > self._ask_at:
             self._interval = min(2 * self._interval, ASK_LAST)
             self._node.destroy_subscription(self._recorded)
@@ -147,10 +147,10 @@ SETTLED = 0.3
 
 
 class PendingPaths(RecordedPaths[Deployment]):
-    """The paths that a robot has not left on."""
+    """The recorded paths of a real robot that it has not departed on."""
 
-    # Paths arrive again after a restart of the robot or the base. The base sends no path while an
-    # earlier one is open, so the robot leaves on the newest that is not in the journal.
+    # Paths arrive again after a restart of the robot or the base. The base sends no path while the
+    # robot is in flight, so the robot follows the newest path that is not in its journal.
 
     def __init__(
         self,
@@ -187,8 +187,8 @@ class PendingPaths(RecordedPaths[Deployment]):
             self._refuse_order(
                 deployment,
                 f'it belongs to {named(deployment.mission)}, and journal {self._journal.path} to '
-                f'{named(own)}, which is later (was a clock set back?): for this mission name '
-                'another file by the parameter journal',
+                f'{named(own)}, which is later (was a clock set back?): for an earlier mission '
+                'set the parameter journal to another file',
             )
             return
         self._pending[deployment.stamp] = deployment
@@ -196,27 +196,27 @@ class PendingPaths(RecordedPaths[Deployment]):
 
     @property
     def newest(self) -> Deployment | None:
-        """Return the deployment to leave on; None if there is none."""
+        """Return the newest deployment, which comes next; None if there is none."""
         return self._pending[max(self._pending)] if self._pending else None
 
     @property
     def pending(self) -> int:
-        """Return the number of paths that the robot has not left on."""
+        """Return the number of paths that the robot has not departed on."""
         return len(self._pending) + super().pending
 
     @property
     def awaited(self) -> str:
-        """Describe the wait before a departure; empty if there is none."""
+        """Describe the paths that a departure waits for; empty if it need not wait."""
         if not self._pending:
             return super().awaited
-        # Acknowledgements of later paths that came too early are requested again.
+        # Acknowledgements that arrived before their paths are requested again, which takes time.
         settled = 2 * ASK_FIRST if super().pending else SETTLED
         if time.monotonic() < self._last + settled:
             return 'paths that may still arrive'
         return ''
 
     def superseded(self) -> list[Deployment]:
-        """Return the deployments that a newer one replaces."""
+        """Return the deployments that the newest one replaces."""
         driven = (
             self._journal.deployments[-1].stamp
             if self._journal.deployments
@@ -225,7 +225,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         return [self._pending[stamp] for stamp in sorted(self._pending)[:-1] if stamp > driven]
 
     def close(self, deployment: Deployment) -> None:
-        """Remove a deployment that is in the journal, and all before it."""
+        """Remove a deployment that is in the journal, and all earlier ones."""
         self._pending = {
             stamp: each for stamp, each in self._pending.items() if stamp > deployment.stamp
         }

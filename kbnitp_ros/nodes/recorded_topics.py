@@ -27,8 +27,8 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-# Number of messages of a topic remembered in case a second subscription delivers them again:
-# either may be a whole queue behind the other.
+# Number of messages of a topic remembered, since a second subscription may deliver them again: it
+# may be a whole queue behind.
 RECENT = 1000
 
 # A topic, a serialized message on it, and its info from rclpy.
@@ -37,9 +37,9 @@ Message = tuple['RecordedTopic', bytes, dict[str, Any]]
 
 @dataclass
 class RecordedTopic:
-    """A topic with its subscriptions, and the messages of it on record."""
+    """A topic with its subscriptions, and its last messages on record."""
 
-    # Full names; a topic has one type.
+    # Full name of the topic, and its only type.
     name: str
     type_name: str
     # Role of the topic in the mission; None if it has none.
@@ -50,14 +50,14 @@ class RecordedTopic:
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
     # The last messages: source time and hash of the bytes.
     recent: dict[tuple[int, int], None] = field(default_factory=dict)
-    # Acknowledges recorded paths or operator actions; None on other topics.
+    # Publisher of acknowledgements of paths or operator actions; None for other topics.
     recorded: Publisher | None = None
-    # Written and not acknowledged on `recorded` yet: stamp in nanoseconds, hash of the content,
-    # and start of the mission in nanoseconds.
+    # Messages written and not acknowledged yet: stamp in nanoseconds, hash of the content, and
+    # start of the mission in nanoseconds.
     unacknowledged: list[tuple[int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
-        """Return whether no other subscription has delivered a message, and remember it."""
+        """Return whether a message is no duplicate of another subscription; remember it."""
         message = sent, hash(data)
         if message in self.recent:
             return False
@@ -67,12 +67,12 @@ class RecordedTopic:
         return True
 
     def arrived(self) -> list[Iterator[Message]]:
-        """Return the unread messages by subscription, up to now."""
+        """Return the messages received by now and not read, by subscription."""
         now = time.time_ns()
         return [self._taken(each, now) for each in self.subscriptions.values()]
 
     def _taken(self, subscription: Subscription, end: int) -> Iterator[Message]:
-        """Read the messages of a subscription up to a time, in nanoseconds."""
+        """Yield the unread messages of a subscription up to a time, in nanoseconds."""
         handle, kind = subscription.handle, subscription.msg_type
         received = 0
         with handle:
@@ -100,19 +100,19 @@ def message_class(type_name: str) -> type:
     return found
 
 
-# Seconds until a node is asked first, so that it has discovered this one; until one that does not
-# answer is asked again; and until it is given up.
+# Seconds until the first request to a node, which must discover this one before; until the next
+# request if it does not answer; and until it is given up.
 ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
 
-# Called with the full name of a node and its parameters, and with refusals.
+# Callbacks: one takes the full name of a node and its parameters, the other a refusal.
 Take = Callable[[str, dict[str, Any]], None]
 Refuse = Callable[[str, object], None]
 
 
 class ParameterWatch:
-    """Requests for the parameters of all nodes of a namespace; none waits for its answer."""
+    """Requests for the parameters of all nodes of a namespace, without blocking."""
 
     def __init__(self, node: Node, namespace: str, take: Take, refuse: Refuse) -> None:
         self._node = node
@@ -137,7 +137,7 @@ class ParameterWatch:
         )
         self._due |= (present - self.present).keys()
         self.present = present
-        # Nodes with an open request are due again when it ends.
+        # A node with an open request becomes due again after it.
         for name in self._due - self._inquiries.keys():
             self._due.remove(name)
             if not name.startswith(self._namespace):
@@ -154,7 +154,7 @@ class ParameterWatch:
                 self._over.add(name)
 
     def is_over(self, name: str) -> bool:
-        """Return whether a node needs no more requests: it has answered, refuses, or is exempt."""
+        """Return whether a node needs no more requests: answered, given up, or foreign."""
         if name == NAMELESS:
             self._nameless_since = self._nameless_since or time.monotonic()
             return time.monotonic() > self._nameless_since + GIVE_UP
@@ -169,7 +169,7 @@ class ParameterWatch:
             validate_full_topic_name(event.node)
         except NameValidationException:
             self._refuse('/parameter_events', f'no node is called {shown(event.node)}')
-        # Claims about an absent node are no reason to look for it.
+        # An event of a node that is not in the graph may be forged.
         if event.node in self.present:
             self._due.add(event.node)
 
@@ -215,6 +215,6 @@ class Inquiry:
             self._take(self._name, dict(zip(names, values)))
 
     def destroy(self) -> None:
-        """Accept no more answers."""
+        """Ignore later answers."""
         self._node.destroy_client(self._names)
         self._node.destroy_client(self._values)

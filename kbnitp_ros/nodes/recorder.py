@@ -48,25 +48,25 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.utilities import get_rmw_implementation_identifier
 
-# Recorded from outside the mission's namespace, and left out inside it.
+# Topics recorded although they are outside the mission's namespace, and topics left out within it.
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-# Roles whose messages other nodes act on at once, also from the log.
+# Roles whose messages are synced to disk at once, since other nodes act on them.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
-# The nodes without which there is no mission.
+# Nodes that a mission needs, by the role that they publish.
 AWAITED = {'path': 'a planner to publish AGENT/path', 'belief': 'an estimator to publish belief'}
 
-# A mission begins once these are subscribed to, which they are once their nodes' parameters are
-# known.
+# Roles subscribed to only after the parameters of their publishers are recorded, so that a mission
+# begins with all parameters on record.
 AFTER_CONFIGURATION = (*ACTED_ON, 'belief')
 
 # Seconds between two syncs of messages that are no evidence.
 SYNC_PERIOD = 0.5
 
-# Maximum number of foreign topics to inspect per look: with thousands of topics in the graph each
-# query takes half a millisecond.
+# Maximum number of foreign topics to inspect per graph scan: with thousands of topics in the graph
+# each query takes half a millisecond.
 LOOKED_AT_ONCE = 500
 
 
@@ -95,8 +95,8 @@ class RecorderNode(MissionNode):
         self.get_logger().info(f'recording to {self._log.path}')
         if self._log.shares_folder:
             self.get_logger().warning(
-                f'folder {self._log.path.parent} remains the bag of another log: open this log by '
-                f'its files, such as {self._log.path}, or use a folder for each log'
+                f'{self._log.path.parent}/metadata.yaml describes another log: open this log by '
+                f'its first file, {self._log.path}, or use a folder for each log'
             )
         self._recorders = Recorders(self, self._log.path)
         self._why_silent = self._recorders.why_silent
@@ -107,14 +107,14 @@ class RecorderNode(MissionNode):
         self._unsynced = True
         self._shown_at = time.monotonic()
         self._tracker = MissionTracker()
-        # The hash of the first message of each path and action on record, which counts, by topic,
-        # stamp and mission.
+        # Hash of the first message of each path and action, the one that counts, by topic, stamp
+        # and mission.
         self._first: dict[tuple[str, int, int], int] = {}
         self._paths: Counter[int] = Counter()
-        # The paths on record, of any mission.
+        # Deployments with a path on record, of any mission.
         self._ordered: set[DeploymentKey] = set()
         self._departures = Departures()
-        # Differences between the topics of roles that nodes state and those here, by node.
+        # By node, the first difference of the topics that it states from those of this node.
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
@@ -130,11 +130,11 @@ class RecorderNode(MissionNode):
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, RecordedTopic] = {}
-        # Topics with all publishers subscribed to, and topics that cannot be recorded.
+        # Topics with subscriptions for all publishers, and topics that cannot be recorded.
         self._settled: set[str] = set()
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
-        # Beliefs ahead of the paths of their deployments, and losses ahead of departures.
+        # Beliefs that arrived before the paths of their deployments, and losses before departures.
         self._early = PendingMessages(self, self._write_checked)
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
@@ -152,11 +152,11 @@ class RecorderNode(MissionNode):
         self.get_logger().info(f'the log of the mission is {self._log.path}')
 
     def _write_arrived_on(self, topics: Iterable[RecordedTopic]) -> None:
-        """Write the messages that have arrived on some topics, in their order."""
+        """Write the messages that have arrived on some topics, in the order of arrival."""
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
-            # A silent recorder is taken for dead, and another one may take over.
+            # During a backlog diagnostics go on, or another recorder may take over.
             if time.monotonic() > self._shown_at + PERIOD:
                 self._shown_at = time.monotonic()
                 self.diagnostics.publish()
@@ -169,7 +169,7 @@ class RecorderNode(MissionNode):
             super().close()
 
     def _check_log(self) -> None:
-        """Check that the log is in its place, and whether its acknowledgements count."""
+        """Check that the log was not removed, and whether acknowledgements count."""
         self._log.check_in_place()
         if (why := self._recorders.why_silent) != self._why_silent:
             self._why_silent = why
@@ -177,9 +177,9 @@ class RecorderNode(MissionNode):
 
     def _discover(self) -> None:
         """Subscribe to new topics and publishers."""
-        # The estimator publishes as soon as belief has its readers, so its maps, created earlier,
-        # must be subscribed to before belief is. Two equal looks show all that was created before
-        # anything in them; belief comes last in the reverse order.
+        # The estimator publishes once belief has its subscribers, so its maps, created earlier,
+        # must be subscribed to before belief. Two equal scans of the graph show all publishers
+        # created before any of them; in reverse order belief comes last.
         found: dict[str, Any] = {}
         others: list[str] = []
         looked = True
@@ -198,7 +198,7 @@ class RecorderNode(MissionNode):
             self._subscribe_to(topic, found[topic])
 
     def _new_topics(self) -> tuple[list[str], list[str]]:
-        """Return the topics that may have new publishers: the mission's, and others."""
+        """Return topics that may have new publishers: those of the mission, and others."""
         own: list[str] = []
         others: list[str] = []
         for topic, types in self.get_topic_names_and_types():
@@ -217,7 +217,7 @@ class RecorderNode(MissionNode):
         return {topic: known for topic, known in publishers.items() if known}
 
     def _next_topics(self, topics: list[str]) -> list[str]:
-        """Return the topics or, of very many, the next ones in turn."""
+        """Return the next topics in turn, at most `LOOKED_AT_ONCE`."""
         ordered = sorted(topics)
         start = bisect_right(ordered, self._last_looked)
         taken = (ordered[start:] + ordered[:start])[:LOOKED_AT_ONCE]
@@ -234,7 +234,7 @@ class RecorderNode(MissionNode):
             profile = qos.unread_kept(publisher.qos_profile)
             role = self.roles.by_topic.get(name)
             if role is not None and role.name in AFTER_CONFIGURATION:
-                # Nodes of the mission subscribe to no less, and the rest is no evidence.
+                # The same profile as that of all nodes, so that all receive the same evidence.
                 profile = qos.unread_kept(qos.EVIDENCE)
                 if not self._watch.is_over(node):
                     return
@@ -258,7 +258,7 @@ class RecorderNode(MissionNode):
             self._settled.add(name)
 
     def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> RecordedTopic:
-        """Return a topic, recorded from now on."""
+        """Return a topic, adding it to the log if it is new."""
         if name in self._topics:
             topic = self._topics[name]
             if type_name != topic.type_name:
@@ -271,7 +271,7 @@ class RecorderNode(MissionNode):
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = RecordedTopic(name, type_name, role)
         if role is not None and role.name in ('path', 'status'):
-            # Each agent has a publisher, with a history as deep as DDS allows.
+            # Each agent has its own publisher, since DDS limits the depth of a history.
             name = f'{role.agent}/recorded'
             topic.recorded = self.create_publisher(Recorded, name, qos.EVIDENCE)
         elif role is not None and role.name == 'operator':
@@ -285,8 +285,8 @@ class RecorderNode(MissionNode):
         if self._differing:
             node, differs = next(iter(self._differing.items()))
             return waiting_for(
-                f'{node} to use the same topics: its {differs}; no robot leaves before '
-                '(remapped topics and the parameter agents must be the same in all nodes)'
+                f'{node} to use the same topics as this node: its {differs}; until then no robot '
+                'leaves (remapped topics and the parameter agents must be the same in all nodes)'
             )
         if self._why_silent:
             return waiting_for(f'{self._why_silent}; {recording}')
@@ -314,10 +314,10 @@ class RecorderNode(MissionNode):
 
     def _on_message(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         role = topic.role.name if topic.role else ''
-        # Nobody waits for the record of these, unless paths that were read with them do.
+        # These need no sync at once, unless an acknowledgement is pending.
         is_seldom_awaited = role in ('belief', 'status')
         if is_seldom_awaited:
-            # They are checked against the known paths, and callbacks come in any order.
+            # These are checked against paths on record, and callbacks come in any order.
             self._write_arrived_on(
                 each for each in self._topics.values() if each.role and each.role.name == 'path'
             )
@@ -327,19 +327,19 @@ class RecorderNode(MissionNode):
         is_evidence = role in ACTED_ON and not is_seldom_awaited
         is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
-            # One sync serves all that waits: the paths of a round arrive together, and so does a
-            # whole history. All that was published before an acknowledgement is then on disk.
+            # One sync for all messages that have arrived, such as the paths of a round, so that
+            # all messages published before an acknowledgement are on disk.
             self._write_arrived_on(self._topics.values())
             self._sync()
             self._acknowledge_all()
 
     def _write(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
-        """Write a message, unless it is on record."""
+        """Write a message, unless another subscription has delivered it."""
         if topic.is_new(info['source_timestamp'], data):
             self._write_checked((topic, data, info))
 
     def _write_checked(self, message: Message, deadline: float | None = None) -> None:
-        """Write a valid message; keep one that is ahead of what it refers to, up to a deadline."""
+        """Write a message if it is valid; retry until a deadline if it refers to a later one."""
         topic, data, info = message
         try:
             if len(data) > MAX_MESSAGE:
@@ -357,14 +357,14 @@ class RecorderNode(MissionNode):
         self.diagnostics.accepted += 1
 
     def _is_of_this_mission(self, topic: RecordedTopic, data: bytes) -> bool:
-        """Return whether diagnostics, which all missions share, are of this mission."""
+        """Return whether a message is of this mission: all missions share /diagnostics."""
         if topic.name != DIAGNOSTICS or self._namespace == '/':
             return True
         status = deserialize_message(data, message_class(topic.type_name)).status
         return any(each.name.startswith(self._namespace) for each in status)
 
     def _check(self, topic: RecordedTopic, data: bytes) -> None:
-        """Check that a message that others act on can be of this mission."""
+        """Check a message of a role, and note it for acknowledgement."""
         role = topic.role
         if role is None:
             return
@@ -384,13 +384,13 @@ class RecorderNode(MissionNode):
             if len(topic.unacknowledged) > qos.DEPTH:
                 self.diagnostics.refuse(
                     topic.name,
-                    f'{qos.DEPTH} paths wait for the first belief of their mission: the oldest is '
-                    'not acknowledged any more',
+                    f'more than {qos.DEPTH} paths wait for the first belief of their mission: the '
+                    'oldest one will not be acknowledged',
                 )
                 del topic.unacknowledged[0]
             if first != content:
                 raise ValueError(
-                    f'another message with stamp {stamp} was recorded first, and counts (do two '
+                    f'another message with stamp {stamp} was recorded first, which counts (do two '
                     'nodes publish this topic?)'
                 )
         elif role.name == 'report' and not message.survived:
@@ -402,18 +402,17 @@ class RecorderNode(MissionNode):
 
     def _check_status(self, topic: RecordedTopic, key: DeploymentKey, status: AgentStatus) -> None:
         """Check an agent's status, and acknowledge a departure once it is on disk."""
-        # Of two departures of one deployment, by two robots of one name, only the first is
-        # acknowledged.
+        # If two robots of one name report a departure, only the first report is acknowledged.
         if key not in self._ordered:
             raise MissingError(
-                f'deployment {key} is {status.state.name}, and its path is not on record'
+                f'status {status.state.name} of deployment {key}: its path is not on record'
             )
         self._departures.take(key, status)
         if status.state is OrderState.DEPARTED:
             topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
 
     def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
-        """Return the hash of the first path or action with this key on record."""
+        """Note a path or action; return the hash of the first one with its stamp and mission."""
         key = name, stamp, mission
         if key not in self._first and role.name == 'path':
             self._paths[mission] += 1
@@ -421,7 +420,7 @@ class RecorderNode(MissionNode):
         return self._first.setdefault(key, content)
 
     def _acknowledge_all(self) -> None:
-        """Acknowledge the paths on disk, if this recorder's acknowledgements count."""
+        """Acknowledge all messages on disk, if this recorder's acknowledgements count."""
         if self._differing or self._why_silent:
             return
         for topic in self._topics.values():
@@ -431,12 +430,12 @@ class RecorderNode(MissionNode):
                 ]
 
     def _acknowledge(self, topic: RecordedTopic, stamp: int, content: int, mission: int) -> bool:
-        """Acknowledge a path or action on disk; return False if that must wait."""
+        """Acknowledge a message on disk; return False if its mission is not known yet."""
         if topic.type_name == PATH:
             try:
                 self._tracker.check_path(mission)
             except ValueError as error:
-                # A path may come before the belief that it was planned on.
+                # A path may arrive before the belief that it was planned on.
                 if self._tracker.mission is None:
                     return False
                 self.diagnostics.refuse(topic.name, error)
@@ -461,7 +460,7 @@ class RecorderNode(MissionNode):
             self._unsynced = True
 
     def _compare_roles(self, node: str, stated: Sequence[str]) -> None:
-        """Check that a node states the same topics for the roles of the mission."""
+        """Refuse a node that states other topics for the roles of the mission."""
         names = dict(each.partition('=')[::2] for each in stated)
         differs = self.roles.difference(self.roles.meant_by(node, names))
         if differs and differs != self._differing.get(node):
@@ -472,7 +471,7 @@ class RecorderNode(MissionNode):
         self._acknowledge_pending()
 
     def _acknowledge_pending(self) -> None:
-        """Send the pending acknowledgements once they count."""
+        """Sync, and send pending acknowledgements if they count."""
         self.diagnostics.state = self._state()
         self._sync()
         self._acknowledge_all()

@@ -35,10 +35,10 @@ from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-# Maximum number of detections kept until it is known where the robot was.
+# Maximum number of detections kept until the place of the robot at their time is known.
 MAX_UNREAD = 1000
 
-# The exit code of a robot that DDS cannot connect before a restart.
+# Exit code of a node that must be restarted, since DDS does not use new network links.
 NEW_LINKS = os.EX_TEMPFAIL
 
 
@@ -52,9 +52,9 @@ class RobotNode(FieldNode):
         return field.at(own_base(self.values, self.values['agent'], field))
 
     def __init__(self) -> None:
-        # The network addresses that DDS knows. A node that starts without a link listens on lo
-        # alone, and stays unreachable when one comes up. A node whose address changes is not found
-        # under the new one.
+        # Network addresses at the start, the only ones that DDS uses. A node that starts without
+        # a link stays unreachable when one comes up, and a node whose address changes is not
+        # found under the new one.
         self._addresses = addresses()
         super().__init__('robot')
         values = self.values
@@ -72,7 +72,7 @@ class RobotNode(FieldNode):
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
         )
-        # The source of the robot's pose, and its name.
+        # The topic of the robot's pose, and its reader.
         self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
         self._whereis: Transforms | Fixes
         datum, frame = make_datum(values), values['base_frame']
@@ -82,21 +82,21 @@ class RobotNode(FieldNode):
             self._whereis = Fixes(datum.in_map, frame, self.grid.resolution / 2)
         else:
             raise ValueError(
-                "parameter position is 'fix', and datum is empty: it must say where on the earth "
-                'the frame map lies'
+                "parameter position is 'fix', and datum is empty: set datum to the place of the "
+                'frame map on the earth'
             )
         # Current place of the robot; None if it is unknown.
         self._place: Place | None = None
         # Current problems by subject, and those that were logged.
         self._troubles = {self._source: 'nothing was received yet'}
         self._is_driving = False
-        # Whether a departure was reported that is not on record yet.
+        # Whether the robot waits for its reported departure to be on record.
         self._is_at_gate = False
-        # End of the last goal as seen here, in nanoseconds; 0 before.
+        # Time at which the end of the last goal was noticed, nanoseconds; 0 before.
         self._ended_at = 0
         self._stays_until: int | None = None
         self._try_again_at = 0.0
-        # The time of the last look, by the system's clock and by ROS.
+        # Time of the last poll by the system clock and by ROS, nanoseconds.
         self._looked = 0, 0
         self._resume()
         if not self._addresses:
@@ -129,7 +129,7 @@ class RobotNode(FieldNode):
             self.subscribe(TFMessage, topic, take, profile, keeps_all=False)
 
     def _resume(self) -> None:
-        """Resume from the journal: publish again, and continue where the robot was."""
+        """Resume from the journal: publish its statuses and reports, and send the robot home."""
         if self._journal.corruption:
             self.get_logger().warning(self._journal.corruption)
             self.diagnostics.values['journal'] = self._journal.corruption
@@ -143,7 +143,7 @@ class RobotNode(FieldNode):
         if under_way := self._journal.under_way:
             self._set_out(under_way, ())
             self.get_logger().warning(
-                f'deployment {self._key(under_way)} was under way when the robot went off, in '
+                f'deployment {self._key(under_way)} was interrupted when the robot went off, in '
                 f'cell {self._walk.cell}: it goes home'
             )
 
@@ -153,10 +153,10 @@ class RobotNode(FieldNode):
             self.grid, deployment.cells[-1], self.values['tf_timeout'], self.values['max_speed']
         )
         kept, speed = self.values['tf_timeout'], self.values['max_speed']
-        # In less time the robot cannot leave its cell and return to where it is localized.
+        # Within this time the robot cannot leave its cell and return unnoticed.
         gap = min(kept, 2 * MARGIN * self.grid.resolution / speed) if speed else kept
         self._whereabouts = Whereabouts(round(kept * SECOND), round(gap * SECOND))
-        # Detections not assigned to a step yet, each with the interval of its time.
+        # Detections not assigned to a step yet: first and last possible time, and the result.
         self._unread: list[tuple[int, int, bool]] = []
         self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
         self._is_driving, self._ended_at = False, 0
@@ -168,7 +168,7 @@ class RobotNode(FieldNode):
     def _publish_status(
         self, stamp: int, state: OrderState, time_said: int, reason: str = ''
     ) -> None:
-        """Publish the status of an order, or publish it again."""
+        """Publish the status of an order."""
         key = DeploymentKey(self._agent, stamp)
         self._statuses.publish(status_message(key, state, time_said, reason))
 
@@ -207,7 +207,7 @@ class RobotNode(FieldNode):
             self._count_readings(self._deployment)
 
     def _lose(self, time_lost: int, error: ValueError) -> None:
-        """Discard detections while the robot's place is unknown, and say why."""
+        """Discard detections while the robot's place is unknown, and publish the reason."""
         if self._deployment is not None:
             self._whereabouts.note(time_lost, NO_STEP)
         self._publish_trouble(self._source, str(error))
@@ -218,14 +218,17 @@ class RobotNode(FieldNode):
             self._itinerary.enter(cell)
 
     def _step(self, cell: int) -> None:
-        """Record a step of the walk; later detections belong to it."""
+        """Record a step of the walk, in the journal, too."""
         assert self._deployment is not None
         self._deployment.steps.append(Step(cell, self.now()))
         self._keep(partial(self._journal.step, self._deployment, len(self._deployment.steps)))
 
     def _doubt(self, deployment: Deployment, why: str) -> None:
         """Stop recording readings: the robot's cell is uncertain."""
-        warning = f'{self._key(deployment)}: its position is uncertain, its readings stop: {why}'
+        warning = (
+            f'{self._key(deployment)}: the position of the robot is uncertain, so later readings '
+            f'do not count: {why}'
+        )
         self.get_logger().warning(warning)
         self.diagnostics.values['doubt'] = warning
         self._keep(partial(self._journal.doubt, deployment, self.now()))
@@ -235,7 +238,9 @@ class RobotNode(FieldNode):
         try:
             write()
         except OSError as error:
-            self._publish_trouble('journal', f'{in_words(error)}: the rest is kept in memory')
+            self._publish_trouble(
+                'journal', f'{in_words(error)}; further records are kept in memory'
+            )
             return False
         self._publish_trouble('journal', '')
         return True
@@ -265,21 +270,21 @@ class RobotNode(FieldNode):
         """Return the interval of ROS time in which a detection was made, in nanoseconds."""
         looked_at, looked = self._looked
         if stamp is None and self.get_parameter('use_sim_time').value:
-            # The time of a message that waited for longer is unknown.
+            # Simulated time has no publication time, so the interval starts at the last poll.
             return (looked if published >= looked_at else 0), self.now()
         what = 'it was published' if stamp is None else 'header.stamp is'
         made = published if stamp is None else stamp
         age = (self.now() - made) / SECOND
         if abs(age) > self.values['tf_timeout']:
             raise ValueError(
-                f'{what} {age:.1f} s ago: it may be {self.values["tf_timeout"]} s '
+                f'{what} {age:.1f} s ago: at most {self.values["tf_timeout"]} s are allowed '
                 '(parameter tf_timeout)'
             )
         return made, made
 
     def _count_readings(self, deployment: Deployment) -> None:
         """Assign detections to the steps during which they were made."""
-        # A detection that may be of another cell is discarded.
+        # Detections that may be of another cell are discarded.
         unread, self._unread = self._unread, []
         for since, until, seen in unread:
             number = self._whereabouts.step_within(since, until)
@@ -287,7 +292,7 @@ class RobotNode(FieldNode):
                 self._unread.append((since, until, seen))
             elif number != NO_STEP and not deployment.is_doubted:
                 step = deployment.steps[number - 1]
-                # All detections in a cell make one reading: whether anything was seen.
+                # The reading of a step is positive if any of its detections is.
                 if step.reading < seen:
                     step.reading = int(seen)
                     self._keep(partial(self._journal.step, deployment, number))
@@ -326,7 +331,7 @@ class RobotNode(FieldNode):
             return self._no_room
         for superseded in self._pending.superseded():
             if not self._refuse(
-                superseded, f'path {self._key(deployment)} replaced it before it left'
+                superseded, f'path {self._key(deployment)} arrived before it left'
             ):
                 return self._no_room
             self._pending.close(superseded)
@@ -384,8 +389,8 @@ class RobotNode(FieldNode):
         away, tolerance = self._distance(self._place), self.values['arrival_tolerance']
         if away > tolerance:
             return (
-                f'the robot to be at its base, cell {self.grid.base}: it is '
-                f'{away:.1f} m from there, and may be {tolerance} m (parameter arrival_tolerance)'
+                f'the robot to be at its base, cell {self.grid.base}: it is {away:.1f} m from the '
+                f'middle, at most {tolerance} m are allowed (parameter arrival_tolerance)'
             )
         return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
@@ -397,12 +402,12 @@ class RobotNode(FieldNode):
         budget: float = self.values['time_budget']
         spent = (self.now() - deployment.departed) / SECOND
         steps_back = len(without_loops(reversed(deployment.cells))) - 1
-        # At the pace of the steps so far.
+        # Estimated from the pace of the steps so far.
         way_back = steps_back * spent / max(len(deployment.steps), 1)
         if not itinerary.heads_home and 0 < budget <= spent + way_back:
             self.get_logger().warning(
-                f'{self._key(deployment)}: {budget} s (parameter time_budget) leave no more '
-                'than the time of the way back; going home'
+                f'{self._key(deployment)}: going home, since the rest of {budget} s (parameter '
+                'time_budget) is needed for the way back'
             )
             self._driver.cancel()
             self._is_driving = False
@@ -451,7 +456,7 @@ class RobotNode(FieldNode):
         )
 
     def _end_leg(self, place: Place) -> None:
-        """Go on after a goal of Nav2: with the next leg, another try, or the way home."""
+        """Handle the end of a goal of Nav2: start the next leg, a retry, or the way home."""
         itinerary, failure = self._itinerary, self._driver.failure
         if not failure:
             try:
@@ -468,15 +473,15 @@ class RobotNode(FieldNode):
                     failure = (
                         f'{self._driver.name} reports cell {itinerary.destination} as reached, '
                         f'but the robot is in cell {cell}, at ({place.x:.2f}, {place.y:.2f}): '
-                        'its goal tolerance must be below half the side of a cell and at most '
-                        'the parameter arrival_tolerance'
+                        'set the goal tolerance of Nav2 below half the side of a cell, and at '
+                        'most to the parameter arrival_tolerance'
                     )
         if not failure:
             itinerary.succeed()
             return
         was_homebound = itinerary.heads_home
         if self._driver.was_cancelled and not was_homebound:
-            # The client that cancelled it does not want the drive to go on.
+            # Another client stopped the drive on purpose.
             itinerary.go_home()
         else:
             itinerary.fail()
@@ -516,9 +521,9 @@ class RobotNode(FieldNode):
         observation, now = deployment.observation(most), self.now()
         if len(deployment.steps) > most:
             warning = (
-                f'{self._key(deployment)} has {len(deployment.steps)} steps, and a report has at '
-                f'most {MAX_WALK} * max_steps = {most}: loops are left out, and '
-                f'{observation.path.size - 1} steps reported; the journal has all'
+                f'{self._key(deployment)} has {len(deployment.steps)} steps, more than a report '
+                f'may have ({MAX_WALK} * max_steps = {most}): {observation.path.size - 1} steps '
+                'are reported, without loops; the journal has all'
             )
             self.get_logger().warning(warning)
             self.diagnostics.values['long walk'] = warning
@@ -526,11 +531,11 @@ class RobotNode(FieldNode):
         self._readings.publish(readings_marker(self.grid, observation, now))
 
     def finish(self) -> None:
-        """Stop the robot: nobody would follow where it goes."""
+        """Stop the robot, since no node would track it any more."""
         self._driver.cancel()
 
     def close(self) -> None:
-        """Write what is known to the disk."""
+        """Write pending records of the journal, and close it."""
         self._keep(self._journal.write)
         self._journal.close()
         super().close()

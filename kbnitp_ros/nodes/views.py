@@ -20,20 +20,20 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-# Beliefs per belief that names all its evidence, so that readers that lost one catch up.
+# One of this number of beliefs names all its evidence, for readers that have missed a belief.
 COMPLETE_EVERY = 64
 
 
 class NewEvidence:
     """Evidence assimilated since the last belief."""
 
-    # A report that replaces another leaves the number of deployments as it was, so the next belief
-    # names all its evidence.
+    # After a report that replaces another, and so does not raise the number of deployments, the
+    # next belief names all its evidence.
 
     def __init__(self) -> None:
         self._keys: set[DeploymentKey] = set()
         self._published = 0
-        # The deployments that the next belief adds to; 0 if it is to be complete.
+        # Number of deployments in the belief that the next one adds to; 0 if that is complete.
         self._since = 0
         self._until_complete = COMPLETE_EVERY
 
@@ -57,7 +57,7 @@ class NewEvidence:
         return since, named
 
 
-# Seconds between two views: nobody sees more of them, and they take longer than small beliefs.
+# Minimum seconds between two publications of the views, which take longer than small beliefs.
 PERIOD = 0.1
 
 
@@ -68,8 +68,8 @@ class Views:
         self._node = node
         self._truth: dict[str, NDArray[np.bool_]] = {}
         self._newest: tuple[int, Estimator] | None = None
-        # The belief to show next: its ledger, the belief before and its stamp. Every change of a
-        # ledger is shown, so it still holds that belief then.
+        # The belief to publish next: its ledger, the belief before, and its stamp. The ledger
+        # still holds that belief then, since each of its changes is passed to `show`.
         self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
         self._message = Progress()
         self._status = NOT_KNOWN
@@ -99,7 +99,7 @@ class Views:
         if status != self._status:
             self._status = status
             self._message.state, self._message.reason = status
-            # There is none before the first belief.
+            # Before the first belief there is no progress to publish.
             self._is_progress_pending = self._newest is not None
             self._publish_or_wait()
 
@@ -116,7 +116,7 @@ class Views:
             self._truth[name] = truth
 
     def show(self, ledger: Ledger, stamp: int) -> None:
-        """Show the belief of a ledger, with its stamp in nanoseconds, or wait for later ones."""
+        """Publish the views of a belief, now or after a pause; its stamp is in nanoseconds."""
         self._pending = ledger, self._newest, stamp
         self._newest = len(ledger.deployments), ledger.estimator
         self._publish_or_wait()
@@ -130,7 +130,7 @@ class Views:
             self._publish_or_wait()
 
     def _publish_or_wait(self) -> None:
-        """Publish now after a pause, and later otherwise."""
+        """Publish now, or after `PERIOD` if views were just published."""
         if self._timer.is_canceled():
             self.publish()
             self._timer.reset()

@@ -62,7 +62,7 @@ def test_a_robot_at_its_base_is_never_lost(field):
     key, cells = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
     base.reports['scout_1'].publish(report_message(key, Observation(cells, False), key.stamp + 1))
     for node in ('/planner', '/estimator', '/recorder'):
-        refusal = 'is reported lost, and its agent has not reported its departure'
+        refusal = 'is reported lost, but its agent has not reported its departure'
         field.until(lambda name=node, said=refusal: said in field.said(name), f'refusal by {node}')
     base.crash()
     base.until_state('which its agent reports on /scout_1/status')
@@ -80,7 +80,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base.say(OrderState.ACCEPTED)
     base.until_state('which its agent reports on /scout_1/status')
     told = base.refused('give_up', agent='scout_1', steps_survived=0)
-    assert 'has not reported its departure, so it cannot be declared lost' in told
+    assert 'has not reported its departure on scout_1/status, so it cannot be declared' in told
     # Longer than the deadline after a departure.
     begun = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > begun + 2 * 10**9, 'two seconds')
@@ -189,8 +189,8 @@ def test_a_pause_holds_before_it_is_recorded_and_against_strangers(field):
     told = base.refused('pause', data=False)
     assert told.endswith(': call again after that')
     base.until_state(
-        'waiting for the recorder to confirm on /operator/recorded that the operator paused the '
-        'mission (parameter recorded)'
+        'waiting for the recorder to confirm the action "the operator paused the mission" on '
+        '/operator/recorded (parameter recorded)'
     )
     field.start('recorder', {**base.parameters, 'resume': str(base.log)})
     field.until(answer.done, 'answer')
@@ -230,7 +230,7 @@ def test_simulated_robots_stay_while_held_and_move_once_recorded(field):
     for state, is_held in (
         ('the planner to publish on /hold', True),
         ('the operator to end the pause', False),
-        ('one node alone to publish /hold: /stranger, /test/test do', None),
+        ('all nodes but one to stop publishing /hold: /stranger, /test/test publish it', None),
     ):
         field.until(lambda state=state: state in field.state('/agent'), state)
         assert [status.state for status in statuses] == [OrderState.ACCEPTED]

@@ -177,7 +177,7 @@ def test_sampling_that_does_not_converge_is_stated(field):
         paths.publish(path(number))
         reports.publish(returned(number) if number % 3 else lost(number))
     field.until(lambda: beliefs and beliefs[-1].deployments == 8, 'belief in all')
-    told = 'sampling has not converged: '
+    told = 'the sampling of the belief has not converged: '
     field.until(lambda: field.diagnosed('/estimator').message.startswith(told), 'warning')
     status = field.diagnosed('/estimator')
     assert status.level == DiagnosticStatus.WARN

@@ -247,7 +247,7 @@ def test_an_agent_that_answers_for_another_is_refused(field):
     imposter = field.node.create_publisher(DeploymentReport, '/m/scout_2/report', qos.EVIDENCE)
     field.until(lambda: imposter.get_subscription_count() > 1, 'listeners')
     field.until(lambda: field.count('/m/planner', 'refused') == 1, 'word of two nodes')
-    assert '2 nodes answer for agent scout_2' in field.diagnosed('/m/planner').message
+    assert '2 nodes publish reports of agent scout_2' in field.diagnosed('/m/planner').message
     for name in ('scout_1', 'scout_9'):
         report = DeploymentReport(agent=name)
         report.header.frame_id = 'map'

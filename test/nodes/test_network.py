@@ -84,7 +84,11 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
             ('lethality', 0.25, 'model changed from '),
             ('seed', 9, "seed changed from '0' to '9'"),
             ('method', 'relaxed_itp', "method changed from 'kappa_bnitp' to 'relaxed_itp'"),
-            ('deployments', 5, 'the belief holds 5 deployments, and this planner knows the paths of 0'),
+            (
+                'deployments',
+                5,
+                'the belief holds 5 deployments, and this planner knows the paths of 0',
+            ),
             ('deployments', 4_000_000_000, 'deployments is 4000000000: a mission has at most'),
         )
     ):
@@ -284,7 +288,7 @@ def test_a_planner_does_not_take_itself_for_the_agent_that_it_awaits(field):
     field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     field.start('planner', {**FIELD, 'await_nodes': ['agent']})
     field.talk(BeliefMaps, '/belief', qos.LATCHED).publish(prior())
-    wait = 'waiting for agent to listen to /scout_1/path'
+    wait = 'waiting for agent to subscribe to /scout_1/path'
     field.until(lambda: field.state('/planner').startswith(wait), wait)
 
 

@@ -103,8 +103,8 @@ def test_approved_robots_depart_and_refused_ones_go_elsewhere(field):
 def test_a_robot_declared_lost_is_given_up(field):
     base = Base(field)
     assert base.refused('give_up', agent='scout_9') in (
-        "no robot of 'scout_9' is in flight: none is",
-        "no robot of 'scout_9' is in flight: scout_1 is",
+        "no robot of 'scout_9' is in flight (agents in flight: none)",
+        "no robot of 'scout_9' is in flight (agents in flight: scout_1)",
     )
     base.until_sent(1)
     base.until_state('however long that takes')
@@ -127,7 +127,7 @@ def test_an_ended_mission_is_over_when_its_robots_have_returned(field):
     base = Base(field)
     base.until_sent(1)
     told = base.do('end_mission')
-    assert told.startswith('the operator ended the mission; it is over when scout_1 at ')
+    assert told.startswith('the operator ended the mission; the mission is over once scout_1 at ')
     for service, request in (('end_mission', {}), ('pause', {'data': True})):
         assert base.refused(service, **request) == 'the mission has been ended already'
     assert 'waiting for' in field.state('/planner')
@@ -200,7 +200,7 @@ def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
     for _ in range(10):
         told = call(False)
         assert not told.success
-        assert f'RESUME was taken {MAX_TIMES} times' in told.message
+        assert f'RESUME was called {MAX_TIMES} times' in told.message
         assert operator.state.is_paused
     assert len(operator.state.actions) == 2 * MAX_TIMES + 1
     assert operator._on_end(Trigger.Request(), Trigger.Response()).success

@@ -135,7 +135,7 @@ def test_the_first_path_waits_for_its_readers_and_a_mission_may_be_empty(field):
     mission.show_belief()
     mission.until_state('done: 0 of 0 robots deployed')
     assert field.set_parameter('/planner', 'robots', 1).successful
-    mission.until_state('waiting for onlooker to listen to /scout_1/path')
+    mission.until_state('waiting for onlooker to subscribe to /scout_1/path')
     assert not mission.paths
     onlooker = rclpy.create_node('onlooker', context=field.node.context)
     onlooker.create_subscription(Path, '/scout_1/path', lambda _: None, qos.EVIDENCE)
@@ -151,7 +151,7 @@ def test_bad_beliefs_are_refused_and_counted(field):
     )
     cases = [
         (in_frame(prior, 'odom'), "header.frame_id is 'odom': it must be 'map'"),
-        (wider, 'it is on Grid(width=4'),
+        (wider, 'its grid is Grid(width=4'),
         (changed(prior, max_steps=3), 'max_steps is 3'),
         (changed(prior, joint=[float('nan')] * 36), 'joint of cell 0'),
         (changed(prior, deployments=2), "agent is ''"),
@@ -364,8 +364,8 @@ def test_a_pause_during_a_search_is_answered_and_no_robot_is_sent(base):
     assert min(seconds) < 0.5
     field = base.field
     assert 'paths were found' not in field.said('/planner')
-    kept = 'the plan for scout_1, scout_2, scout_3 and 5 more is ready, and kept: waiting for '
-    until_said(field, f'{kept}the operator')
+    kept = 'the plan for scout_1, scout_2, scout_3 and 5 more is ready, but robots cannot '
+    until_said(field, f'{kept}leave yet: waiting for the operator')
     assert not any(base.paths.values())
     base.do('pause', data=False)
     for agent in AGENTS:

@@ -202,9 +202,7 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     report = fleet.wait_for_report(reports, fleet.send(1, WAY_ROUND))
     fleet.see_that_it_is_true(report)
     assert is_out_and_back(report)
-    assert '(parameter time_budget) leave no more than the time of the way back' in field.said(
-        '/scout_1/robot'
-    )
+    assert '(parameter time_budget) is needed for the way back' in field.said('/scout_1/robot')
 
 
 def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):

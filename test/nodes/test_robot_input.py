@@ -103,7 +103,7 @@ def test_an_endless_walk_is_reported_up_to_the_maximum(field):
     paths = field.talk(PathMessage, '/scout_1/path', qos.EVIDENCE)
     paths.publish(path_message(GRID, deployment.path, deployment.stamp, deployment.mission))
     poses = field.node.create_publisher(TFMessage, '/scout_1/tf', 10)
-    words = 'has 302 steps, and a report has at most 10 * max_steps = 200: loops are left out'
+    words = 'has 302 steps, more than a report may have (10 * max_steps = 200): '
     for starts in (1, 2):
         fleet.start()
 
@@ -283,7 +283,7 @@ def test_a_full_disk_loses_no_step(field):
     field.until(lambda: 'journal' in field.diagnosed('/scout_1/robot').message, 'word of the disk')
     said = field.said('/scout_1/robot')
     assert f'{journal}: File too large (raise the limit' in said
-    assert 'the rest is kept in memory' in said
+    assert 'further records are kept in memory' in said
     # Without room it does not depart.
     key = fleet.send(2, [0, 1, 0])
     field.until(lambda: 'waiting for room on the disk' in fleet.state(), 'word of it')
@@ -364,7 +364,7 @@ def test_a_robot_without_vision_msgs_names_the_package(tmp_path):
     assert (
         "robot: parameter detection_type is 'detection2d_array': type "
         "'vision_msgs/msg/Detection2DArray' has no Python class: No module named 'vision_msgs'; "
-        'install vision_msgs, such as by rosdep or as ros-jazzy-vision-msgs, or have the detector '
-        'say std_msgs/Bool'
+        'install vision_msgs (by rosdep, or as ros-jazzy-vision-msgs), or use a detector that '
+        'publishes std_msgs/Bool'
     ) in ended.stderr
     assert not given['journal'].exists()

@@ -29,7 +29,7 @@ class Parser(argparse.ArgumentParser):
     """An argument parser whose help survives a closed output."""
 
     def format_help(self) -> str:
-        """Return the help without the end of its last line."""
+        """Return the help without its last newline."""
         return super().format_help().rstrip('\n')
 
     def print_help(self, file: Any = None) -> None:

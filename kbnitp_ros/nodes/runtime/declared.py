@@ -17,7 +17,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 import rclpy.parameter
 
-# The parameter that states a node's topics.
+# Name of the parameter with a node's topics.
 TOPICS = 'topics'
 
 CLOCK = 'use_sim_time'
@@ -27,14 +27,14 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     """Declare the parameters of the node called `name` and return their values."""
     mine = node_parameters(name)
     values = {parameter.name: parameter.default for parameter in mine.values()}
-    # rclpy has no other way to list given parameters that are not declared.
+    # A private attribute: rclpy does not list given parameters before they are declared.
     for given, override in node._parameter_overrides.items():
         if parameter := find_parameter(name, given):
             mine[given] = parameter
             values[given] = parameter.check(override.value)
         elif given != TOPICS:
             check_known(given, NODES)
-    # A real robot does not know other agents.
+    # A real robot has no parameter agents.
     if 'agents' in values:
         check_own(values)
     for parameter in mine.values():
@@ -50,7 +50,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         try:
             for change in changes:
                 if change.name == CLOCK and change.value != node.get_parameter(CLOCK).value:
-                    raise ValueError(f'{CLOCK} cannot change: start the node again with it')
+                    raise ValueError(f'{CLOCK} cannot change: restart the node with the new value')
                 if change.name in mine:
                     mine[change.name].check(change.value)
         except ValueError as error:
@@ -76,11 +76,11 @@ def state(node: Node, names: Mapping[str, str]) -> None:
     given = node._parameter_overrides.get(TOPICS)
     if given is not None and list(given.value) != stated:
         raise ValueError(
-            f'parameter {TOPICS} is {given.value}: it only states the names of topics, which are '
-            f'{stated}; remap them with -r'
+            f'parameter {TOPICS} is {given.value}: it cannot be set, it shows the topics, which '
+            f'are {stated}; remap topics with -r'
         )
     descriptor = ParameterDescriptor(
-        description='Names of its topics of the mission, by role.', read_only=True
+        description="Names of the node's topics in the mission, by role.", read_only=True
     )
     node.declare_parameter(TOPICS, stated, descriptor, ignore_override=True)
 
@@ -92,7 +92,7 @@ def parameter_descriptor(parameter: Parameter) -> ParameterDescriptor:
         description=parameter.description,
         read_only=parameter.read_only,
         additional_constraints='' if is_in_range else parameter.allowed,
-        # rclpy takes an empty list for a list of bytes, whatever it was declared as.
+        # rclpy takes any empty list for a list of bytes.
         dynamic_typing=parameter.element is not None,
     )
     if parameter.limits is not None:

@@ -24,12 +24,12 @@ MISSION_REASON = 'mission_reason'
 # Key for the last refusal.
 LAST_REFUSAL = 'last_refusal'
 
-# Maximum number of refusals published in a period, and of characters of each. Further ones are
-# only counted: a flood of messages must not make this node flood others.
+# Maximum number of refusals published per period, and of characters of each. Further refusals are
+# only counted, so that a flood of messages does not become a flood of diagnostics.
 SHOWN_AT_ONCE = 10
 SHOWN = 1000
 
-# Seconds that a node that fails waits for a subscriber of its last message, and for its delivery.
+# Seconds that a failing node waits for a subscriber of its last message, and for its delivery.
 LAST_WORDS = 1.0
 
 
@@ -37,7 +37,7 @@ WAITING = 'waiting for '
 
 
 def waiting_for(what: str) -> str:
-    """Return the state of a node that waits, with for what and why."""
+    """Return the state of a node that waits."""
     return f'{WAITING}{what}'
 
 
@@ -45,29 +45,29 @@ class Diagnostics:
     """Counts of a node's messages, published every second and after each refusal."""
 
     def __init__(self, node: Node) -> None:
-        # Messages so far.
+        # Numbers of messages.
         self.accepted = 0
         self.refused = 0
-        # Messages held until what they refer to arrives.
+        # Number of messages held until another message arrives.
         self.waiting = 0
         # The state of the node in a sentence.
         self.state = 'running'
         # A current problem; empty if there is none.
         self.warning = ''
-        # Further values.
+        # Further values, by key.
         self.values: dict[str, str] = {}
         self._last_refusal = ''
         self._failure = ''
         self._refused_lately = 0
         self._node = node
-        # A fixed name in every namespace, which is what tools expect.
+        # The same name in every namespace, which tools expect.
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
         # Diagnostics go on when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._publish_all, clock=steady)
 
     def refuse(self, what: str, why: object) -> None:
-        """Count and report one refused message, unless too many were reported just now."""
+        """Count a refused message, and report it unless too many were reported in this period."""
         self.refused += 1
         self._refused_lately += 1
         text = f'{what} refused: {why}'
@@ -84,7 +84,7 @@ class Diagnostics:
         self.publish()
 
     def fail(self, why: Exception) -> None:
-        """Report why the node cannot go on, and wait until that has arrived if anybody listens."""
+        """Publish the error that ends the node, and wait until subscribers have received it."""
         self._failure = in_words(why)
         deadline = time.monotonic() + LAST_WORDS
         name = self._node.get_name(), self._node.get_namespace()

@@ -18,9 +18,9 @@ PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
     """Return environment variables that make rmw_fastrtps use UDP and no shared memory."""
-    # A killed process leaves locked shared memory behind, and the next one may not be discovered.
-    # For the range LOCALHOST rmw_fastrtps adds shared memory whatever the profile says: a profile
-    # that binds UDP to 127.0.0.1 replaces it, unless ROS_STATIC_PEERS names peers elsewhere.
+    # A killed process leaves locked shared memory behind, which may hide the next one. With the
+    # range LOCALHOST rmw_fastrtps adds shared memory despite the profile, so a profile that binds
+    # UDP to 127.0.0.1 replaces that range, unless ROS_STATIC_PEERS names other computers.
     if environment.get(PROFILES):
         return {}
     is_local = (
@@ -33,24 +33,24 @@ def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
     }
     if is_local:
         variables['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
-        # ROS warns of this variable wherever it is set.
+        # ROS warns of this deprecated variable if it is 1.
         if 'ROS_LOCALHOST_ONLY' in environment:
             variables['ROS_LOCALHOST_ONLY'] = '0'
     return variables
 
 
 def discovery_warning(environment: Mapping[str, str]) -> str:
-    """Return why nodes behind a discovery server see too little; empty if they do not."""
+    """Explain why a node does not discover all nodes with a discovery server; empty if it does."""
     server = environment.get('ROS_DISCOVERY_SERVER')
     if not server or environment.get('ROS_SUPER_CLIENT', '').lower() in ('true', '1'):
         return ''
     return (
-        f'ROS_DISCOVERY_SERVER is {server!r} and ROS_SUPER_CLIENT is not TRUE, so nodes wait for '
-        'each other for ever: set ROS_SUPER_CLIENT=TRUE for all nodes of the mission'
+        f'ROS_DISCOVERY_SERVER is {server!r} and ROS_SUPER_CLIENT is not TRUE, so nodes do not '
+        'discover each other: set ROS_SUPER_CLIENT=TRUE for all nodes of the mission'
     )
 
 
-# ROS's names of a node whose name is not known yet, and of a participant that is no ROS node.
+# Name in ROS of a node whose name is not known yet, and of a participant that is no ROS node.
 NAMELESS = '_NODE_NAMESPACE_UNKNOWN_/_NODE_NAME_UNKNOWN_'
 
 
@@ -60,7 +60,7 @@ def full_name(namespace: str, name: str) -> str:
 
 
 def decodable(look: Callable[..., Iterable[Any]]) -> Callable[..., list[Any]]:
-    """Wrap a query of the graph: warn and return nothing if rclpy cannot decode a name in it."""
+    """Wrap a query of the graph: warn and return [] if rclpy cannot decode a name."""
 
     @wraps(look)
     def found(node: Any, *arguments: object) -> list[Any]:
@@ -74,8 +74,7 @@ def decodable(look: Callable[..., Iterable[Any]]) -> Callable[..., list[Any]]:
     return found
 
 
-# The message types by which nodes of each role are found: of AGENT/path, AGENT/report, belief,
-# AGENT/recorded.
+# Message types that identify nodes by role: of AGENT/path, AGENT/report, belief, AGENT/recorded.
 PUBLISHED = {
     'planner': PATH,
     'agent': REPORT,
@@ -85,11 +84,11 @@ PUBLISHED = {
 
 
 def listening_roles(node: Node, topics: Iterable[str]) -> dict[str, set[str]]:
-    """Return the names and roles of the other nodes subscribed to each topic."""
+    """Return the names and roles of other nodes that subscribe to each topic."""
 
     @cache
     def types_published(name: str, namespace: str) -> set[str]:
-        # It may have ended, its name may not be known yet, or it is no ROS node.
+        # The node may have ended, have no known name yet, or be no ROS node.
         with suppress(RuntimeError):
             published = node.get_publisher_names_and_types_by_node(name, namespace)
             return {kind for _, kinds in published for kind in kinds}

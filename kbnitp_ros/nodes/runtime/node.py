@@ -50,30 +50,30 @@ from rclpy.task import Future
 from rclpy.timer import Timer
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-# Seconds: longest delay of a signal, and period of looks at the graph.
+# Seconds: longest delay until a signal is handled, and period of polls.
 SPIN = 0.2
 POLL = 0.05
 
-# Seconds that a message waits for another one that it refers to, and the maximum number of waiting
-# messages: DDS keeps the order within one topic alone.
+# Seconds that a message waits for another one that it refers to, since DDS keeps the order only
+# within a topic; and the maximum number of such messages.
 PATIENCE = 2.0
 MAX_EARLY = 20
 
-# Seconds that an author may be in the graph without a name before it is reported without.
+# Seconds to wait for the name of an author before it is reported without a name.
 MAX_NAMELESS = 1.0
 
-# Pause after a look at the graph, in multiples of the time that the look took.
+# Pause after a scan of the graph, in multiples of its duration.
 REST = 4.0
 
-# Seconds that a node waits for the readers of its last messages, which may have died.
+# Maximum seconds that a node waits until subscribers have received its last messages.
 FAREWELL = 0.3
 
-# Seconds until a node that waits or reads logs that, since all do for a moment when a mission
-# begins, and seconds until it logs it again.
+# Seconds until a node logs that it waits or reads, since all nodes wait for a moment when a
+# mission begins; and seconds until it logs that again.
 LOG_FIRST = 3.0
 LOG_AGAIN = 10.0
 
-# The child logger for a line about each deployment, which can be silenced alone.
+# Name of the child logger for lines about deployments, which can be silenced separately.
 DEPLOYMENTS = 'deployments'
 
 T = TypeVar('T')
@@ -91,12 +91,12 @@ class MissionNode(Node):
     get_node_names_and_namespaces = decodable(Node.get_node_names_and_namespaces)
 
     def __init__(self, name: str) -> None:
-        # Raised by a callback.
+        # The first error of a callback.
         self.broken: BaseException | None = None
         super().__init__(name)
         # Parameters by name, kept up to date.
         self.values = declare(self, name)
-        # In the namespace of its own name, an agent's topics are not below that name again.
+        # Namespace of the mission: that of the node without the name of its own agent.
         own = self.values.get('agent', '')
         self.above = self.get_namespace().rstrip('/').removesuffix(f'/{own}')
         # Topics of the node by role, stated in its parameters.
@@ -108,7 +108,7 @@ class MissionNode(Node):
         )
         state(self, self.roles.names)
         self.diagnostics = Diagnostics(self)
-        # Whether the node's work is done, so that the process ends, and the exit code.
+        # Whether the node's work is done, so that the process ends; and its exit code.
         self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
         # When an author without a name was first seen, by topic.
@@ -127,7 +127,7 @@ class MissionNode(Node):
         return min(self.get_clock().now().nanoseconds, LATEST)
 
     def elapsed(self) -> int:
-        """Return the time of deadlines, in nanoseconds from an arbitrary start."""
+        """Return the time for deadlines, in nanoseconds from an arbitrary start."""
         is_simulated = self.get_parameter('use_sim_time').value
         return self.now() if is_simulated else time.monotonic_ns()
 
@@ -141,7 +141,7 @@ class MissionNode(Node):
         keeps_all: bool = True,
         is_timed: bool = False,
     ) -> Subscription:
-        """Subscribe, and keep all unread messages or as many as the profile says."""
+        """Subscribe to a topic; keep all unread messages, or those that the profile keeps."""
         # A timed callback also takes the time of publication, in nanoseconds of the publisher's
         # system clock.
         kept = qos.unread_kept(profile) if keeps_all else profile
@@ -157,7 +157,7 @@ class MissionNode(Node):
         return self.create_subscription(kind, topic, read, kept, raw=True)
 
     def subscribe_to_diagnostics(self, take: Callable[[str, Mapping[str, str]], None]) -> None:
-        """Pass on the full names of nodes, and the values of their diagnostics."""
+        """Subscribe to diagnostics; `take` gets the full name of a node, and its values."""
 
         def read(array: DiagnosticArray) -> None:
             for status in array.status:
@@ -166,7 +166,7 @@ class MissionNode(Node):
         self.subscribe(DiagnosticArray, TOPIC, read, qos.DIAGNOSTICS, keeps_all=False)
 
     def refuse_once(self, what: str, why: object) -> None:
-        """Warn once of something in the graph, however often it is found."""
+        """Refuse something in the graph, only the first time that it is found."""
         text = f'{what}: {why}'
         if text not in self._refused_once:
             self._refused_once.add(text)
@@ -192,8 +192,8 @@ class MissionNode(Node):
         )
 
     def named_authors(self, topic: str, type_name: str) -> list[str]:
-        """Return the authors of a topic once all have names; empty for a moment before."""
-        # DDS knows the publishers of a node a moment before its name, if it has one.
+        """Return the authors of a topic; empty until all have names, or for `MAX_NAMELESS`."""
+        # DDS discovers the publishers of a node a moment before its name.
         authors, now = self.authors(topic, type_name), time.monotonic()
         if NAMELESS not in authors:
             self._nameless_since.pop(topic, None)
@@ -202,7 +202,7 @@ class MissionNode(Node):
 
     def count_authors(self, topic: str, type_name: str) -> int:
         """Return the number of publishers of a type on a topic."""
-        # Queries for their names take a hundred times as long, and the number seldom changes.
+        # The query for types takes a hundred times as long as the count, which seldom changes.
         publishers = self.count_publishers(topic)
         if self._publisher_counts.get(topic) != publishers:
             self._publisher_counts[topic] = publishers
@@ -211,18 +211,20 @@ class MissionNode(Node):
         return self._author_counts[topic]
 
     def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
-        """Return the nodes in `await_nodes` that do not subscribe yet; empty if all do."""
+        """Describe the nodes in `await_nodes` that do not subscribe yet; empty if all do."""
         unread: dict[str, list[str]] = {}
         topics = [publisher.topic_name for publisher in publishers]
         for topic, listening in listening_roles(self, topics).items():
             for awaited in self.values['await_nodes']:
                 if awaited not in listening:
                     unread.setdefault(awaited, []).append(topic)
-        missing = [f'{awaited} to listen to {some(topics)}' for awaited, topics in unread.items()]
+        missing = [
+            f'{awaited} to subscribe to {some(topics)}' for awaited, topics in unread.items()
+        ]
         return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
 
     def _log_wait(self) -> None:
-        """Log what the node waits for, after a while and then repeatedly."""
+        """Log the state of a node that waits, after `LOG_FIRST` and then repeatedly."""
         state = self.diagnostics.state
         awaited = state if state.startswith(WAITING) else ''
         now = time.monotonic()
@@ -233,7 +235,7 @@ class MissionNode(Node):
             self.get_logger().info(awaited)
 
     def log_progress(self, items: Iterable[T], doing: str) -> Iterator[T]:
-        """Pass items on, and log their number while it takes long."""
+        """Yield items, and log their number if reading them takes long."""
         log_at = time.monotonic() + LOG_FIRST
         for number, item in enumerate(items):
             stop_on_signal()
@@ -248,23 +250,23 @@ class MissionNode(Node):
             self.executor.create_task(self.guarded(callback))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a callback: `spin_once` raises its errors; those of rclpy's own are refused."""
-        # EventsExecutor ends with a segmentation fault where the callback of a future or a task
-        # raises, and logs fatal errors otherwise.
+        """Wrap a callback: `spin_once` raises its errors; errors within rclpy are refused."""
+        # EventsExecutor crashes if the callback of a future or a task raises, and logs a fatal
+        # error for other callbacks.
 
         @wraps(callback)
         def call(*arguments: Any) -> Any:
             try:
                 return callback(*arguments)
             except (Exception, KeyboardInterrupt) as error:
-                # rclpy itself subscribes to the clock and serves parameters.
+                # rclpy's own callbacks are for the clock and parameter services.
                 frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)][1:]
                 rooms = [frame.f_globals.get('__name__', '').partition('.')[0] for frame in frames]
                 if rooms[:1] == ['rclpy'] and PACKAGE not in rooms:
-                    self.diagnostics.refuse('a clock or request for rclpy', error)
+                    self.diagnostics.refuse('a clock message or parameter request', error)
                 else:
                     self.broken = self.broken or error
-            # The response of a service.
+            # The last argument of a service's callback is the response.
             return arguments[-1] if arguments else None
 
         return call
@@ -307,18 +309,18 @@ class MissionNode(Node):
         return service
 
     def create_poll(self, callback: Callable[[], None], period: float = POLL) -> Timer:
-        """Call back periodically (seconds), also when simulated time stands still."""
+        """Call back with this period, in seconds, also when simulated time stands still."""
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def create_look(self, look: Callable[[], None]) -> Timer:
-        """Call back as `create_poll` does, but less often if it takes long."""
+        """Scan the graph like `create_poll`, but less often if a scan takes long."""
         due = 0.0
 
         def look_if_due() -> None:
             nonlocal due
             if time.monotonic() < due:
                 return
-            # Time of other processes does not count.
+            # CPU time, since time of other processes must not count.
             begun = time.thread_time()
             look()
             due = time.monotonic() + REST * (time.thread_time() - begun)
@@ -334,7 +336,7 @@ class MissionNode(Node):
         """Complete pending work before the node is closed."""
 
     def close(self) -> None:
-        """Wait until the last messages have arrived: DDS drops them with the publisher."""
+        """Wait until the last messages have been received: DDS drops them with the publisher."""
         if self.is_over:
             # DDS does not acknowledge responses of services.
             time.sleep(FAREWELL)
@@ -381,7 +383,7 @@ class FieldNode(MissionNode):
         return self._grid
 
     def read_path(self, agent: str, message: Path) -> tuple[DeploymentKey, NDArray[np.intp]]:
-        """Return the deployment of a path, and its cells if a robot of the agent can take it."""
+        """Return the deployment and the cells of a path, after checking it for the agent."""
         key, cells = read_path(self.grid, agent, message)
         grid = self.grid.at(own_base(self.values, agent, self.grid))
         return key, grid.check_path(cells, value_for(self.values, 'max_steps', agent))
@@ -398,8 +400,8 @@ class FieldNode(MissionNode):
             grid = make_grid(self.values, Map(*read_map_message(message)))
             if self._grid not in (None, grid):
                 raise ValueError(
-                    'the map has changed: this mission goes on with the one that it began with; '
-                    'begin another mission for the new one'
+                    'the map has changed: this mission continues with its first map; begin '
+                    'another mission for the new one'
                 )
         except ValueError as error:
             self.diagnostics.refuse(self._topic, error)
@@ -417,7 +419,7 @@ class PendingMessages:
         node.create_poll(self.try_again)
 
     def keep(self, deadline: float | None, *message: object) -> bool:
-        """Keep a message; return False if its time is over, or if too many wait."""
+        """Keep a message; return False if its deadline has passed, or too many wait."""
         now = time.monotonic()
         deadline = now + PATIENCE if deadline is None else deadline
         is_kept = now < deadline and len(self._waiting) < MAX_EARLY
@@ -426,7 +428,7 @@ class PendingMessages:
         return is_kept
 
     def try_again(self, *, is_last: bool = False) -> None:
-        """Pass waiting messages to the callback, with their deadlines or, at the last try, 0."""
+        """Pass waiting messages to the callback, with their deadlines, or 0 if `is_last`."""
         waiting, self._waiting = self._waiting, []
         for *message, deadline in waiting:
             self._take(*message, 0.0 if is_last else deadline)

@@ -65,7 +65,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
     """Run a node; return the exit code."""
     parser = node_parser(name, str(make.__doc__))
     try:
-        # Checked first, since ROS reports a missing file badly.
+        # Checked first, since ROS describes a missing file badly.
         check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
@@ -85,7 +85,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         broken = _live(node, executor, linger)
         if broken:
             if not isinstance(broken, OSError):
-                # Neither a message nor a user can cause it: a fault of this package.
+                # A fault of this package, since no message and no user can cause it.
                 traceback.print_exception(broken)
             _complain(name, broken)
             node.diagnostics.fail(broken)
@@ -122,7 +122,7 @@ def _complain(name: str, error: Exception) -> None:
 
 
 def _publish_startup_error(name: str, arguments: Sequence[str], error: Exception) -> None:
-    """Publish a startup error on diagnostics, from a node of its own: there may be none yet."""
+    """Publish a startup error on diagnostics, from a node made for that."""
     # A wrong argument may prevent this node, too.
     with suppress(*START_ERRORS):
         if not ok():
@@ -134,7 +134,7 @@ def _publish_startup_error(name: str, arguments: Sequence[str], error: Exception
 
 
 def _leave(code: int, executor: Executor | None = None, node: MissionNode | None = None) -> None:
-    """Leave the graph, or else end the process with its exit code."""
+    """Leave the graph; if that hangs, end the process with its exit code."""
     # When several processes leave at once, one in a thousand hangs forever in Fast DDS 2.14 with
     # Python's lock held, so the C library ends it.
     exit_function = ctypes.cast(LIBC._exit, ctypes.c_void_p).value

@@ -34,8 +34,8 @@ READINGS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def unread_kept(offered: QoSProfile) -> QoSProfile:
-    """Return the profile of a subscription that receives all that a publisher can give."""
-    # With an unlimited history, a reliable publisher repeats samples that found no place.
+    """Return a subscription's profile that receives all messages of a publisher."""
+    # With an unlimited history, a reliable publisher sends messages again that were dropped.
     reliable = offered.reliability == ReliabilityPolicy.RELIABLE
     latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals that end a process: noted when they arrive, handled between two callbacks."""
+"""Signals that end a process: recorded when they arrive, handled between two callbacks."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def note_signals() -> None:
 
 
 def stop_on_signal() -> None:
-    """End a long operation after any signal, such as a compilation of up to a minute."""
+    """Raise KeyboardInterrupt after a signal; for long operations such as a compilation."""
     if SIGNALS:
         raise KeyboardInterrupt
 
 
 def ignore_signals() -> None:
     """Ignore the signals of `ENDING` until the process ends."""
-    # Python removes its handlers before it ends: a second Ctrl-C would kill it.
+    # Python removes its handlers before it ends, so a second Ctrl-C would kill it.
     for number in ENDING:
         ctypes.pythonapi.PyOS_setsig(number, ctypes.c_void_p(signal.SIG_IGN))
         signal.signal(number, signal.SIG_IGN)
