@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversions between ROS messages and the core, one module a subject."""
+"""Conversions between ROS messages and the core, one module per subject."""

@@ -2,10 +2,9 @@
 """
 The belief message, and the rules of its estimator.
 
-Its joint is the belief, bit for bit; the hazard, target and kappa maps are views for those who do
-not want to derive them. With the grid, the rules, the method and the sensor model in it, every
-message says how it can be computed again from the deployments, and which evidence of theirs it has
-assimilated.
+Its joint is the belief, bit for bit; the hazard, target and kappa maps are derived from it. The
+message also contains the grid, the rules, the method and the sensor model, and names the evidence
+that was assimilated, so the belief can be computed again from the deployments.
 """
 
 from __future__ import annotations
@@ -54,9 +53,9 @@ if TYPE_CHECKING:
 class Snapshot:
     """A belief message in terms of the core."""
 
-    # When the last evidence arrived, nanoseconds; of a prior, when the estimator started.
+    # Time at which the last evidence arrived, or for a prior the estimator started, nanoseconds.
     stamp: int
-    # When the mission began, nanoseconds.
+    # Start of the mission, nanoseconds.
     mission: int
     grid: Grid
     # The maximum number of steps of a path.
@@ -74,16 +73,16 @@ class Snapshot:
     # Seed of the method's random draws.
     seed: int
     dynamics: Dynamics
-    # The clustering of hazards; None: they are independent.
+    # The clustering of hazards; None if they are independent.
     clustering: Clustering | None
     # Number of deployments assimilated.
     deployments: int
     # The deployment assimilated last; None if there is none.
     newest: DeploymentKey | None
-    # Given those deployments.
+    # The belief given these deployments.
     belief: Belief
-    # The prior as it was given, in the first belief: that belief is averaged over learnt numbers
-    # of the prior, or over clustered hazards.
+    # In the first message the prior as given by parameters: the first belief is its average over
+    # learnt numbers and clustered hazards.
     prior: Belief
 
     def agent_base(self, agent: str) -> int:
@@ -225,7 +224,8 @@ def read_belief_maps(message: Any) -> Snapshot:
     check_frame('header.frame_id', message.header.frame_id)
     if message.deployments and not message.agent:
         raise ValueError(
-            f"agent is '' with {message.deployments} deployments: it must name the newest one's"
+            f"agent is '' with {message.deployments} deployments: it must name the agent of the "
+            'newest one'
         )
     if message.dynamics not in HAZARDS:
         raise ValueError(
@@ -298,7 +298,8 @@ def read_unknowns(numbers: Iterable[Any]) -> dict[str, Beta]:
     for number in numbers:
         if number.name not in known or number.name in priors:
             raise ValueError(
-                f'unknowns has {shown(number.name)}: it must name each once, of {", ".join(known)}'
+                f'unknowns has {shown(number.name)}: it must name numbers of {", ".join(known)}, '
+                'each once'
             )
         priors[number.name] = Beta(number.a, number.b, number.low, number.high)
     return priors
@@ -312,8 +313,8 @@ def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
         of_agent = own.setdefault(number.agent, {})
         if not number.agent or number.name not in known or number.name in of_agent:
             raise ValueError(
-                f'own has {shown(number.name)} of agent {shown(number.agent)}: it must name each '
-                f'once, with its agent, of {", ".join(known)}'
+                f'own has {shown(number.name)} of agent {shown(number.agent)}: it must name an '
+                f'agent, and numbers of {", ".join(known)}, each once'
             )
         of_agent[number.name] = number.value
     try:

@@ -111,8 +111,7 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
     for number, each in enumerate(message.readings):
         if each.detected and each.not_looked:
             raise ValueError(
-                f'readings[{number}] has detected and not_looked: nothing is detected without a '
-                'look'
+                f'readings[{number}] has detected and not_looked: at most one of them can be true'
             )
         readings.append((int(each.cell), -1 if each.not_looked else int(each.detected)))
     if message.source not in list(Source):
@@ -144,9 +143,9 @@ class AgentStatus:
 
     # The state of the order.
     state: OrderState
-    # When it was reported, nanoseconds.
+    # Time of the status, nanoseconds.
     stamp: int
-    # Why the robot stays at the base; empty if it does not.
+    # Reason of a refusal; empty for other states.
     reason: str = ''
     # Hash of the message, which the recorder acknowledges.
     content: int = 0
@@ -181,9 +180,11 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
     state = OrderState(message.state)
     if (state is OrderState.REFUSED) != bool(message.reason):
         raise ValueError(
-            f'reason is {shown(message.reason)} and state {state.name}: a refused order has a '
-            'reason, others have none'
+            f'reason is {shown(message.reason)} and state is {state.name}: a reason must be given '
+            'for a refused order only'
         )
     if len(message.reason) > MAX_REASON:
-        raise ValueError(f'reason has {len(message.reason)} characters: it may have {MAX_REASON}')
+        raise ValueError(
+            f'reason has {len(message.reason)} characters: at most {MAX_REASON} are allowed'
+        )
     return key, AgentStatus(state, stamp, message.reason, content_hash(message))

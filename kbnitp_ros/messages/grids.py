@@ -21,7 +21,8 @@ UNKNOWN = -1
 # Tolerance of a quaternion's length, as in tf2.
 UNIT = 1e-2
 
-# Decimals: a micrometre at a thousand kilometres. A quaternion holds an angle to some 1e-16 rad.
+# Decimals of an angle in rad: a micrometre at a thousand kilometres. A quaternion is exact to
+# about 1e-16 rad.
 YAW_DECIMALS = 12
 
 
@@ -33,7 +34,7 @@ def rounded_resolution(resolution: float) -> float:
 def rounded_yaw(yaw: float) -> float:
     """Return an angle in rad, in (-pi, pi], rounded to the precision of a quaternion."""
     rounded = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
-    # Both half turns are equal, and round to more than pi.
+    # A half turn in either direction is the same angle, and would be rounded to more than pi.
     return abs(rounded) if abs(rounded) > pi else rounded
 
 
@@ -133,7 +134,7 @@ def _data(message: Any, grid: Grid) -> NDArray[np.int8]:
     return data.astype(np.int8)
 
 
-# Nav2's filters by the type of the message.
+# Types of Nav2's costmap filters, as in nav2_msgs/CostmapFilterInfo.
 KEEPOUT, SPEED_PERCENT, SPEED_ABSOLUTE = range(3)
 
 
@@ -144,15 +145,15 @@ def check_filter(filter_type: int, base: float, multiplier: float) -> None:
         raise ValueError(f'{given}: with filter.type 0, a KeepoutFilter, they must be 0 and 1')
     if filter_type == KEEPOUT:
         return
-    # It takes 0 percent for no limit.
+    # A SpeedFilter takes 0 percent of hazard as no limit, so limits begin at 1 percent.
     limits = [base + multiplier * percent for percent in (1, 100)]
     unit, most = ('%', 100.0) if filter_type == SPEED_PERCENT else ('m/s', float('inf'))
     if not (min(limits) >= 0.0 and max(limits) <= most):
         allowed = 'from 0 to 100 %' if filter_type == SPEED_PERCENT else 'at least 0 m/s'
         raise ValueError(
-            f'{given}: with filter.type {filter_type} that is {limits[0]:.6g} {unit} at 1 % of '
-            f'hazard and {limits[1]:.6g} {unit} at 100 %, which must be {allowed}, or Nav2 takes '
-            'it for no limit'
+            f'{given}: the speed limit of filter.type {filter_type} is {limits[0]:.6g} {unit} at '
+            f'1 % of hazard and {limits[1]:.6g} {unit} at 100 %; it must be {allowed}, since Nav2 '
+            'takes other values as no limit'
         )
 
 

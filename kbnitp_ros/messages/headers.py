@@ -22,10 +22,9 @@ FRAME = 'map'
 SECOND = 10**9
 HOUR = 3600 * SECOND
 
-# Whole seconds are an int32. Stamps of deployments are counted on from the time of a belief and
-# from other stamps, so the last hours stay free for that: no message has a time after `LATEST`,
-# nothing is counted on from a stamp after `LAST_COUNTED_ON`, and none is after `LAST_NAME`. Each
-# of these bounds leaves an hour of nanoseconds.
+# Whole seconds are an int32. Stamps of deployments are the next free nanosecond after a belief or
+# another stamp, so the last hours stay free for them: times of messages are at most `LATEST`, new
+# stamps follow stamps of at most `LAST_COUNTED_ON`, and all stamps are at most `LAST_NAME`.
 END = 2**31 * SECOND
 LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
 
@@ -42,7 +41,7 @@ def stamp_fields(nanoseconds: int) -> Fields:
 
 
 def to_stamp(nanoseconds: int) -> Time:
-    """Return the message of a time; errors as in `stamp_fields`."""
+    """Return the message of a time; raise errors as `stamp_fields` does."""
     from builtin_interfaces.msg import Time
 
     return filled(Time(), stamp_fields(nanoseconds))
@@ -77,7 +76,7 @@ def read_name(name: str, stamp: Any) -> int:
 
 
 def next_name(earliest: int, *names: int) -> int:
-    """Return the first free stamp, in nanoseconds, from a time on."""
+    """Return the first stamp from a time on, in nanoseconds, that follows all given ones."""
     return max([earliest, *(each + 1 for each in names if each <= LAST_COUNTED_ON)])
 
 
@@ -110,7 +109,8 @@ def check_frame(name: str, frame_id: str) -> None:
 
 M = TypeVar('M')
 
-# Fields as attributes, arrays of numbers as in numpy, lists of messages as lists of such objects.
+# The fields of a message as attributes, with numpy arrays, and lists of Fields for lists of
+# messages.
 Fields = SimpleNamespace
 
 
@@ -120,14 +120,14 @@ def filled(message: M, fields: Fields) -> M:
         if isinstance(value, Fields):
             filled(getattr(message, name), value)
         elif isinstance(value, np.ndarray):
-            # Of all assignable types, only this one skips the check of each value.
+            # rclpy does not check each value of an array.array.
             setattr(message, name, array(value.dtype.char, value.tobytes()))
         elif not (isinstance(value, list) and value and isinstance(value[0], Fields)):
             setattr(message, name, value)
     return message
 
 
-# The range of a hash, a uint64 field.
+# Bytes of a hash, which is a uint64 field.
 BYTES = 8
 
 
@@ -139,11 +139,11 @@ def content_hash(message: Any) -> int:
 
 
 def _encoded(value: Any) -> Iterator[bytes]:
-    """Yield the unique bytes of a value: a tag, the size if it varies, and the value."""
+    """Yield unique bytes for a value: a tag, the size if it varies, and the value."""
     if isinstance(value, bool):
         yield b'b\1' if value else b'b\0'
     elif isinstance(value, int):
-        # The limits of int64 and uint64.
+        # Nine bytes, for int64 and uint64.
         yield b'i' + value.to_bytes(9, 'little', signed=True)
     elif isinstance(value, float):
         yield b'f' + struct.pack('<d', value)
@@ -166,7 +166,7 @@ def _encoded(value: Any) -> Iterator[bytes]:
 
 @lru_cache
 def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
-    """Return a message's field names as defined, and as bytes; None for other objects."""
+    """Return a message's field names as defined, and as bytes; empty for other objects."""
     if hasattr(kind, 'get_fields_and_field_types'):
         names = tuple(kind.get_fields_and_field_types())
     else:
@@ -186,11 +186,11 @@ def mission_of_path(message: Any) -> int:
 
 
 def check_mission(stated: int, own: int | None) -> None:
-    """Check that a message belongs to a node's mission; None before the node has joined any."""
+    """Check that a message belongs to a node's mission; `own` is None before it has joined one."""
     if own not in (None, stated):
         raise ValueError(
-            f'it belongs to {named(stated)}, and not to {named(own)}: '
-            'play bags in a domain or a namespace of their own'
+            f'it belongs to {named(stated)}, and not to {named(own)}: play bags in another ROS '
+            'domain or namespace'
         )
 
 

@@ -29,7 +29,7 @@ class Action(IntEnum):
     END = 6
 
 
-# A description, and whether the action concerns robots.
+# Description of each action, after "the operator".
 WORDS = {
     Action.PAUSE: 'paused the mission',
     Action.RESUME: 'ended the pause',
@@ -48,7 +48,7 @@ class OperatorAction:
     # Time of the action, nanoseconds of ROS time, different for each action.
     stamp: int
     action: Action
-    # Number of robots sent by then.
+    # Number of robots sent before the action.
     robots_left: int
     # Paths of the robots concerned.
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
@@ -91,9 +91,12 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')
     action = Action(message.action)
     if len(message.agents) != len(message.paths):
-        raise ValueError(f'agents has {len(message.agents)} names: paths has {len(message.paths)}')
+        raise ValueError(f'agents has {len(message.agents)} names, and paths {len(message.paths)}')
     if bool(message.agents) != (action in OF_ROBOTS):
-        raise ValueError(f'agents is {shown(", ".join(message.agents))}: action is {action.name}')
+        needed = 'some' if action in OF_ROBOTS else 'none'
+        raise ValueError(
+            f'agents is {shown(", ".join(message.agents))}: {action.name} must have {needed}'
+        )
     paths = dict(
         read_path(grid, agent, path) for agent, path in zip(message.agents, message.paths)
     )
@@ -104,8 +107,8 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
     )
 
 
-# Maximum numbers of pauses ended and of proposals refused in a mission: endless calls must fill
-# neither the planner's memory nor the disk.
+# Maximum number of resumed pauses, and of refused proposals, in a mission, so that endless calls
+# fill neither the planner's memory nor the disk.
 MAX_TIMES = 1000
 REPEATED = (Action.RESUME, Action.REFUSE)
 
@@ -120,14 +123,14 @@ class OperatorState:
         self.actions: dict[int, OperatorAction] = {}
         # Whether departures are paused.
         self.is_paused = False
-        # Whether departures are over for good.
+        # Whether the operator has ended the mission.
         self.is_ended = False
-        # Robots given up, and the number of steps that each is known to have survived.
+        # Robots given up, with the number of steps that each is known to have survived.
         self.given_up: dict[DeploymentKey, int] = {}
 
     @property
     def is_holding(self) -> bool:
-        """Return whether robots that were sent and have not departed stay at the base."""
+        """Return whether departures are held."""
         return self.is_paused or self.is_ended
 
     def apply(self, action: OperatorAction) -> bool:
@@ -153,7 +156,7 @@ class OperatorState:
 
     def is_approved(self, robots_left: int, paths: Paths) -> bool:
         """Return whether paths were approved since the last robot left."""
-        # Of a plan that was found again the stamps differ.
+        # Compared without stamps, which differ if the same plan was found again.
         sent = {key.agent: path.tolist() for key, path in paths.items()}
         return any(
             each.action == Action.APPROVE

@@ -39,7 +39,7 @@ class MissionState(IntEnum):
     ENDED = 4
 
 
-# The state of a mission and its reason; empty where the state says all.
+# The state of a mission, and its reason; empty if the state needs none.
 MissionStatus = tuple[MissionState, str]
 
 NOT_KNOWN: MissionStatus = (MissionState.UNKNOWN, '')
@@ -183,7 +183,7 @@ def decision_fields(decision: Decision, deployments: int) -> Fields:
 def decision_message(
     grid: Grid, decision: Decision, deployments: int, stamp: int, mission: int
 ) -> DecisionMessage:
-    """Return the message of a decision made with a belief: its deployments, stamp and mission."""
+    """Return the message of a decision; deployments, stamp and mission are those of its belief."""
     from kbnitp_msgs.msg import Decision as DecisionMessage
 
     return DecisionMessage(
@@ -214,7 +214,7 @@ def read_decision(grid: Grid, message: Any) -> Decision:
     return Decision(
         goal=message.goal,
         p_free=message.probability,
-        # The message of an area does not contain them.
+        # Cells of the path; the message of an area does not contain its cells.
         cells=np.unique(path),
         independent_draws=message.independent_draws,
         path=path,

@@ -16,12 +16,12 @@ from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
 
-# Limits of P(hazard): a cell is free up to the first, and suspected from the second.
+# Maximum P(hazard) of a free cell, and minimum P(hazard) of a suspected one.
 FREE, SUSPECTED = 0.05, 0.5
-# Limits of P(target): a target is found from the first, and listed from the second.
+# Minimum P(target) of a target found, and of a target listed.
 FOUND, LISTED = 0.95, 0.5
 
-# Robots that give the pace of a mission: its last quarter, and at least so many.
+# Reports that give the pace of a mission: this last part of them, and at least this number.
 LAST, MIN_ROBOTS = 0.25, 5
 
 
@@ -49,11 +49,11 @@ class Finding:
 class Cells:
     """Classes of cells by the last belief, each of shape (cells,)."""
 
-    # A robot was sent there, or came from there.
+    # A robot was sent into the cell, or came from it.
     entered: NDArray[np.bool_]
     # Free of a hazard with a probability of at least 95 %.
     free: NDArray[np.bool_]
-    # Entered, and with a hazard as likely as not.
+    # Entered, and with a probability of a hazard of at least 50 %.
     suspected: NDArray[np.bool_]
 
 
@@ -151,7 +151,7 @@ def expected_losses(mission: Mission) -> NDArray[np.float64]:
 def loss_shares(
     mission: Mission, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
-    """Return the probability of a loss in each step, by the last belief if hazards stay."""
+    """Return the probability of a loss in each step, by the last belief if hazards are static."""
     stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]
@@ -201,11 +201,11 @@ def advice(mission: Mission) -> tuple[str, str]:
 
 
 def pace(mission: Mission) -> tuple[str, str]:
-    """Return how many more robots the undecided cells take at the present pace."""
+    """Estimate the number of further robots for the undecided cells, and explain it."""
     moments = mission.moments
     left = undecided(mission, -1)
     if not left:
-        return 'Stop', 'Every cell is free of a hazard, or has one, with 95 % or more.'
+        return 'Stop', 'All cells are decided: free or hazardous with 95 % or more.'
     if len(moments) < 2:
         return 'Send robots', f'No robot was sent, and {counted(left, "cell")} are undecided.'
     robots = min(len(moments) - 1, max(MIN_ROBOTS, int(LAST * (len(moments) - 1))))
@@ -215,21 +215,24 @@ def pace(mission: Mission) -> tuple[str, str]:
     said = f'The last {counted(robots, "report")} decided {counted(max(0, decided), "cell")}'
     cost = f'{lost} were losses' if lost != 1 else '1 was a loss'
     if decided <= 0:
-        return 'Stop', f'{said}, and {cost}. {left} are undecided. More robots bring little.'
+        return (
+            'Stop',
+            f'{said}, and {cost}. More robots bring little to the {left} undecided cells.',
+        )
     more = ceil(left * robots / decided)
     return (
         f'About {counted(more, "robot")} more',
-        f'{said}; {cost}. At that pace, the {left} undecided cells take so many robots.',
+        f'{said}; {cost}. The estimate is for the {left} undecided cells, at this pace.',
     )
 
 
 def undecided(mission: Mission, moment: int) -> int:
-    """Return the number of cells that are neither free nor hazardous with 95 % at a moment."""
+    """Return the number of cells neither free nor hazardous with 95 % at a moment."""
     hazard = mission.moments[moment].belief.hazard[mission.grid.free]
     return int(((hazard > FREE) & (hazard < 1.0 - FREE)).sum())
 
 
-# Maximum number of places in a tile.
+# Maximum number of places named in a tile.
 NAMED = 4
 
 
@@ -253,7 +256,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
         f'{cells.free.sum()} of {counted(int(inside.sum()), "cell")}',
         'free of a hazard with 95 % or more; '
         + (f'{untouched} of them were not entered' if untouched else 'all of them were entered')
-        + f'. {among:.2g} hazards are expected among them all',
+        + f'. {among:.2g} hazards are expected in all of them',
         'safe-title',
     )
     found = list_findings(mission)
@@ -277,7 +280,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     yield Tile(
         'What is not known?',
         f'{counted(unseen, "cell")} not entered',
-        f'{open_cells} more were entered, and are neither free nor suspected',
+        f'{open_cells} cells were entered, and are neither free nor suspected',
         'map-title',
     )
     yield lane(mission)
@@ -304,7 +307,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
 
 
 def lane(mission: Mission) -> Tile:
-    """Describe the lane, or another goal."""
+    """Describe the decision on the lane, or on another goal."""
     decision = mission.decision
     if decision is None:
         goals = {str(each.get('goal.kind', 'map')) for each in mission.parameters.values()}
@@ -312,7 +315,7 @@ def lane(mission: Mission) -> Tile:
         return Tile(
             'Is the lane safe?',
             'No decision yet' if given else 'No goal was given',
-            'set goal.kind to lane or area to have robots sent for it',
+            'set goal.kind to lane or area to send robots for a goal',
             'map-title',
         )
     method = mission.moments[-1].snapshot.method
@@ -342,7 +345,7 @@ def risk(mission: Mission) -> str:
 
 
 def fit(mission: Mission) -> Tile:
-    """Describe how far to trust the answers, by the recorded truth and the model check."""
+    """Describe the recorded truth and the model check, by which to trust the answers."""
     question, (_, kinds, check) = 'Can I trust it?', mission.moments[-1].state
     right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
@@ -355,19 +358,20 @@ def fit(mission: Mission) -> Tile:
     details = [f'Hazards: {learnt}.'] if len(kinds) > 1 else []
     details += [f'{check.reason[0].upper()}{check.reason[1:]}.']
     if mission.rules['dynamics'] == 'static':
-        details.append('Moving hazards hardly show in returns.')
+        details.append('Returns hardly reveal moving hazards.')
     answer = 'The model is in doubt' if check.is_in_doubt else 'The evidence fits the model'
     return Tile(question, answer, right + ' '.join(details), 'curves-title')
 
 
 def by_truth(mission: Mission, world: World) -> str:
-    """Describe how many of the free and the suspected cells are so in truth."""
+    """Describe the true state of free and suspected cells."""
     cells, inside = classify_cells(mission), mission.grid.free
     missed = int((world.hazard & cells.free).sum())
     return (
-        f'In truth {cells.free.sum() - missed} of {cells.free.sum()} free cells are free, '
-        f'{(world.hazard & cells.suspected).sum()} of {cells.suspected.sum()} suspected have a '
-        f'hazard, and {missed} of {(world.hazard & inside).sum()} hazards are in cells said free.'
+        f'By the recorded truth {cells.free.sum() - missed} of {cells.free.sum()} free cells are '
+        f'free, {(world.hazard & cells.suspected).sum()} of {cells.suspected.sum()} suspected '
+        f'cells have a hazard, and {missed} of {(world.hazard & inside).sum()} hazards are in '
+        'free cells.'
     )
 
 
@@ -387,7 +391,7 @@ def where_lost(mission: Mission, lost: int) -> Tile:
     return Tile(
         question,
         f'Half of them in {counted(half, "cell")}',
-        f'expected of {lost}: {", ".join(named)}; the map of robots lost has every cell',
+        f'expected losses: {", ".join(named)}; all cells are in the map of robots lost',
         'colour-robots-lost',
     )
 

@@ -52,7 +52,7 @@ def check_one_field(first: Mission, second: Mission) -> None:
     if fields[0] != fields[1]:
         raise ValueError(
             f'{first.log} has {fields[0]}, {second.log} has {fields[1]}: only missions in the '
-            'same field can stand side by side; report each of them alone'
+            'same field can be compared; report each of them separately'
         )
 
 
@@ -62,23 +62,23 @@ def reservations(first: Mission, second: Mission) -> Iterator[str]:
         yield 'The bases are different cells.'
     blocked = int((first.grid.free != second.grid.free).sum())
     if blocked:
-        yield f'Blocked in one of the two alone: {counted(blocked, "cell")}.'
+        yield f'Blocked in only one of the missions: {counted(blocked, "cell")}.'
     if first.world and second.world:
         hazards, targets = true_differences(first, second)
         if hazards or targets:
             yield (
-                f'The true fields differ: in {counted(hazards, "cell")} in the hazard, in '
-                f'{counted(targets, "cell")} in the target. Differences may be due to that.'
+                f'The true fields differ: hazards in {counted(hazards, "cell")}, targets in '
+                f'{counted(targets, "cell")}. This may cause other differences.'
             )
     elif first.world or second.world:
         known = 'A' if first.world else 'B'
-        yield f'The truth is on record in {known} alone.'
+        yield f'Only {known} has the truth on record.'
     for name, assumed in first.assumed.items():
         other = second.assumed[name]
         if abs(assumed - other) >= 0.005:
             yield (
-                f'{name.capitalize()} was assumed to be {assumed:.2f} in A and {other:.2f} in B; '
-                'both maps have the colours of A.'
+                f'The prior probability of {name} was {assumed:.2f} in A and {other:.2f} in B; '
+                'both maps have the colours for A.'
             )
 
 
@@ -110,20 +110,20 @@ def differences(first: Pair, second: Pair) -> Iterator[str]:
     lost = [sum(not seen.survived for seen in each.ended) for each in missions]
     yield f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
     yield where(*missions)
-    # The next thing to do follows from each mission alone.
+    # The recommended action is for each mission alone.
     yield ''
 
 
 def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str:
-    """Return the number of cells in which something holds in one of two missions alone."""
+    """Return the numbers of cells with a property in only one of two missions."""
     return (
-        f'{counted(int((first & ~second).sum()), "cell")} {what} in A alone, '
-        f'{(second & ~first).sum()} in B alone.'
+        f'{what.capitalize()} only in A: {counted(int((first & ~second).sum()), "cell")}; only '
+        f'in B: {counted(int((second & ~first).sum()), "cell")}.'
     )
 
 
 def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str:
-    """Describe the cells found by both missions with at least a probability, and by one alone."""
+    """Describe findings with at least a probability, in both missions and in only one."""
     one, other = (
         {
             each.cell: each
@@ -135,14 +135,14 @@ def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str
     only_one = [each for cell, each in one.items() if cell not in other]
     only_other = [each for cell, each in other.items() if cell not in one]
     both = len(one) - len(only_one)
-    return f'{both} in both; in A alone: {places(only_one)}; in B alone: {places(only_other)}.'
+    return f'{both} in both; only in A: {places(only_one)}; only in B: {places(only_other)}.'
 
 
 def lanes(first: Mission, second: Mission) -> str:
-    """Return the difference of the probabilities of one goal; empty if the goals differ."""
+    """Describe the difference of the probabilities of the goal; empty without a goal."""
     one, other = first.decision, second.decision
     if one is None or other is None:
-        return '' if one is other else 'Only one of the two had a goal.'
+        return '' if one is other else 'Only one of the missions had a goal.'
     if one.goal != other.goal:
         return 'The goals are different.'
     points = 100.0 * (other.p_free - one.p_free)
@@ -150,13 +150,13 @@ def lanes(first: Mission, second: Mission) -> str:
 
 
 def where(first: Mission, second: Mission) -> str:
-    """Return where the expected losses differ most."""
+    """Describe the cell in which the expected losses differ most."""
     one, other = expected_losses(first), expected_losses(second)
     most = int(np.argmax(np.abs(other - one)))
     if one[most] == other[most]:
         return 'No difference.'
     place = spot(*first.grid.centers([most])[0])
-    return f'Most different at {place}: {one[most]:.1f} in A, {other[most]:.1f} in B.'
+    return f'Largest difference at {place}: {one[most]:.1f} in A, {other[most]:.1f} in B.'
 
 
 def more(difference: float, unit: str = '', form: str = 'd') -> str:
@@ -170,7 +170,7 @@ def more(difference: float, unit: str = '', form: str = 'd') -> str:
 def given_differently(
     first: Mission, second: Mission
 ) -> Iterator[tuple[str, str, object, object]]:
-    """Yield the differing versions and parameters: whose, name, in A and in B."""
+    """Yield versions and parameters that differ: node, name, value in A, value in B."""
     tables = [{'versions': each.run, **each.parameters} for each in (first, second)]
     for node in dict.fromkeys([*tables[0], *tables[1]]):
         one, other = (each.get(node, {}) for each in tables)
@@ -235,7 +235,7 @@ def compared(first: Pair, second: Pair) -> Iterator[tuple[str, list[tuple[str, T
 
 
 def compared_maps(first: Mission, second: Mission) -> Iterator[tuple[str, str, str, str]]:
-    """Yield the maps in rows of A, B and B less A: id, caption, colours, and Plotly's JSON."""
+    """Yield the maps, in rows of A, B, and B minus A: id, caption, colours, and Plotly's JSON."""
     grid = first.grid
     beliefs = [each.moments[-1].belief for each in (first, second)]
     for name in MAPS:
@@ -268,7 +268,7 @@ def comparison_data(
     """Return the data of the maps for the page, as JSON values."""
     scales: dict[str, Any] = colour_scales(first)
     for name in MAPS:
-        # No change has the colour of the paper, half way between -1 and 1.
+        # No change, half way between -1 and 1, has the colour of the paper.
         scales[f'change-{name}'] = {
             'light': stops(MAPS[name], 0.5),
             'dark': stops(DARK_MAPS[name], 0.5),

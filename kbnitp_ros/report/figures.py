@@ -82,7 +82,7 @@ def learnt_quantiles(mission: Mission, name: str) -> NDArray[np.float64]:
 def draw_number(
     axes: Axes, name: str, quantiles: NDArray[np.float64], truth: float | None
 ) -> None:
-    """Draw the posterior of a number at each moment, and its truth, from 0 to 1."""
+    """Draw the posterior of a learnt number at each moment, and its true value."""
     low, lower, middle, upper, high = quantiles.T
     moments = np.arange(middle.size)
     axes.fill_between(moments, low, high, color='0.85', linewidth=0, label='90 %')
@@ -91,7 +91,7 @@ def draw_number(
     if truth is not None:
         axes.axhline(truth, color=SERIES[1].colour, linestyle=SERIES[1].dash, label='truth')
     axes.set_ylim(0, 1)
-    # A name out of a log must not be parsed as a formula.
+    # A name from a log must not be parsed as a formula.
     axes.set_ylabel(name.replace('_', ' '), parse_math=False)
     axes.legend(ncols=2, fontsize='small', framealpha=0.8)
 

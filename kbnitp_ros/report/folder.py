@@ -20,9 +20,9 @@ from kbnitp_ros.report.tables import Curves, write_beliefs, write_tables
 def check_is_free(folder: Path) -> None:
     """Check that a report can be written to a folder."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-        raise FileExistsError(f'{folder} is there already, and no folder: name another with --out')
+        raise FileExistsError(f'{folder} exists and is no folder: name another with --out')
     if folder.is_dir() and any(folder.iterdir()):
-        raise FileExistsError(f'{folder} is there already and not empty: name another with --out')
+        raise FileExistsError(f'{folder} exists and is not empty: name another with --out')
 
 
 def write_report(
@@ -32,7 +32,7 @@ def write_report(
     note: str = '',
     done: Callable[[str], object] = lambda name: None,
 ) -> str:
-    """Write a report, all of its files or none, and return what the page leaves out."""
+    """Write a report, all of its files or none; return a note on moments that the page omits."""
     check_is_free(folder)
     with whole_folder(folder) as new:
         page, left_out = mission_page(mission, curves)
@@ -49,10 +49,10 @@ def write_report(
     return left_out
 
 
-# Of PNG files, for screens: SVG files are for print.
+# Resolution of PNG files, which are for screens; SVG files are for print.
 DPI = 150
 
-# The parts that `write_report` counts.
+# Names that `write_report` passes to `done`.
 PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'belief.npz')
 
 
@@ -63,14 +63,14 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     new = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
     try:
         yield new
-        # Temporary folders are for their owner only.
+        # Only the owner can read temporary folders, unlike others.
         mask = os.umask(0)
         os.umask(mask)
         new.chmod(0o777 & ~mask)
         new.rename(folder)
     except BaseException as error:
         shutil.rmtree(new, ignore_errors=True)
-        # The temporary folder, whose files the error may name, is unknown to users.
+        # The error may name a file in the temporary folder, which users do not know.
         if isinstance(error, OSError) and str(error.filename or new).startswith(str(new)):
             error.filename = str(folder)
         raise

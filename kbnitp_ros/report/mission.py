@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
-# Tolerance for a map that ends before the field does, in cells.
+# Maximum part of a cell by which a map may be smaller than the field.
 PART = 1e-3
 
 
@@ -41,7 +41,7 @@ def recorded_datum(parameters: Parameters) -> Datum | None:
 
 
 def map_site(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
-    """Return the image of the map that gave a mission its field, or why there is none."""
+    """Return the image of a mission's map; or None, and the reason why it is not shown."""
     name = next((each['map'] for each in parameters.values() if each.get('map')), '')
     if not name:
         return None, ''
@@ -52,7 +52,7 @@ def map_site(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
     columns, rows = (ceil(side / grid.resolution - PART) for side in (site.width, site.height))
     lies = site.origin, rounded_yaw(site.yaw), columns, rows
     if lies != (grid.origin, grid.yaw, grid.width, grid.height):
-        return None, f'The map is not shown: {name} does not lie on the field any more.'
+        return None, f'The map is not shown: {name} has changed, and does not match the field.'
     return site, ''
 
 
@@ -69,7 +69,7 @@ class DeploymentSummary:
     path: NDArray[np.intp]
     # Final outcome; None if the robot was still in flight.
     outcome: Observation | None
-    # When its path and its first report were received, in nanoseconds; None if unknown.
+    # Times at which its path and its first report were received, nanoseconds; None if unknown.
     sent: int | None
     reported: int | None
     # The last moment that assimilated a report of it; None if no recorded belief holds it.
@@ -83,7 +83,7 @@ class Mission:
     # The log.
     log: Path
     grid: Grid
-    # Rules of the estimator: method, seed, maximum steps of a path, and whether hazards stay.
+    # Rules of the estimator: method, seed, maximum steps of a path, and dynamics of hazards.
     rules: dict[str, Any]
     moments: list[Moment]
     deployments: list[DeploymentSummary]
@@ -95,9 +95,9 @@ class Mission:
     parameters: dict[str, dict[str, Any]]
     # Further remarks on the log.
     notes: list[str]
-    # The first corrupt place of each file, which ends its reading.
+    # The first corrupt place of each file, where reading ends.
     corrupt: list[LogError]
-    # Number of robots that left without a report.
+    # Number of robots in flight when the log ended.
     in_flight: int
     # The last decision on the goal.
     decision: Decision | None
@@ -108,7 +108,7 @@ class Mission:
 
     @property
     def assumed(self) -> dict[str, float]:
-        """Return the mean of each map before the mission, over the cells that robots can enter."""
+        """Return the prior mean of each map, over the cells that robots can enter."""
         inside = self.grid.free.copy()
         inside[sorted(self.grid.bases)] = self.grid.cells == len(self.grid.bases)
         return {
@@ -221,12 +221,12 @@ def recorded_moments(
             if not (is_restarted or is_later_part or is_begun or is_any_left_out):
                 raise LogError(
                     f'{log.path}: the belief after deployment {which} is missing, and neither the '
-                    'estimator nor the recorder was restarted there: the log is not as it was '
-                    'recorded. replay tells what else is wrong with it'
+                    'estimator nor the recorder was restarted there, so the log was changed after '
+                    'recording: replay lists its defects'
                 )
             notes.append(
-                f'There is no belief after deployment {which} on record: estimator or recorder '
-                'were restarted, or began later, or it is refused.'
+                f'There is no belief after deployment {which} on record: the estimator or the '
+                'recorder was restarted or began later, or the belief was refused.'
             )
         moments.append(
             replace(
@@ -266,7 +266,7 @@ def summarise_deployments(
     reported: dict[DeploymentKey, int] = {}
     for (key, _), time in evidence.reported.items():
         reported[key] = min(time, reported.get(key, time))
-    # Reports during a gap of recorded beliefs are first assimilated by the belief after it.
+    # Reports during a gap of recorded beliefs are in the first belief after the gap.
     return [
         DeploymentSummary(
             key,
@@ -291,14 +291,14 @@ def log_notes(log: str | Path, history: History, in_flight: int) -> Iterator[str
     """Yield remarks on a log."""
     evidence = history.evidence
     if history.corrupt:
-        yield f'Only the part before an error was read: {history.corrupt[0]}'
+        yield f'The log was read up to its first error: {history.corrupt[0]}'
     if not is_finished(log):
         yield 'The log is unfinished: it was still being written, or its end is missing.'
     if in_flight:
         were = 'was' if in_flight == 1 else 'were'
         yield f'{counted(in_flight, "robot")} {were} still out when the log ends.'
     if evidence.without_path:
-        yield f'Without a path on record: {counted(len(evidence.without_path), "deployment")}.'
+        yield f'No path is on record for {counted(len(evidence.without_path), "deployment")}.'
     for refusal in evidence.refused[:REFUSALS]:
         yield f'Refused: {refusal}'
     if len(evidence.refused) > REFUSALS:
@@ -311,7 +311,8 @@ def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict
         name: agent[f'sensor.{name}']
         for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
     }
-    # A hazard that destroys no robot has failed or was not lethal: indistinguishable.
+    # Lethality and false negatives cannot be distinguished, so lethality is relative to the
+    # believed false negatives.
     working = 1.0 - estimator['sensor.false_negative']
     if working > 0.0:
         numbers['lethality'] *= (1.0 - agent['sensor.false_negative']) / working

@@ -45,12 +45,12 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-# Maximum bytes, which can still be mailed.
+# Maximum bytes of a page that can be sent by mail.
 MAX_BYTES = 15_000_000
 
 SECOND = 10**9
 
-# Minimum likelihood of a step, relative to the likeliest, to be shown as the place of a loss.
+# Minimum likelihood, relative to the likeliest step, of a step shown as the place of a loss.
 LIKELY = 0.5
 
 TEMPLATES = Environment(
@@ -102,7 +102,7 @@ TABLE = (
     Column('reported after (s)', 'duration', 2, is_minor=True),
 )
 
-# Columns left out where they would be empty.
+# Columns omitted if they are empty.
 OPTIONAL = ('gap', 'log_loss')
 
 PLACE = (Column('x (m)', 'x', None), Column('y (m)', 'y', None))
@@ -122,20 +122,20 @@ SAFE = (
     Column('entered', 'entered', is_text=True),
 )
 
-# The column of where a lost robot was lost.
+# Columns of the table of places where a robot may have been lost.
 LOSS = (*PLACE, Column('step', 'step', is_text=True), Column('lost here', 'lost', 3))
 
-# Colours of a map: names in the page, and words for them.
+# Colour layers of the map: names in the page, and descriptions.
 COLOURS = {name: f'probability of a {name}' for name in ('hazard', 'target')} | {
-    'kappa': 'probability of a target where a hazard is',
+    'kappa': 'probability of a target in a cell with a hazard',
     'robots-lost': 'robots lost, expected',
     'used-up': 'hazards used up, expected',
 }
 
-# Layers of the last belief alone.
+# Layers that exist only for the last belief.
 ENDS = {'robots-lost': expected_losses, 'used-up': expected_used_up}
 
-# Maximum number of cells of a field whose last belief is in the page in full.
+# Maximum number of cells for which the page has the last belief in full precision.
 MAX_EXACT = 10_000
 
 # Decimals of positions on the earth; seven are a centimetre.
@@ -261,7 +261,7 @@ def mission_title(log: Path) -> str:
 
 
 def asset(name: str) -> str:
-    """Return a part of the page that is the same for all missions."""
+    """Return a file of the page that is the same for all missions."""
     return files('kbnitp_ros.report').joinpath('assets').joinpath(name).read_text(encoding='utf-8')
 
 
@@ -382,7 +382,7 @@ def field_data(grid: Grid) -> dict[str, Any]:
         'width': grid.width,
         'height': grid.height,
         'resolution': grid.resolution,
-        # The corner as drawn; and the corner and a step along and across, in the frame.
+        # The corner as drawn; the corner in the frame, and a step along and across the rows.
         'x': x,
         'y': y,
         'corner': corner.tolist(),
@@ -396,7 +396,7 @@ def field_data(grid: Grid) -> dict[str, Any]:
 
 
 def first_visits(mission: Mission) -> NDArray[np.intp]:
-    """Return the index of the first moment at which each cell was visited; past all if never."""
+    """Return the index of the moment at which each cell was first visited, or of none."""
     times = [each.time for each in mission.moments]
     first = np.full(mission.grid.cells, len(times), dtype=np.intp)
     for deployment in mission.deployments:
@@ -450,10 +450,10 @@ def describe_moment(mission: Mission, place: int) -> str:
     moment = mission.moments[place]
     if moment.deployment is None:
         return 'Before the first deployment.' if not moment.held else 'Where the log begins.'
-    of = f'{moment.held} of {counted(len(mission.deployments), "deployment")} taken in'
+    of = f'{moment.held} of {counted(len(mission.deployments), "deployment")} assimilated'
     agent = mission.deployments[moment.deployment].key.agent
     if moment.outcome is None:
-        return f'{of}: the last report, of {agent}, is not on record.'
+        return f'{of}: the report of the last one, by {agent}, is not on record.'
     ending = 'returned' if moment.outcome.survived else 'was lost'
     late = ' after it had been given up' if moment.is_late and moment.outcome.survived else ''
     return f'{of}: no. {moment.deployment + 1}, {agent}, {ending}{late}.'

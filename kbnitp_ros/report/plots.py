@@ -21,7 +21,7 @@ from plotly import graph_objects
 # Traces that the page updates, by index in its map.
 TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'likely')
 
-# Traces of the path, and of its end for either outcome; the page fills these.
+# Traces of the path, and of its end for each outcome; the page fills these.
 WALKS = {
     'returned': {'color': RETURNED.colour, 'dash': RETURNED.plotly_dash, 'symbol': 'circle'},
     'lost': {'color': LOST.colour, 'dash': LOST.plotly_dash, 'symbol': 'x'},
@@ -30,7 +30,7 @@ WALKS = {
 # Colours of cells that no robot can enter: on light paper and on a dark screen.
 OBSTACLE = '#808080'
 
-# Arrows that show how a map is turned, in pixels: length, and room above the map.
+# Arrows that show the rotation of a map, pixels: length, and space above the map.
 ARROW, ABOVE = 20, 64
 
 # Height of a panel of curves, in pixels.
@@ -46,7 +46,7 @@ def map_plot(
     north: float | None = None,
 ) -> str:
     """Return a map in Plotly's JSON; the page sets its colours."""
-    # Of arrows beside the map, rad from the right.
+    # Directions of the arrows beside the map, rad from the right.
     directions = {'x': -grid.yaw, 'y': pi / 2 - grid.yaw} if grid.yaw else {}
     if north is not None:
         directions['N'] = north - grid.yaw

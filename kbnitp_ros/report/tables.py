@@ -27,7 +27,7 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """One value for each moment, each of shape (moments,)."""
+    """Curves over the moments of a mission, each of shape (moments,)."""
 
     # H(Z) and H(X) summed over the cells, nats.
     hazard_entropy: Numbers
@@ -41,8 +41,8 @@ class Curves:
     # Y) in nats. NaN at first, for a return that replaces a loss, and where the belief before is
     # missing.
     expected: Numbers
-    # Decrease of H(Z, X), nats: on average the expected information, for a single robot more or
-    # less; negative where it rose. NaN at first and where the belief before is missing.
+    # Decrease of H(Z, X), nats: the expected information on average, but not for each robot;
+    # negative if entropy rose. NaN at first and where the belief before is missing.
     gained: Numbers
     # Gap between the upper bound given the belief before and the value of the chosen path, nats.
     # NaN without a bound.
@@ -63,7 +63,7 @@ class Curves:
         return self.hazard_loss + self.target_loss
 
 
-# Number of paths whose information is computed sooner than numba is loaded.
+# Number of paths up to which computing without numba is faster than loading it.
 MAX_INTERPRETED = 400
 
 
@@ -135,8 +135,8 @@ def out_at(mission: Mission) -> list[NDArray[np.intp]]:
     return [np.flatnonzero((sent <= each.time) & (home > each.time)) for each in mission.moments]
 
 
-# Columns of the table of deployments. Cells and readings are texts of numbers, so that both files
-# have the same content.
+# Columns of the table of deployments. Lists of cells and readings are texts of numbers, so that
+# both files have the same content.
 COLUMNS = pyarrow.schema(
     [
         ('deployment', pyarrow.int64()),

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real robot's deployments, walk and whereabouts, without ROS; its one file is the journal."""
+"""Deployments, walk and position of a real robot, without ROS; its only file is the journal."""

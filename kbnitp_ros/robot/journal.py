@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The journal of a robot: its deployments, on its own disk."""
+"""The journal of a robot: a file on its own disk with its deployments."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ NOT_LOOKED = -1
 
 @dataclass
 class Step:
-    """A cell that the robot entered, or stayed in."""
+    """A step of a walk, into a cell or staying there."""
 
     cell: int
-    # When it entered, nanoseconds of ROS time.
+    # Time of the step, nanoseconds of ROS time.
     time: int
-    # 1 if the target detector saw something there, 0 if it saw nothing, -1 without a detection.
+    # 1 if the detector saw a target in the cell, 0 if it saw none, -1 without a detection.
     reading: int = NOT_LOOKED
 
 
@@ -39,17 +39,17 @@ class Deployment:
 
     # Stamp of the path, nanoseconds, which names the deployment.
     stamp: int
-    # When its mission began, nanoseconds.
+    # Start of its mission, nanoseconds.
     mission: int
     # The cells of its path.
     path: tuple[int, ...]
-    # When the robot reported its departure, nanoseconds; 0 before.
+    # Time of the reported departure, nanoseconds; 0 before.
     departed: int = 0
     # The steps made so far.
     steps: list[Step] = field(default_factory=list)
     # Whether the robot is back at its base, after its last step.
     is_home: bool = False
-    # Whether the robot was localized where it cannot be: later readings do not count.
+    # Whether the robot was localized at an impossible place, so that later readings do not count.
     is_doubted: bool = False
 
     @property
@@ -68,12 +68,12 @@ class Deployment:
 
 VERSION = 2
 
-# Properties of the field in a journal, besides the blocked cells, of which there may be many.
+# Properties of the field that are recorded; blocked cells are recorded as a hash.
 FIELD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
 
 
 class Journal:
-    """A journal in a file, which is made if it is missing."""
+    """A journal in a file, which is created if it is missing."""
 
     def __init__(self, path: str | Path, agent: str, grid: Grid) -> None:
         self.path = Path(path).expanduser()
@@ -84,18 +84,18 @@ class Journal:
         }
         if grid.yaw:
             field['yaw'] = grid.yaw
-        # The first line.
+        # Content of the first line.
         self._heading = {'journal': VERSION, 'agent': agent, 'grid': field}
         self._open()
 
     def _open(self) -> None:
-        """Read the file, or make it."""
+        """Open and read the file; create it if it is missing."""
         self.deployments: list[Deployment] = []
-        # Refused orders by the stamps of their paths: when, nanoseconds, and why.
+        # Refused orders by the stamps of their paths: time, nanoseconds, and reason.
         self.refusals: dict[int, tuple[int, str]] = {}
-        # What was cut off on opening, and the file that keeps it.
+        # Description of the bytes cut off on opening; empty if none were.
         self.corruption = ''
-        # Records not on the disk yet, for want of space.
+        # Records that could not be written yet.
         self._unwritten: deque[dict[str, Any]] = deque()
         self._check = 0
         self._size = 0
@@ -111,7 +111,7 @@ class Journal:
             self._set_aside()
 
     def _set_aside(self) -> None:
-        """Move the file to the folder of its mission, and begin another."""
+        """Move the file to a folder named after its mission, and begin another."""
         kept = self.path.parent / str(self.mission or 0) / self.path.name
         while kept.exists():
             kept = kept.with_name(f'{kept.name}.again')
@@ -124,7 +124,7 @@ class Journal:
         self._open()
 
     def begin(self, mission: int) -> None:
-        """Begin a mission, named by its start in nanoseconds, with the robot at home."""
+        """Begin the mission with this start, in nanoseconds, while the robot is at home."""
         self.write()
         if self.mission not in (None, mission):
             self._set_aside()
@@ -138,8 +138,11 @@ class Journal:
             ) from error
 
     def _read(self) -> bool:
-        """Read the file; cut off what is corrupt, and keep it in another file."""
-        no_journal = f'{self.path} is no journal of a robot: name another file, or move it away'
+        """Read the file, cut off its corrupt end; return whether it is of this field."""
+        no_journal = (
+            f'{self.path} is not the journal of a robot: set the parameter journal to another '
+            'file, or move this one away'
+        )
         heading = self._heading
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
@@ -148,7 +151,7 @@ class Journal:
             try:
                 entry = json.loads(line[9:])
                 if journal_line(entry, self._check)[0] != line + b'\n':
-                    raise ValueError('the check sum is another')
+                    raise ValueError('the checksum differs')
                 if number:
                     self._take(entry)
                 else:
@@ -167,14 +170,15 @@ class Journal:
         if differing and (differing != ['grid'] or self.under_way):
             name = differing[0]
             raise ValueError(
-                f'journal {self.path} has {name} {json.dumps(heading[name])}: here it is '
-                f'{json.dumps(self._heading[name])}; name another file, or move it away'
+                f'journal {self.path} was written with {name} {json.dumps(heading[name])}, and '
+                f'this node has {json.dumps(self._heading[name])}: set the parameter journal to '
+                'another file, or move this one away'
             )
         whole = self._size
         self._cut(content[whole:])
         if self._size == 0:
             self._append(heading)
-            # A new file survives a power loss only once its folder is on the disk.
+            # A new file survives a power loss only if its folder is synced, too.
             sync_folder(self.path.parent)
         return not differing
 
@@ -190,7 +194,7 @@ class Journal:
         elif 'step' in entry:
             steps, number = self.deployments[-1].steps, entry['step']
             if not 1 <= number <= len(steps) + 1:
-                raise ValueError(f'step {number} comes after {len(steps)}')
+                raise ValueError(f'step {number} follows step {len(steps)}')
             step = Step(entry['cell'], entry['time'], entry['reading'])
             before = number - 1
             steps[before:number] = [step]
@@ -200,7 +204,7 @@ class Journal:
             self.deployments[-1].is_home = entry['home'] >= 0
 
     def _cut(self, corrupt: bytes) -> None:
-        """Cut off what no journal has written; keep it if it is more than a torn line."""
+        """Cut off corrupt bytes at the end; keep them in a file if they are more than one line."""
         if not corrupt:
             return
         self.corruption = f'journal {self.path}: its last {len(corrupt)} bytes were cut off'
@@ -220,17 +224,17 @@ class Journal:
 
     @property
     def mission(self) -> int | None:
-        """Return when the mission of its deployments began, nanoseconds; None without any."""
+        """Return the start of its mission, nanoseconds; None without deployments."""
         return self.deployments[-1].mission if self.deployments else None
 
     @property
     def under_way(self) -> Deployment | None:
-        """Return the deployment of a robot that is not home; None if it is."""
+        """Return the deployment in flight; None if the robot is home."""
         newest = self.deployments[-1] if self.deployments else None
         return None if newest is None or newest.is_home else newest
 
     def depart(self, deployment: Deployment) -> None:
-        """Begin a deployment, before its departure is reported."""
+        """Record a deployment, before its departure is reported."""
         self.write()
         self._append(
             {
@@ -262,25 +266,25 @@ class Journal:
         self.write()
 
     def doubt(self, deployment: Deployment, time: int) -> None:
-        """Record that later readings do not count; raises OSError as `step` does."""
+        """Record that later readings do not count; raise OSError as `step` does."""
         deployment.is_doubted = True
         self._unwritten.append({'doubted': time})
         self.write()
 
     def arrive(self, deployment: Deployment, time: int) -> None:
-        """Record that the robot is home; raises OSError as `step` does."""
+        """Record that the robot is home; raise OSError as `step` does."""
         deployment.is_home = True
         self._unwritten.append({'home': time})
         self.write()
 
     def write(self) -> None:
-        """Write pending records to the disk; raises OSError if there is no space."""
+        """Write pending records to the disk; raise OSError if that fails."""
         while self._unwritten:
             self._append(self._unwritten[0])
             self._unwritten.popleft()
 
     def _append(self, entry: dict[str, Any]) -> None:
-        """Write a line to the disk, as a whole or not at all."""
+        """Write a line to the disk, completely or not at all."""
         line, check = journal_line(entry, self._check)
         try:
             written = 0
@@ -301,7 +305,7 @@ class Journal:
 
 
 def journal_line(entry: dict[str, Any], before: int) -> tuple[bytes, int]:
-    """Return a line of a journal and its checksum, chained to the one before; 0 for none."""
+    """Return a line of a journal and its checksum; `before` is the checksum of the last line."""
     text = json.dumps(entry, separators=(',', ':')).encode()
     check = zlib.crc32(text, before)
     return b'%08x %s\n' % (check, text), check

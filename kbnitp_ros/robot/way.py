@@ -11,14 +11,14 @@ from math import hypot
 from kbnitp_ros.core import Grid
 import numpy as np
 
-# The cells of one goal, with the robot's cell first. A stay is its cell twice.
+# The cells of one goal, the robot's cell first; for a stay, that cell twice.
 Leg = tuple[int, ...]
 
 
 def split_legs(path: Sequence[int]) -> list[Leg]:
     """Split a path into legs, one for each goal of Nav2."""
-    # Nav2 counts a goal as reached near its last pose and takes the nearest point of a path for
-    # the place of the robot. So no leg enters a cell twice; stays are legs of their own.
+    # Nav2 ends a goal near its last pose, and takes the nearest point of a path as the place of
+    # the robot. So no leg may enter a cell twice, and each stay is a leg.
     legs: list[Leg] = []
     leg = [path[0]]
     for before, cell in pairwise(path):
@@ -36,7 +36,7 @@ def split_legs(path: Sequence[int]) -> list[Leg]:
 
 
 def without_loops(cells: Iterable[int]) -> list[int]:
-    """Return the way from the first to the last of these cells with its loops cut out."""
+    """Return the way through these cells without its loops."""
     way: dict[int, None] = {}
     for cell in cells:
         if cell in way:
@@ -48,9 +48,9 @@ def without_loops(cells: Iterable[int]) -> list[int]:
 
 
 def steps_within(cells: Sequence[int], most: int) -> list[int]:
-    """Return the reported steps of a walk, at most `most` of them."""
-    # The walk itself as far as it fits; then the last way out of each cell leads home without
-    # loops. A step that is left out is not reported.
+    """Return the numbers of the steps of a walk to report, at most `most`."""
+    # The start of the walk as far as possible, and then, from each cell, the step by which the
+    # robot last left it: these lead home without loops.
     steps = len(cells) - 1
     if steps <= most:
         return list(range(1, steps + 1))
@@ -89,30 +89,30 @@ def shortest_way(grid: Grid, start: int, end: int) -> list[int]:
 class Itinerary:
     """The legs of a deployment in order, and the way home if they fail."""
 
-    # After too many tries without a new cell the robot goes home: first the way it came, without
-    # loops, and then in turns by the shortest way and the way it came.
+    # After too many tries without a new cell the robot goes home: first back along its walk
+    # without loops, then alternately by the shortest way and along its walk.
 
     def __init__(self, grid: Grid, path: Sequence[int], attempts: int) -> None:
         self._grid = grid
         self._legs = split_legs(path) if path else []
         self._attempts = attempts
-        # Tries of the leg without progress, and number of its cells entered.
+        # Number of tries of the leg without progress, and of its cells entered.
         self._tried = 0
         self._entered = 1
         self.heads_home = not self._legs
 
     @property
     def is_stay(self) -> bool:
-        """Return whether the robot is to wait where it is."""
+        """Return whether the next leg is a stay."""
         return not self.heads_home and self._legs[0][0] == self._legs[0][-1]
 
     @property
     def destination(self) -> int:
-        """Return the cell where the next goal ends."""
+        """Return the last cell of the next goal."""
         return self._grid.base if self.heads_home else self._legs[0][-1]
 
     def next_leg(self, walk: Sequence[int]) -> Leg:
-        """Return the cells of the next goal, from the last one of the walk so far."""
+        """Return the cells of the next goal, from the last cell of the walk so far."""
         if self.heads_home:
             is_turn_of_shortest = self._tried // self._attempts % 2 == 1
             if is_turn_of_shortest:
@@ -130,7 +130,7 @@ class Itinerary:
             self._tried = 0
 
     def succeed(self) -> None:
-        """Record that the robot is at the end of the leg."""
+        """Record that the robot has reached the end of the leg."""
         if self._legs:
             self._legs.pop(0)
         self._begin_leg()
@@ -151,29 +151,29 @@ class Itinerary:
         self.heads_home = not self._legs
 
 
-# Distance beyond the edge of its cell at which a robot has left it, in sides of a cell: a robot
-# that drives along an edge must not change cells all the time, nor one that passes a corner
-# diagonally enter the cells beside it.
+# Distance beyond the edge of a cell, in sides of a cell, up to which a robot counts as inside: a
+# robot on an edge must not change cells all the time, and a robot that passes a corner diagonally
+# must not enter the cells beside it.
 MARGIN = 0.2
 
 
 class Walk:
-    """The cell of a robot, and its steps to the next ones."""
+    """The walk of a robot: its current cell, and the cells that it enters."""
 
     def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
         self.grid = grid
         self.cell = cell
-        # Why the cells of this walk are uncertain: the last impossible jump; empty without any.
+        # The last impossible jump, which makes the cells of the walk uncertain; empty without any.
         self.doubt = ''
         self._patience = patience
         self._max_speed = max_speed
-        # Last possible position and its time: x, y and time.
+        # Last accepted position: x, y and its time.
         self._seen: tuple[float, float, float] | None = None
-        # Since when the robot seems to have jumped.
+        # Time at which the robot seemed to jump; None if it did not.
         self._away_since: float | None = None
 
     def follow(self, x: float, y: float, time: float) -> list[int]:
-        """Return the cells entered up to a position, in metres, at a time."""
+        """Return the cells entered on the way to a position, metres, at a time, seconds."""
         if self._off_middle(x, y) <= 0.5 + MARGIN:
             return self._come_to(self.cell, x, y, time)
         cell = self.cell_at(x, y)
@@ -185,7 +185,8 @@ class Walk:
             if time - self._away_since < self._patience:
                 raise ValueError(
                     f'the robot seems to have jumped from cell {self.cell} to cell {cell}, '
-                    f'({x:.2f}, {y:.2f}): that counts if it lasts for {self._patience} s'
+                    f'({x:.2f}, {y:.2f}): the new position is accepted if it lasts for '
+                    f'{self._patience} s (parameter tf_timeout)'
                 )
             self.doubt = self._why_doubtful(x, y, time) or self.doubt
         return self._come_to(cell, x, y, time)
@@ -197,7 +198,7 @@ class Walk:
         return way
 
     def _why_doubtful(self, x: float, y: float, time: float) -> str:
-        """Return why a position is impossible by now; empty if it is possible."""
+        """Explain why the robot cannot have reached a position in time; empty if it can."""
         if self._seen is None or not self._max_speed:
             return ''
         from_x, from_y, since = self._seen
@@ -206,22 +207,22 @@ class Walk:
         if distance <= self._max_speed * seconds + self.grid.resolution:
             return ''
         return (
-            f'a jump from ({from_x:.2f}, {from_y:.2f}) to ({x:.2f}, {y:.2f}), {distance:.1f} m in '
-            f'{seconds:.2f} s, and the robot makes {self._max_speed} m/s (parameter max_speed)'
+            f'it jumped from ({from_x:.2f}, {from_y:.2f}) to ({x:.2f}, {y:.2f}), {distance:.1f} m '
+            f'in {seconds:.2f} s, faster than {self._max_speed} m/s (parameter max_speed)'
         )
 
     def _off_middle(self, x: float, y: float) -> float:
-        """Return the larger offset of a position from the middle of the cell, x or y, in sides."""
+        """Return the larger of the x and y offsets from the middle of the cell, in sides."""
         row, col = divmod(self.cell, self.grid.width)
         place = self.grid.in_cells([x, y]) - (col, row)
         return float(np.abs(place - 0.5).max())
 
     def sees_its_cell(self, x: float, y: float) -> bool:
-        """Return whether a robot is so far inside its cell that its detections are of it."""
+        """Return whether a robot is so far inside its cell that detections are of that cell."""
         return self._off_middle(x, y) <= 0.5 - MARGIN
 
     def settle(self, x: float, y: float) -> list[int]:
-        """Return the cells entered by a robot that has come to rest, where no margin applies."""
+        """Return the cells entered by a robot that stands still, without the margin."""
         cell = self.cell_at(x, y)
         way = shortest_way(self.grid, self.cell, cell)[1:]
         self.cell = cell

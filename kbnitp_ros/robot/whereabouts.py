@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The place of a robot by TF or satellites, and its step of the walk at any time."""
+"""The position of a robot by TF or satellites, and the step of its walk at any time."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from kbnitp_ros.messages.headers import from_stamp, SECOND, shown
 import numpy as np
 from numpy.typing import NDArray
 
-# Maximum number of frames; a robot has some tens.
+# Maximum number of frames; a robot has tens.
 MAX_FRAMES = 1000
 
 
-# The transform of a frame to its parent: the parent, the origin of the frame in its parent in
-# metres, its rotation there, a unit quaternion x, y, z, w, and since when in nanoseconds (None if
-# it is static).
+# The transform of a frame to its parent: name of the parent, translation in metres, rotation as a
+# unit quaternion x, y, z, w, and time in nanoseconds (None if it is static).
 Link = tuple[str, NDArray[np.float64], NDArray[np.float64], int | None]
 
 
@@ -30,8 +29,8 @@ class Place(NamedTuple):
     y: float
     # The time of the oldest transform used, nanoseconds.
     stamp: int
-    # The time of the transform nearest to the robot that changes, such as its odometry. Those
-    # above correct it, may come seldom, and may have a time ahead.
+    # The time of the first transform from the robot that is not static, usually the odometry.
+    # Later transforms correct it, may be rare, and may be dated ahead.
     odometry: int
 
 
@@ -63,7 +62,7 @@ class Transforms:
             self._links[child] = parent, translation, rotation / length, stamp
 
     def place(self, now: int, oldest: float) -> Place:
-        """Return the place of the frame by transforms at most `oldest` seconds old."""
+        """Return the place of the robot by transforms at most `oldest` seconds old."""
         place: NDArray[np.float64] = np.zeros(3)
         frame, stamp = self._robot_frame, now
         odometry: int | None = None
@@ -112,8 +111,8 @@ class Fixes:
         frame = message.header.frame_id.lstrip('/')
         if frame != self._frame:
             raise ValueError(
-                f'header.frame_id is {shown(frame)}: it must be {self._frame!r} '
-                '(parameter base_frame), where the antenna is'
+                f'header.frame_id is {shown(frame)}: it must be {self._frame!r}, the frame of '
+                'the antenna (parameter base_frame)'
             )
         if message.status.status < FIX:
             raise ValueError(f'status.status is {message.status.status}: there is no fix')
@@ -145,20 +144,20 @@ class Fixes:
         return self._newest
 
 
-# The step of a robot near the edge of its cell, whose detections may be of another one.
+# Step number of a robot near the edge of its cell, whose detections may be of another cell.
 NO_STEP = 0
 
 
-# A span of time throughout which the robot was in one step: its first and last time, nanoseconds,
-# and the step of the walk, counted from 1, or `NO_STEP`.
+# An interval in which the robot was in one step: first and last time, nanoseconds, and the number
+# of the step from 1, or `NO_STEP`.
 Span = tuple[int, int, int]
 
 
 class Whereabouts:
-    """The step of the robot at any recent time, in nanoseconds."""
+    """The step of the robot at any recent time; times are in nanoseconds."""
 
     def __init__(self, kept: int, gap: int) -> None:
-        # Between two sightings further apart than the gap, the robot may have been anywhere.
+        # Between two positions more than `gap` apart in time, the robot may have been anywhere.
         self._kept = kept
         self._gap = gap
         self._spans: deque[Span] = deque()
@@ -179,7 +178,7 @@ class Whereabouts:
             spans.popleft()
 
     def step_within(self, since: int, until: int) -> int | None:
-        """Return the step of the robot between two times, or `NO_STEP`; None if it is too soon."""
+        """Return the step between two times, or `NO_STEP`; None if not known yet."""
         if not self._spans or until > self._spans[-1][1]:
             return None
         for first, last, step in reversed(self._spans):

@@ -22,11 +22,11 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class RoundCase(Field):
-    """A field that robots share."""
+    """A field, and the robots of a round."""
 
     # Two to four robots, some with limits and numbers of their own.
     robots: tuple[TeamMember, ...]
-    # The same when another one has left before.
+    # The same robots, after another one has left.
     after: tuple[TeamMember, ...]
 
 
@@ -63,22 +63,25 @@ def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
     """Check that each robot has one path, within its own limits."""
     for robots in (given.robots, given.after):
         paths = allocation(robots)
-        require(len(paths) == len(robots), f'There are {len(paths)} for {len(robots)} robots')
+        require(
+            len(paths) == len(robots),
+            f'The number of paths is {len(paths)}, and that of robots {len(robots)}',
+        )
         for number, (robot, path) in enumerate(zip(robots, paths)):
             try:
                 robot.finder.check_path(path)
             except ValueError as error:
-                raise AssertionError(f'Of robot {number}: {error}') from error
+                raise AssertionError(f'Path of robot {number}: {error}') from error
 
 
 def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
-    """Check that a team of one robot is planned like a single robot."""
+    """Check that a team of one robot gets the best path of a single robot."""
     for robot in given.robots:
         (path,) = allocation([robot])
         best = robot.finder.candidates(robot.objective)[0].path
         require(
             np.array_equal(path, best),
-            f'It is sent along {np.asarray(path).tolist()}, and {best.tolist()} was found best',
+            f'The path is {np.asarray(path).tolist()}, and the best one {best.tolist()}',
         )
 
 
@@ -92,7 +95,7 @@ def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
         for robot in given.robots
     }
     second = allocated_paths(allocation, [again[robot] for robot in given.robots])
-    require(first == second, f'First it gives {first}, and then {second}')
+    require(first == second, f'The first paths are {first}, the second ones {second}')
 
 
 def allocated_paths(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:

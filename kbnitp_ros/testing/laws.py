@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random cases for laws, and the report of a broken law."""
+"""Random cases for laws, and the error of a broken law."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Subject = TypeVar('Subject')
 Case = TypeVar('Case')
 
-# Tolerance of numbers that are equal but for rounding.
+# Tolerance of rounding.
 ROUNDING = 1e-9
 
 
@@ -27,7 +27,7 @@ def hold(
     cases: int,
     seed: int,
 ) -> None:
-    """Check laws, each stated by its docstring, in `cases` random cases from `seed` on."""
+    """Check laws in random cases with the seeds from `seed` on; a docstring states each law."""
     name = f'{registry.kind} {given!r}'
     if isinstance(given, str):
         subject = registry.find(given)
@@ -45,12 +45,12 @@ def hold(
                 law = str(check.__doc__).removeprefix('Check that ').removesuffix('.')
                 words = str(error) if type(error) is AssertionError else with_type(error)
                 raise AssertionError(
-                    f'{name} breaks a law in the case of seed {number}: {law}. {words}'
+                    f'{name} breaks a law with seed {number}: {law}. {words}'
                 ) from error
 
 
 def require(holds: bool | np.bool_, words: str) -> None:
-    """Raise an AssertionError unless a condition holds; `assert` is left out by python -O."""
+    """Raise an AssertionError unless a condition holds; python -O would ignore `assert`."""
     if not holds:
         raise AssertionError(words)
 
@@ -58,21 +58,21 @@ def require(holds: bool | np.bool_, words: str) -> None:
 def require_close(
     found: NDArray[np.float64], expected: NDArray[np.float64], words: str, within: float = ROUNDING
 ) -> None:
-    """Raise an AssertionError that shows where two arrays of one shape differ most."""
+    """Raise an AssertionError that shows where two arrays first differ."""
     require(
         found.shape == expected.shape,
-        f'{words}: the shape is {found.shape}, and it must be {expected.shape}',
+        f'{words}: the shape is {found.shape} and must be {expected.shape}',
     )
     off = ~(np.abs(found - expected) <= within)
     if off.any():
         place = tuple(int(index) for index in np.argwhere(off)[0])
         raise AssertionError(
-            f'{words}: at {list(place)} it is {found[place]}, and it must be {expected[place]}'
+            f'{words}: at {list(place)} it is {found[place]} and must be {expected[place]}'
         )
 
 
 def require_same(one: Belief, other: Belief, words: str) -> None:
-    """Raise an AssertionError that shows where two beliefs differ in their bits."""
+    """Raise an AssertionError that shows where two beliefs first differ, bit for bit."""
     if one.joint.tobytes() != other.joint.tobytes():
         require_close(one.joint, other.joint, words, 0.0)
         raise AssertionError(f'{words}: the bits differ')
@@ -83,7 +83,7 @@ def with_type(error: Exception) -> str:
     return f'{type(error).__name__}: {error}'
 
 
-# Seeds of the generators of cases, which no world has.
+# Seeds of the generators of cases, which differ from those of worlds.
 MISSIONS, PLANS = 0x4C415753, 0x4C415754
 
 
@@ -93,7 +93,7 @@ class Field:
 
     # At most 4 x 4 cells, some of them blocked.
     grid: Grid
-    # Arbitrary in each cell; some are known to be free of hazard.
+    # Arbitrary prior in each cell; some cells are known to be free of hazard.
     prior: Belief
     # Sensor model with a malfunction rate above 0.
     model: SensorModel
@@ -105,8 +105,8 @@ class MissionCase(Field):
 
     # Seed of the method's random draws.
     seed: int
-    # Outcomes in one world that the prior allows for, with and without last contacts, and with
-    # cells where robots did not look.
+    # Outcomes in one world that is possible under the prior, with and without last contacts, and
+    # with missing readings.
     deployments: tuple[tuple[Observation, RobotType], ...]
 
     @property
@@ -127,7 +127,7 @@ def draw_field(rng: np.random.Generator) -> Field:
 
 
 def draw_model(rng: np.random.Generator) -> SensorModel:
-    """Draw a sensor model that calls nothing impossible."""
+    """Draw a sensor model under which every outcome is possible."""
     return SensorModel(
         lethality=float(rng.uniform(0.1, 0.95)),
         malfunction=float(rng.uniform(0.01, 0.15)),
@@ -155,7 +155,7 @@ def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.in
 def draw_outcome(
     rng: np.random.Generator, world: World, path: NDArray[np.intp], model: SensorModel
 ) -> Observation:
-    """Draw the outcome of a robot on a path, as far as it is known."""
+    """Draw the observation of a robot on a path."""
     survived, read, _ = world.steps(path, model, rng)
     if survived.all():
         return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
@@ -177,7 +177,7 @@ def draw_mission(seed: int, robots: int = 6) -> MissionCase:
         deployments.append(
             (draw_outcome(rng, world, path, robot_type.model(field.model)), robot_type)
         )
-    # Any world allows for these.
+    # These two outcomes are possible in every world.
     one, other = (draw_walk(rng, field.grid, int(rng.integers(2, 9))) for _ in range(2))
     back = Observation(other, True, rng.random(other.size - 1) < 0.5)
     deployments += [(Observation(one, False), ORDINARY), (back, ORDINARY)]

@@ -63,10 +63,10 @@ def fold(
 
 
 def can_be_used(method: Method, mission: MissionCase) -> None:
-    """Check that it has the methods and attributes that an estimator uses."""
+    """Check that an inference has the methods and attributes that an estimator uses."""
     inference = start(method, mission)
     for name in (*CALLED, *KNOWN):
-        require(hasattr(inference, name), f'It has no {name}')
+        require(hasattr(inference, name), f'The inference has no {name}')
     fold(inference, mission.deployments)
     require(isinstance(inference.model, SensorModel), f'model is {inference.model!r}')
     error = inference.sampling_error
@@ -75,11 +75,11 @@ def can_be_used(method: Method, mission: MissionCase) -> None:
 
 
 def begins_with_the_prior(method: Method, mission: MissionCase) -> None:
-    """Check that before the first deployment it believes the hazards and targets of the prior."""
+    """Check that the first belief has the hazards and targets of the prior."""
     inference = start(method, mission)
     prior = mission.prior
-    require_close(inference.belief.hazard, prior.hazard, 'Of the hazards')
-    require_close(inference.belief.target, prior.target, 'Of the targets')
+    require_close(inference.belief.hazard, prior.hazard, 'Hazards of the first belief')
+    require_close(inference.belief.target, prior.target, 'Targets of the first belief')
     require(not inference.parameters, f'parameters has {list(inference.parameters)}')
 
 
@@ -100,40 +100,40 @@ def require_distribution(belief: Belief, mission: MissionCase, number: int) -> b
     after = f'After {number} deployments'
     require(isinstance(belief, Belief), f'{after} the belief is {belief!r}')
     cells, joint = mission.prior.cells, belief.joint
-    require(belief.cells == cells, f'{after} it has {belief.cells} cells of {cells}')
+    require(belief.cells == cells, f'{after} the belief has {belief.cells} cells, not {cells}')
     require(((joint >= 0.0) & (joint <= 1.0)).all(), f'{after} a value is not in [0, 1]')
-    require_close(joint.sum(axis=(1, 2)), np.ones(cells), f'{after} of the sums')
+    require_close(joint.sum(axis=(1, 2)), np.ones(cells), f'{after}, sum of each cell')
     return joint.tobytes()
 
 
 def keeps_what_is_certain(method: Method, mission: MissionCase) -> None:
-    """Check that what is certain stays certain, at the base and in blocked cells."""
+    """Check that cells free of hazard stay free, and blocked cells unchanged."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     safe = before.hazard == 0.0
     require(safe[mission.grid.base], 'The prior has a hazard at the base')
-    require_close(after.hazard[safe], before.hazard[safe], 'Of the cells free of hazard')
+    require_close(after.hazard[safe], before.hazard[safe], 'Hazards of cells free of hazard')
     blocked = ~mission.grid.free
-    require_close(after.joint[blocked], before.joint[blocked], 'Of the blocked cells')
+    require_close(after.joint[blocked], before.joint[blocked], 'Belief in blocked cells')
 
 
 def keeps_cells_without_evidence(method: Method, mission: MissionCase) -> None:
-    """Check that cells without evidence stay as they were."""
+    """Check that the belief in cells without evidence does not change."""
     before, *_, after = fold(start(method, mission), mission.deployments)
     elsewhere = np.ones(mission.grid.cells, dtype=bool)
     for observation, _ in mission.deployments:
         elsewhere[observation.path] = False
-    require_close(after.joint[elsewhere], before.joint[elsewhere], 'Of the cells never visited')
+    require_close(after.joint[elsewhere], before.joint[elsewhere], 'Belief in unvisited cells')
 
 
 def is_reproducible(method: Method, mission: MissionCase) -> None:
     """Check that the same evidence and seed give the same belief, bit for bit."""
     one, other = (fold(start(method, mission), mission.deployments) for _ in range(2))
     for number, (first, second) in enumerate(zip(one, other)):
-        require_same(second, first, f'The second time, after {number} deployments')
+        require_same(second, first, f'Second run, after {number} deployments')
 
 
 def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
-    """Check that a copy goes on by itself."""
+    """Check that a copy and its original do not affect each other."""
     half = len(mission.deployments) // 2
     first, second = mission.deployments[:half], mission.deployments[half:]
     expected = fold(start(method, mission), mission.deployments)[-1]
@@ -141,21 +141,21 @@ def copies_go_on_by_themselves(method: Method, mission: MissionCase) -> None:
     before = fold(inference, first)[-1]
     copied = inference.copy()
     require(copied is not inference, 'copy returns the inference itself')
-    require_same(copied.belief, before, 'A copy is not as what it was copied from')
+    require_same(copied.belief, before, 'The belief of a copy differs from that of its original')
     fold(copied, second)
-    require_same(inference.belief, before, 'What a copy takes in moves what it was copied from')
+    require_same(inference.belief, before, 'Evidence of a copy changes its original')
     fold(copied, first)
-    require_same(fold(inference, second)[-1], expected, 'What went on after it was copied')
+    require_same(fold(inference, second)[-1], expected, 'Original, continued after its copy')
     third = start(method, mission)
     fold(third, first)
     kept = third.copy()
     fold(third, second)
-    require_same(kept.belief, before, 'What goes on moves a copy made before')
-    require_same(fold(kept, second)[-1], expected, 'A copy that goes on')
+    require_same(kept.belief, before, 'Evidence of an original changes its copy')
+    require_same(fold(kept, second)[-1], expected, 'Copy, continued after its original')
 
 
 def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
-    """Check that the belief is that of the evidence in its order, in whatever order it comes."""
+    """Check that the belief does not depend on the order in which evidence arrives."""
     expected = fold(start(method, mission), mission.deployments)[-1]
     robot_types = {
         f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
@@ -183,7 +183,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
             ledger.record_report(key, each)
         else:
             ledger.record_path(key, cast(tuple[int, ...], each))
-    require_same(ledger.belief, expected, 'Of reports that came in disorder')
+    require_same(ledger.belief, expected, 'Belief after paths and reports in random order')
 
 
 def forgets_the_order_of_returns(method: Method, mission: MissionCase) -> None:
@@ -192,11 +192,11 @@ def forgets_the_order_of_returns(method: Method, mission: MissionCase) -> None:
         fold(start(method, mission), returns)[-1]
         for returns in (mission.returns, mission.returns[::-1])
     )
-    require_close(other.joint, one.joint, 'In the reverse order')
+    require_close(other.joint, one.joint, 'Belief after returns in reverse order')
 
 
 def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
-    """Check that a return is taken in exactly."""
+    """Check that returns are assimilated exactly, by Bayes' rule."""
     inference = start(method, mission)
     joint = inference.belief.joint.copy()
     found = fold(inference, mission.returns)[-1]
@@ -207,21 +207,21 @@ def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
             of_target = np.ones(2) if read == -1 else reading if read else 1.0 - reading
             joint[cell] *= survival[:, None] * of_target
     joint /= joint.sum(axis=(1, 2), keepdims=True)
-    require_close(found.joint, joint, 'After the returns')
+    require_close(found.joint, joint, 'Belief after returns')
 
 
 def keeps_kappa_in_a_loss(method: Method, mission: MissionCase) -> None:
-    """Check that a loss leaves P(target | hazard) as it was."""
+    """Check that a loss does not change P(target | hazard)."""
     lost, robot_type = next(each for each in reversed(mission.deployments) if not each[0].survived)
     before, after = fold(start(method, mission), [(Observation(lost.path, False), robot_type)])
     told_apart = (before.hazard > 1e-6) & (after.hazard > 1e-6)
-    require_close(after.kappa[told_apart], before.kappa[told_apart], 'Of P(X = 1 | Z = 1)', 1e-7)
+    require_close(after.kappa[told_apart], before.kappa[told_apart], 'P(target | hazard)', 1e-7)
 
 
 def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
-    """Check that what is impossible is refused by a ValueError and changes nothing."""
+    """Check that impossible evidence raises a ValueError and changes nothing."""
     grid = mission.grid
-    # A sensor that never errs, and contradicts itself.
+    # A sensor that never errs, so that two different readings of one cell are impossible.
     model = replace(mission.model, true_positive=1.0, false_positive=0.0)
     around = grid.neighbors(grid.base)
     cell = int(around[mission.prior.hazard[around].argmax()])
@@ -232,28 +232,31 @@ def refuses_the_impossible(method: Method, mission: MissionCase) -> None:
     expected = fold(start(method, mission, model), [likely, likely])[-1]
     inference = start(method, mission, model)
     before = fold(inference, [likely])[-1]
-    for what, impossible in (('two readings', twice), ('a path out of the field', outside)):
+    for what, impossible in (
+        ('contradictory readings', twice),
+        ('a path out of the field', outside),
+    ):
         try:
             inference.assimilate(impossible, ORDINARY)
         except ValueError:
-            require_same(inference.belief, before, f'After {what} that cannot be')
+            require_same(inference.belief, before, f'Belief after {what}')
         except Exception as error:
             raise AssertionError(
-                f'Of {what} it raises {with_type(error)}, not a ValueError'
+                f'Evidence with {what} raises {with_type(error)}, not a ValueError'
             ) from error
         else:
-            raise AssertionError(f'It takes in {what} that cannot be, without a ValueError')
-    require_same(fold(inference, [likely])[-1], expected, 'What follows the impossible')
+            raise AssertionError(f'Evidence with {what} raises no ValueError')
+    require_same(fold(inference, [likely])[-1], expected, 'Belief after further evidence')
 
 
 def knows_robot_types(method: Method, mission: MissionCase) -> None:
-    """Check that robots of one type are as robots all like it."""
+    """Check that robots of a type count like common robots with the numbers of that type."""
     robot_type = RobotType(lethality=0.3, malfunction=0.1, true_positive=0.8, false_positive=0.2)
     observations = [observation for observation, _ in mission.deployments]
     of_type = fold(start(method, mission), [(each, robot_type) for each in observations])[-1]
     alike = start(method, mission, robot_type.model(mission.model))
     expected = fold(alike, [(each, ORDINARY) for each in observations])[-1]
-    require_close(of_type.joint, expected.joint, 'Of robots of a type', 1e-12)
+    require_close(of_type.joint, expected.joint, 'Belief after robots of a type', 1e-12)
 
 
 def stands_long_paths(method: Method, mission: MissionCase) -> None:
@@ -267,7 +270,7 @@ def stands_long_paths(method: Method, mission: MissionCase) -> None:
 
 
 def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
-    """Check that what is learnt of a number is in the interval that it was believed in."""
+    """Check that the posterior of a learnt number is within the interval of its prior."""
     if not method.learns:
         return
     low, high = LETHALITY
@@ -275,16 +278,16 @@ def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
     inference = method(mission.prior, mission.model, unknowns, mission.seed)
     fold(inference, mission.deployments)
     names = list(inference.parameters)
-    require(names == ['lethality'], f'parameters has {names}, and lethality was to be learnt')
+    require(names == ['lethality'], f'parameters has {names}, and must have lethality')
     learnt = inference.parameters['lethality']
     for q in (0.0, 0.5, 1.0):
         value = learnt.quantile(q)
         require(
             low - ROUNDING <= value <= high + ROUNDING,
-            f'Its quantile {q} is {value}, and it was believed from {low} to {high}',
+            f'The quantile {q} of lethality is {value}, outside the prior from {low} to {high}',
         )
     total = float(learnt.weights.sum())
-    require(abs(total - 1.0) <= ROUNDING, f'Its weights sum to {total}')
+    require(abs(total - 1.0) <= ROUNDING, f'The weights of lethality sum to {total}, not 1')
 
 
 LAWS: tuple[Callable[[Method, MissionCase], None], ...] = (

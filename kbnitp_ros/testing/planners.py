@@ -14,15 +14,15 @@ import numpy as np
 
 Planner = Callable[[PathFinder, Objective], list[Candidate]]
 
-# Maximum difference of tied values, nats: planners round.
+# Tolerance of the values of paths, nats, since planners round.
 VALUE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class SearchCase(Field):
-    """A field in which a path is searched for."""
+    """A field, and the search for a path in it."""
 
-    # With the limits of the path, and earlier visits.
+    # The limits of the path, and earlier visits.
     finder: PathFinder
     # Objective of a robot alone, with or without a loss cost.
     objective: Objective
@@ -61,16 +61,16 @@ def finds_paths(planner: Planner, search: SearchCase) -> None:
     """Check that each path is closed, on free cells, and within max_steps and max_visits."""
     for objective in (search.objective, search.after):
         found = planner(search.finder, objective)
-        require(len(found) > 0, 'It finds none')
+        require(len(found) > 0, 'The planner finds no path')
         for candidate in found:
             require(
                 isinstance(candidate, Candidate),
-                f'It returns {candidate!r}, which is no Candidate',
+                f'The planner returns {candidate!r}, which is no Candidate',
             )
             try:
                 search.finder.check_path(candidate.path)
             except ValueError as error:
-                raise AssertionError(f'Of {list(candidate.path)}: {error}') from error
+                raise AssertionError(f'Path {list(candidate.path)}: {error}') from error
 
 
 def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
@@ -78,16 +78,19 @@ def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
     for objective in (search.objective, search.after):
         value = [each.value for each in planner(search.finder, objective)]
         for before, after in pairwise(value):
-            require(after <= before + VALUE, f'One of {after} nats comes after one of {before}')
+            require(
+                after <= before + VALUE,
+                f'A path of {after} nats comes after a path of {before} nats',
+            )
 
 
 def tells_the_value(planner: Planner, search: SearchCase) -> None:
-    """Check that the value of a path is what it says."""
-    # Each planner approximates in its own way what a path adds to robots in flight.
+    """Check that each path has the value stated."""
+    # Only without robots in flight, since planners approximate their values differently.
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
         value = plan.information - search.objective.loss_cost * (1.0 - plan.survival)
-        words = f'{list(found.path)} has a value of {value} nats, not {found.value}'
+        words = f'Path {list(found.path)} has a value of {value} nats, and {found.value} is stated'
         require(abs(found.value - value) <= VALUE, words)
 
 
@@ -98,24 +101,24 @@ def is_reproducible(planner: Planner, search: SearchCase) -> None:
     again = replace(search.objective, belief=Belief(search.prior.joint.copy()))
     second = planner(replace(search.finder), again)
     one, other = ([(each.value, list(each.path)) for each in found] for found in (first, second))
-    require(one == other, f'First it finds {one}, and then {other}')
+    require(one == other, f'The first search finds {one}, the second one {other}')
 
 
 def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> None:
-    """Check that a robot with nowhere to go stays at the base."""
+    """Check that a robot stays at the base if all other cells are blocked."""
     grid = Grid(3, 1, base=1, blocked=(0, 2))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
     for candidate in planner(finder, Objective.alone(grid, belief, search.model, finder.options)):
-        require(set(candidate.path) == {1}, f'It goes {list(candidate.path)}')
+        require(set(candidate.path) == {1}, f'The path is {list(candidate.path)}')
 
 
 def leaves_what_it_is_given(planner: Planner, search: SearchCase) -> None:
-    """Check that what it is given stays as it was."""
+    """Check that the planner does not change its arguments."""
     visited, interest = search.finder.visited.copy(), search.objective.interest.copy()
     planner(search.finder, search.objective)
-    require(np.array_equal(search.finder.visited, visited), 'finder.visited is another')
-    require(np.array_equal(search.objective.interest, interest), 'objective.interest is another')
+    require(np.array_equal(search.finder.visited, visited), 'finder.visited has changed')
+    require(np.array_equal(search.objective.interest, interest), 'objective.interest has changed')
 
 
 LAWS: tuple[Callable[[Planner, SearchCase], None], ...] = (

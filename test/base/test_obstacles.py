@@ -363,7 +363,9 @@ def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
     tracker, told = MissionTracker(), snapshots()
     for known, snapshot in enumerate(told):
         tracker.accept_belief(snapshot, known)
-    with pytest.raises(ValueError, match='holds 40 deployments, and this planner knows the paths of 3'):
+    with pytest.raises(
+        ValueError, match='holds 40 deployments, and this planner knows the paths of 3'
+    ):
         tracker.check_belief(replace(told[-1], deployments=40), authors, known=3)
     assert tracker.newest is told[-1]
 

@@ -7,6 +7,7 @@ import re
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.core import Decision, Dynamics, Grid, HazardDraws, Observation, update
+from kbnitp_ros.files import counted
 from kbnitp_ros.messages.progress import decision_message, read_decision
 from kbnitp_ros.report.answers import (
     advice,
@@ -166,8 +167,9 @@ def test_the_truth_gives_the_number_of_right_answers(told):
     free, suspected = (np.flatnonzero(each) for each in (cells.free, cells.suspected))
     missed = sum(hazard[cell] for cell in free)
     assert (
-        f'In truth {free.size - missed} of {free.size} free cells are free, '
-        f'{sum(hazard[cell] for cell in suspected)} of {suspected.size} suspected have a hazard'
+        f'By the recorded truth {free.size - missed} of {free.size} free cells are free, '
+        f'{sum(hazard[cell] for cell in suspected)} of {suspected.size} suspected cells have a '
+        'hazard'
     ) in tiles['Can I trust it?'].detail
 
 
@@ -196,15 +198,15 @@ def test_differences_are_those_of_the_beliefs(pairs):
     (one, was), (other, since) = map(last, pairs)
     said = list(differences(*pairs))
     assert said[0] == (
-        f'{((one <= 0.05) & (other > 0.05)).sum()} cells free in A alone, '
-        f'{((other <= 0.05) & (one > 0.05)).sum()} in B alone.'
+        f'Free only in A: {counted(((one <= 0.05) & (other > 0.05)).sum(), "cell")}; '
+        f'only in B: {counted(((other <= 0.05) & (one > 0.05)).sum(), "cell")}.'
     )
     suspected = [(hazard >= 0.5) & entered for hazard, entered in ((one, was), (other, since))]
-    assert said[2].startswith(f'{(suspected[0] & suspected[1]).sum()} in both; in A alone: ')
+    assert said[2].startswith(f'{(suspected[0] & suspected[1]).sum()} in both; only in A: ')
     only = int((suspected[1] & ~suspected[0]).sum())
     assert (said[2].rpartition(': ')[2] == 'none.') == (only == 0)
     entered = [(was & ~since).sum(), (since & ~was).sum()]
-    assert re.findall(r'(\d+) cells? entered in A alone, (\d+) in B', said[3]) == [
+    assert re.findall(r'Entered only in A: (\d+) cells?; only in B: (\d+)', said[3]) == [
         tuple(map(str, entered))
     ]
     assert 'B sent 3 robots more' in said[6]
@@ -213,8 +215,8 @@ def test_differences_are_those_of_the_beliefs(pairs):
 def test_a_mission_beside_itself_has_no_difference(pairs):
     one, _ = pairs
     said = ' '.join(differences(one, one))
-    assert set(re.findall(r'(\d+)(?: cells?)? (?:\w+ )?in [AB] alone', said)) == {'0'}
-    assert said.count('in A alone: none; in B alone: none') == 2
+    assert set(re.findall(r'only in [AB]: (\d+)', said)) == {'0'}
+    assert said.count('only in A: none; only in B: none') == 2
     assert 'as many nats left in B' in said
     assert 'B sent as many robots and lost as many.' in said
     assert 'No difference.' in said
@@ -230,9 +232,9 @@ def test_different_truths_are_stated(tmp_path, pairs):
     first = pairs[0][0]
     hazards = (other.world.hazard != first.world.hazard).sum()
     (said,) = reservations(first, other)
-    assert f'differ: in {hazards} cell' in said
+    assert f'differ: hazards in {hazards} cell' in said
     unknown = read_mission(single(tmp_path / 'unknown.mcap', 2, with_truth=False))
-    assert list(reservations(first, unknown)) == ['The truth is on record in A alone.']
+    assert list(reservations(first, unknown)) == ['Only A has the truth on record.']
 
 
 def test_the_command_writes_one_page(logs, tmp_path, capsys):

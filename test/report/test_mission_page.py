@@ -255,7 +255,7 @@ def test_moments_change_by_keys_on_the_slider_and_without_a_focus_and_the_page_p
     page.keyboard.press('ArrowLeft')
     assert slider.input_value() == str(last - 1)
     told = page.locator('#told').inner_text()
-    assert told.startswith(f'{last - 1} of 30 deployments taken in')
+    assert told.startswith(f'{last - 1} of 30 deployments assimilated')
     assert slider.get_attribute('aria-valuetext') == told
     page.keyboard.press('Home')
     assert page.locator('#told').inner_text() == 'Before the first deployment.'
@@ -461,7 +461,7 @@ def test_findings_have_positions_on_the_earth(opened, surveyed):
 
 def test_a_missing_map_is_stated(surveyed, tmp_path):
     mission, file = surveyed
-    for content, why in ((None, 'cannot be read'), ('origin: [30.0, -8.0, 0.6]', 'does not lie')):
+    for content, why in ((None, 'cannot be read'), ('origin: [30.0, -8.0, 0.6]', 'has changed')):
         told = file.with_name('map.yaml')
         known = told.read_text()
         told.unlink()
@@ -580,7 +580,7 @@ def test_tiles_agree_with_their_lists(opened):
     assert re.search(r'(\d+) cells?\n', tiles[2])[1] == str(count('findings', 'hazard'))
     lost = count('deployments', 'lost')
     assert f'{lost} of {count("deployments")} robots lost' in tiles[6]
-    most, x, y = re.search(rf'expected of {lost}: (.*?) at \((.*?), (.*?)\)', tiles[7]).groups()
+    most, x, y = re.search(r'expected losses: (.*?) at \((.*?), (.*?)\)', tiles[7]).groups()
     losses = coloured(page, 'robots-lost')
     assert np.nanmax(losses) == pytest.approx(float(most), abs=0.05)
     assert GRID.centers([np.nanargmax(losses)])[0] == pytest.approx([float(x), float(y)])

@@ -265,7 +265,7 @@ def broken(tmp_path):
     none.write_text('no log at all')
     yield none, 'is no MCAP file'
     yield tmp_path / 'missing.mcap', 'missing.mcap'
-    yield record(tmp_path / 'empty.mcap', []), f'no beliefs on record that can be read: .*{BELIEF}'
+    yield record(tmp_path / 'empty.mcap', []), f'has no readable beliefs: .*{BELIEF}'
     missing = record(tmp_path / 'gap.mcap', gap(whole, 3))
     yield missing, 'belief after deployment 3 is missing, and neither'
 
@@ -294,7 +294,7 @@ def test_an_existing_folder_is_left_alone(shown, tmp_path, capsys):
     mine.mkdir()
     (mine / 'thesis.txt').write_text('all of it')
     assert main([str(log), '--out', str(mine)]) == 2
-    assert 'is there already and not empty: name another' in capsys.readouterr().err
+    assert 'exists and is not empty: name another' in capsys.readouterr().err
     assert [file.name for file in mine.iterdir()] == ['thesis.txt']
     assert main([str(log), '--out', str(mine / 'thesis.txt')]) == 2
     assert (mine / 'thesis.txt').read_text() == 'all of it'

@@ -109,7 +109,7 @@ def test_a_journal_of_another_robot_is_refused_by_name(tmp_path):
     path = tmp_path / 'folder' / 'journal'
     opened(path).close()
     content = path.read_bytes()
-    with pytest.raises(ValueError, match=r'journal .*folder/journal has agent "scout_1": here'):
+    with pytest.raises(ValueError, match=r'folder/journal was written with agent "scout_1", and'):
         opened(path, 'scout_2')
     assert path.read_bytes() == content
 
@@ -127,7 +127,7 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
         content = path.read_bytes()
         journal.close()
         # A robot in flight is in that field.
-        with pytest.raises(ValueError, match=r'has grid .*here it is '):
+        with pytest.raises(ValueError, match=r'was written with grid .*this node has '):
             opened(path, grid=Grid(6, 6))
         assert path.read_bytes() == content
         journal = opened(path, grid=grid)
@@ -140,7 +140,7 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
 def test_other_files_are_refused_and_left_alone(tmp_path, content):
     path = tmp_path / 'letters'
     path.write_bytes(content)
-    with pytest.raises(ValueError, match='letters is no journal of a robot'):
+    with pytest.raises(ValueError, match='letters is not the journal of a robot'):
         opened(path)
     assert path.read_bytes() == content
 
