@@ -73,8 +73,7 @@ ARGUMENTS = (
         'file',
         '',
         None,
-        'Log to write; empty for the parameter file of the recorder or, without one, '
-        'runs/TIME/mission.mcap.',
+        'Log to write. Empty: the one named in params_file, or else runs/TIME/mission.mcap.',
     ),
     ('resume', '', None, 'Log of an interrupted mission to resume; empty for a new mission.'),
     ('rviz', 'false', SWITCH, 'Whether to show the mission in RViz.'),

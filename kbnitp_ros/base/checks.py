@@ -109,7 +109,7 @@ def check_changes(
 
 
 def check_robots(robots: int, sent: int) -> None:
-    """Check a new number of robots against those already sent."""
+    """Check that a new number of robots is not below the number already sent."""
     if robots < sent:
         raise ValueError(
             f'parameter robots is {robots}: it must be at least {sent}, the number of robots sent '

@@ -26,7 +26,7 @@ from tqdm import tqdm
 
 DESCRIPTION = """
 Compute the beliefs of a mission's log again from the evidence in it, and say whether they are
-identical, equal to 1e-9 as on another kind of processor, or different.
+identical, equal within 1e-9 as on another kind of processor, or different.
 
 The exit code is 0 if none is different, 1 if one is, and 2 if the log is corrupt, cannot be used
 or repaired.
@@ -117,7 +117,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
     rounded = Counter(each.topic for each in report.roundings)
     left = Counter(each.topic for each in report.not_compared)
     for topic, compared in sorted(report.compared.items()):
-        equal = f', {rounded[topic]} of them equal to {TOLERANCE:g}' if rounded[topic] else ''
+        equal = f', {rounded[topic]} of them within {TOLERANCE:g}' if rounded[topic] else ''
         gap = f', {left[topic]} not compared' if left[topic] else ''
         yield f'{topic}: {compared - missed[topic]} of {compared} messages reproduced{equal}{gap}'
     yield from first_few('not reproduced', report.mismatches)
@@ -153,7 +153,7 @@ def computed_with(log: str | Path, report: ReplayReport) -> Iterator[str]:
     """Yield the largest difference of the beliefs, and the versions that recorded them."""
     gaps = (each.largest for found in report.roundings for each in found.differences)
     largest = max((gap for gap in gaps if not isnan(gap)), default=0.0)
-    yield f'equal to {TOLERANCE:g}, not identical: the largest difference is {largest:.2g}'
+    yield f'equal within {TOLERANCE:g}, not identical: the largest difference is {largest:.2g}'
     here = numerical_environment()
     run = read_metadata(log, []).get(RUN, {})
     for name in ('kbnitp_ros', *here):

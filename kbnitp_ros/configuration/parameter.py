@@ -50,7 +50,7 @@ class Parameter:
     limits: tuple[float, float] | None = None
     # A value outside the limits that switches the parameter off, such as 0 for no maximum.
     off: float | None = None
-    # The values allowed; empty for any. Those of a registry grow with plugins.
+    # The values allowed; empty for any. A registry also has the names of plug-ins.
     choices: Collection[str] = ()
     # A text allowed in place of a number; empty for none.
     word: str = ''

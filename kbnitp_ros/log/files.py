@@ -116,7 +116,7 @@ def read_information(folder: Path) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=4)
 def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
-    """Parse the metadata.yaml of a bag, once for each version of it."""
+    """Parse the metadata.yaml of a bag, again only after it was modified."""
     try:
         content = read_yaml(path)
     except NotYamlError:

@@ -25,7 +25,7 @@ import yaml
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD}
 
-# Bytes of messages in a chunk, unless a sync comes first.
+# Maximum bytes of messages in a chunk, which a sync ends earlier.
 CHUNK = 2**20
 
 # Bytes of a message besides its content.

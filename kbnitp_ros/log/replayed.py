@@ -54,7 +54,7 @@ def differences(
         if not hasattr(recorded, name):
             continue
         theirs = getattr(recorded, name)
-        # A learnt number. The map kappa is an array.
+        # A learnt number, unlike the map kappa, which is an array.
         if name in rounded and np.ndim(ours) == 0:
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
         else:

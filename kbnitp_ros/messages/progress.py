@@ -142,7 +142,7 @@ def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
 
 
 def read_model_belief(message: Any) -> ModelState:
-    """Convert a kbnitp_msgs/ModelBelief; those of 0.3.0 have numbers alone."""
+    """Convert a kbnitp_msgs/ModelBelief; messages of 0.3.0 have only numbers."""
     check_frame('header.frame_id', message.header.frame_id)
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
     values = {field: list(getattr(message, field)) for field in fields}

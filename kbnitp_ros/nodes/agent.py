@@ -83,7 +83,7 @@ class Simulation:
         self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
         # Times from which these paths wait, seconds.
         self._since: dict[DeploymentKey, float] = {}
-        # Agents whose robots have left and are not back.
+        # Agents with a robot in flight.
         self.out: set[str] = set()
         self._truth = {
             name: node.create_publisher(OccupancyGrid, f'truth/{name}', qos.LATCHED)
@@ -353,8 +353,8 @@ class AgentNode(FieldNode):
         name, team = self.values['agent'], simulation.agents
         if name and name not in team:
             raise ValueError(
-                f'parameter agent is {name}: it must be one of agents, {", ".join(team)}, '
-                'or empty for all of them'
+                f'parameter agent is {name}: it must be one of {", ".join(team)} (parameter '
+                'agents), or empty for all of them'
             )
         played = [name] if name else team
         self._agents = [SimulatedAgent(simulation, name, record) for name in played]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's decisions on its goal, and the end of the mission by them."""
+"""The planner's decisions on its goal, which may end the mission."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class Decisions:
     def _on_safest_path(
         self, request: GetPlan.Request, response: GetPlan.Response
     ) -> GetPlan.Response | Future:
-        """Answer with the safest path between two places, or a path without poses."""
+        """Answer with the safest path between two places, without poses if there is none."""
         newest = self._newest
         try:
             if newest is None:

@@ -227,7 +227,7 @@ class Dispatch:
         self.log_departures()
 
     def _on_path(self, agent: str, message: Path) -> None:
-        """Record a path, which may be another planner's and recorded instead of the own one."""
+        """Record a received path: one of another planner may replace the own one on disk."""
         try:
             key, path = self._node.read_path(agent, message)
             mission = mission_of_path(message)

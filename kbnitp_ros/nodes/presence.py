@@ -29,7 +29,7 @@ BEGUN = 'begun'
 MAX_PATH = 4096
 MAX_TIME = 20
 
-# Seconds that a recorder looks for others before its acknowledgements count.
+# Seconds that a recorder searches for others before its acknowledgements count.
 LOOK = 1.5
 
 # Seconds without diagnostics after which a recorder counts as dead: DDS lists a killed node for

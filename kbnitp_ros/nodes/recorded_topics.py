@@ -119,7 +119,7 @@ class ParameterWatch:
         self._namespace = namespace
         self._take = take
         self._refuse = refuse
-        # The full names of the nodes in the graph at the last look.
+        # Full names of the nodes in the graph at the last scan.
         self.present: Counter[str] = Counter()
         self._due: set[str] = set()
         self._inquiries: dict[str, Inquiry] = {}

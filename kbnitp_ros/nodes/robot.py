@@ -87,7 +87,7 @@ class RobotNode(FieldNode):
             )
         # Current place of the robot; None if it is unknown.
         self._place: Place | None = None
-        # Current problems by subject, and those that were logged.
+        # Current problems by subject; empty texts for solved ones.
         self._troubles = {self._source: 'nothing was received yet'}
         self._is_driving = False
         # Whether the robot waits for its reported departure to be on record.
@@ -331,7 +331,7 @@ class RobotNode(FieldNode):
             return self._no_room
         for superseded in self._pending.superseded():
             if not self._refuse(
-                superseded, f'path {self._key(deployment)} arrived before it left'
+                superseded, f'the newer path {self._key(deployment)} came before it left'
             ):
                 return self._no_room
             self._pending.close(superseded)

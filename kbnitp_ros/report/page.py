@@ -146,7 +146,7 @@ ON_EARTH = (
 
 
 def mission_page(mission: Mission, curves: Curves, *, is_live: bool = False) -> tuple[str, str]:
-    """Return the page of a mission, and what it leaves out to have at most `MAX_BYTES`."""
+    """Return the page of a mission, of at most `MAX_BYTES`, and a note on omitted moments."""
     moments = len(mission.moments)
     frames = quantised([each.belief for each in mission.moments])
     stride = 1

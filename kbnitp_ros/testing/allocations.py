@@ -65,7 +65,7 @@ def gives_each_robot_a_path(allocation: Allocation, given: RoundCase) -> None:
         paths = allocation(robots)
         require(
             len(paths) == len(robots),
-            f'The number of paths is {len(paths)}, and that of robots {len(robots)}',
+            f'Number of paths: {len(paths)}; number of robots: {len(robots)}',
         )
         for number, (robot, path) in enumerate(zip(robots, paths)):
             try:

@@ -176,7 +176,7 @@ def test_replay_states_the_gaps_of_a_truncated_log(files, whole_mission, tmp_pat
         path.write_bytes(content[: ends[kept] - 1])
         had = Counter(message.topic for message in whole_mission.sent[:kept])
         if not had['/belief']:
-            with pytest.raises(LogError, match='no beliefs on record'):
+            with pytest.raises(LogError, match='has no readable beliefs'):
                 replay(path)
             continue
         report = replay(path)

@@ -88,7 +88,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     assert 'leaves for' not in field.said('/planner')
     base.say(OrderState.REFUSED, 'the battery is low')
     base.until_sent(2)
-    assert 'brings no evidence: the battery is low' in field.said('/planner')
+    assert 'so its robot stays at the base: the battery is low' in field.said('/planner')
     base.until_named(base.say(OrderState.DEPARTED))
     field.until(lambda: base.heard['scout_1'], 'loss')
     base.until_held(1)
@@ -161,7 +161,7 @@ def test_bad_statuses_are_refused_by_name_and_counted(field):
         start=4,
     ):
         base.say(state, reason, stamp=key.stamp + 1)
-        assert 'and was DEPARTED before' in field.until_refused('/planner', number)
+        assert 'contradicts the earlier status DEPARTED' in field.until_refused('/planner', number)
     # Only the first departure is confirmed to be on disk.
     departures = [each for each in base.acknowledged['scout_1'] if from_stamp(each.stamp)]
     assert len({departure.content for departure in departures}) == 2

@@ -107,7 +107,7 @@ def test_a_robot_declared_lost_is_given_up(field):
         "no robot of 'scout_9' is in flight (agents in flight: scout_1)",
     )
     base.until_sent(1)
-    base.until_state('however long that takes')
+    base.until_state('without a time limit')
     many = base.refused('give_up', agent='scout_1', steps_survived=100)
     assert 'steps_survived is 100' in many
     told = base.do('give_up', agent='scout_1', steps_survived=1)
@@ -160,7 +160,7 @@ def megabytes(process):
 def test_a_flood_of_calls_is_answered_and_changes_nothing(field):
     base = Base(field)
     base.until_sent(1)
-    base.until_state('however long that takes')
+    base.until_state('without a time limit')
     base.refused('approve', data=True)
     planner = field.processes.started['/planner']
     before = megabytes(planner)
@@ -220,7 +220,7 @@ def test_services_are_called_as_on_the_page(field):
     for name, kind, request in commands:
         # Each call needs the state that the one before brought about.
         if name == '/give_up':
-            base.until_state('however long that takes')
+            base.until_state('without a time limit')
         elif name == '/approve':
             base.proposed()
         if which('ros2'):
@@ -273,7 +273,7 @@ STEPS = {
     'APPROVE': (None, ('approve', {'data': True}), has_left),
     # The robot departs when its path is on disk.
     'GIVE_UP': (
-        lambda base: base.until_state('however long that takes'),
+        lambda base: base.until_state('without a time limit'),
         ('give_up', GIVE_UP),
         is_given_up,
     ),

@@ -83,7 +83,7 @@ def test_a_robot_is_sent_when_the_last_one_is_in_the_belief(field):
 
     report = mission.lose(0)
     mission.show_belief()
-    mission.until_state('to be reported')
+    mission.until_state('waiting for the report of')
     assert len(mission.paths) == 1
     mission.reports.publish(report)
     assert mission.until_sent(1) == mission.planned()
@@ -208,13 +208,13 @@ def test_a_robot_whose_path_is_not_recorded_is_not_given_up(field):
     mission = Mission(field, {**SILENT, 'agents': agents, 'robots': 2, 'recorded': True})
     mission.show_belief()
     field.until(lambda: all(paths.values()), 'paths')
-    mission.until_state('waiting for scout_1')
+    mission.until_state('waiting for the report of scout_1')
     # The other robot left later than this one would have, so it is given up no sooner.
     recorded['scout_2'].publish(on_disk(paths['scout_2'][0]))
     field.until(lambda: reports['scout_2'], 'loss of the robot that left')
     told = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > told, 'newer diagnostics')
-    assert 'waiting for scout_1' in field.state('/planner')
+    assert 'waiting for the report of scout_1' in field.state('/planner')
     assert not reports['scout_1']
     recorded['scout_1'].publish(on_disk(paths['scout_1'][0]))
     field.until(lambda: reports['scout_1'], 'loss of the other one')

@@ -211,7 +211,9 @@ def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
     key = fleet.send(1, [0, 1, 2, 3, 2, 1, 0])
     field.until(lambda: 2 in fleet.walked(), 'robot under way')
     fleet.inject('jump')
-    field.until(lambda: 'its position is uncertain' in field.said('/scout_1/robot'), 'doubt')
+    field.until(
+        lambda: 'position of the robot is uncertain' in field.said('/scout_1/robot'), 'doubt'
+    )
     fleet.inject('live')
     report = fleet.wait_for_report(reports, key)
     first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)

@@ -217,7 +217,7 @@ def second_best(robots):
 
 
 ALLOCATIONS = {
-    'each robot has one path, .* The number of paths is 1': one_for_all,
+    'each robot has one path, .* Number of paths: 1; ': one_for_all,
     'each robot has one path, .* at most max_steps': as_the_first,
     'a team of one robot gets the best path of a single robot': second_best,
 }

@@ -57,7 +57,7 @@ def add_log(parser: argparse.ArgumentParser) -> None:
         'log',
         metavar='LOG',
         type=Path,
-        help="the log of one mission: its first file, or its folder if it is the only one's",
+        help='the log of a mission: its first file, or its folder if that holds no other log',
     )
     add_namespace(parser)
 

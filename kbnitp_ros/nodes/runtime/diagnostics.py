@@ -62,7 +62,7 @@ class Diagnostics:
         self._node = node
         # The same name in every namespace, which tools expect.
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
-        # Diagnostics go on when simulated time stands still.
+        # A steady clock, since diagnostics continue when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(PERIOD, self._publish_all, clock=steady)
 
