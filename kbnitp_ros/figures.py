@@ -140,7 +140,7 @@ def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path
     return files
 
 
-# Maximum cells along a side for lines between cells.
+# Maximum cells along a side with which lines between cells are drawn.
 MAX_LINED = 20
 
 # Opacity of a single path; many show through each other.

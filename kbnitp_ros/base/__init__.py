@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The base's knowledge of a mission, and the plans of its rounds; no rclpy."""
+"""The base without rclpy: its mission, evidence, rounds, and deployments in flight."""

@@ -292,7 +292,7 @@ def observed(domain: int) -> Iterator[tuple[Node, deque[Progress]]]:
 def most_left(progress: Progress | None, robots: int) -> float:
     """Return the longest wait for the next change, in seconds."""
     now = progress or Progress()
-    # The reason is empty unless the estimator refuses evidence.
+    # The planner gives this reason only if the estimator refuses evidence.
     if now.reason.startswith(BELIEF_AWAITED):
         return OPERATOR_WAIT
     if now.out:

@@ -37,7 +37,7 @@ LEARN = {
     ),
     'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
     'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
-    # a = b = 0 or 1: log-uniform.
+    # A Beta distribution with a = 0 and b = 1 is log-uniform.
     'vanish': ('hazards.vanish', (0.001, 0.1, 0.0, 1.0)),
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
 }

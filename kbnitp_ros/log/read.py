@@ -112,8 +112,8 @@ def read_log(
     """
     Yield the messages of these types and topics in recorded order.
 
-    A cut part yields what is before the cut, a corrupt one what is before its first error. That is
-    raised as a LogError, or added to `corrupt` if that is given.
+    A cut part yields the messages before the cut, a corrupt one those before its first error. The
+    error is raised as a LogError, or added to `corrupt` if that is given.
     """
     decoders: Decoders = {}
     indices = defaultdict[str, Iterator[int]](count)

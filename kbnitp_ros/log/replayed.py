@@ -104,7 +104,7 @@ def _array_differences(
         return
     gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
     is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
-    # A difference that is NaN is the largest.
+    # A difference of NaN counts as the largest.
     worst = int(np.argmax(np.where(differ, np.where(np.isnan(gap), np.inf, gap), -1.0)))
     cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None
     place = f'value {worst}' if cell is None else f'cell {cell}'

@@ -153,7 +153,7 @@ class Roles:
         """Return the roles of this mission that a node states in its parameters."""
         root, above = self.namespace.rstrip('/'), node.rpartition('/')[0]
         if above == root:
-            # Agents outside the team do not concern it.
+            # Nodes without the role belief are of agents, which are ignored outside the team.
             is_whole = 'belief' in stated
             return {role: name for role, name in stated.items() if is_whole or role in self.names}
         agent = above.removeprefix(f'{root}/')

@@ -47,7 +47,7 @@ def check_installed(type_name: str) -> None:
 
 
 def describe(type_name: str) -> tuple[str, str]:
-    """Return the definition of an installed type with those of all types in it, and its hash."""
+    """Return the definition of an installed type, with all types in it, and its hash."""
     check_installed(type_name)
     description = json.loads(installed_text(type_name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}

@@ -269,7 +269,7 @@ def read_belief_maps(message: Any) -> Snapshot:
 
 
 def read_joint(name: str, values: Any, grid: Grid) -> Belief:
-    """Return the belief of an array field."""
+    """Return the belief in an array field of a message."""
     joint = np.asarray(values, dtype=np.float64)
     if joint.size != 4 * grid.cells:
         raise ValueError(

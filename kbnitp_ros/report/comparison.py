@@ -83,7 +83,7 @@ def reservations(first: Mission, second: Mission) -> Iterator[str]:
 
 
 def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
-    """Return the number of cells with different true hazards, and targets; 0 without a truth."""
+    """Return the numbers of cells whose true hazard, and true target, differ; 0 if unknown."""
     if not (first.world and second.world):
         return 0, 0
     hazards = first.world.hazard != second.world.hazard

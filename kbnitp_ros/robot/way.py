@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Orders as legs that can be driven, and positions as steps of a walk."""
+"""Conversion of orders to legs for Nav2, and of positions to steps of a walk."""
 
 from __future__ import annotations
 

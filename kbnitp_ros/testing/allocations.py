@@ -55,7 +55,7 @@ def draw_round(seed: int) -> RoundCase:
 
 
 def check_allocation(allocation: str | object, *, cases: int = 25, seed: int = 0) -> None:
-    """Check an allocation against the laws of the package's own, in random cases."""
+    """Check that an allocation obeys the laws of this package, in random cases."""
     hold(ALLOCATIONS, allocation, LAWS, draw_round, cases, seed)
 
 

@@ -42,7 +42,7 @@ LETHALITY = (0.2, 0.8)
 
 
 def check_method(method: str | object, *, cases: int = 10, seed: int = 0) -> None:
-    """Check a method against the laws of the package's own, in random cases."""
+    """Check that a method obeys the laws of this package, in random cases."""
     hold(METHODS, method, LAWS, draw_mission, cases, seed)
 
 
@@ -161,7 +161,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
         f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
     }
     longest = max(each.steps for each, _ in mission.deployments)
-    # An inference has every method of an estimator that a ledger calls.
+    # A ledger calls only methods of an estimator that an inference has, too.
     ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), robot_types)
     rng = np.random.default_rng(mission.seed)
     said: list[tuple[DeploymentKey, object]] = []

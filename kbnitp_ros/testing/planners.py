@@ -53,7 +53,7 @@ def draw_search(seed: int) -> SearchCase:
 
 
 def check_planner(planner: str | object, *, cases: int = 25, seed: int = 0) -> None:
-    """Check a planner against the laws of the package's own, in random cases."""
+    """Check that a planner obeys the laws of this package, in random cases."""
     hold(PLANNERS, planner, LAWS, draw_search, cases, seed)
 
 
