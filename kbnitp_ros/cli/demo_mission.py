@@ -196,13 +196,14 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
             value, another = (value_for(values, common, agent) for values in (ours, theirs))
             if value != another:
                 raise ValueError(
-                    f'{name} is {value} of {one} and {another} of {other}: nodes of one mission '
+                    f'{name} is {value} in {one} and {another} in {other}: nodes of one mission '
                     'must agree'
                 )
     simulated, estimator = parameters['agent'], parameters['estimator']
     if simulated['map_topic']:
         raise ValueError(
-            f'map_topic is {simulated["map_topic"]}: the demo subscribes to no map, use map'
+            f'map_topic is {simulated["map_topic"]}: the demo subscribes to no map; '
+            'set the parameter map instead'
         )
     grid = make_grid(simulated)
     agent_names(simulated, grid)

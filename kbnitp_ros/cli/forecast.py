@@ -141,7 +141,8 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
     planner, estimator = parameters['planner'], parameters['estimator']
     if planner['map_topic']:
         raise ValueError(
-            f'map_topic is {planner["map_topic"]}: the forecast subscribes to no map, use map'
+            f'map_topic is {planner["map_topic"]}: the forecast subscribes to no map; '
+            'set the parameter map instead'
         )
     grid = make_grid(planner)
     if make_grid(estimator) != grid:

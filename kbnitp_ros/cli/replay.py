@@ -128,7 +128,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
     for key in report.not_yet_held:
         yield f'deployment {key} is in no belief yet'
     for key in evidence.without_report:
-        where = 'the robot was still out'
+        where = 'the robot was in flight'
         if evidence.departures.is_at_base(key):
             status = evidence.departures.status(key)
             where = 'the robot was at the base'

@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         log = options.log or newest_log()
         if not log.exists():
-            raise ValueError(f'{log} is not there: name the log of a mission that has begun')
+            raise ValueError(f'{log} does not exist: name the log of a mission that has begun')
         with serving(log, options.namespace, options.host, options.port):
             while True:
                 time.sleep(LOOK)

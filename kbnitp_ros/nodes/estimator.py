@@ -113,7 +113,7 @@ class EstimatorNode(FieldNode):
         if self._mission is None:
             self._mission = read_mission(log)
         evidence = log.read('path', 'report', 'status')
-        for role, logged in self.log_progress(evidence, f'taking in {log.path}'):
+        for role, logged in self.log_progress(evidence, f'reading {log.path}'):
             # Evidence that was refused before is refused again.
             with suppress(ValueError):
                 if role.name == 'status':

@@ -296,7 +296,7 @@ def log_notes(log: str | Path, history: History, in_flight: int) -> Iterator[str
         yield 'The log is unfinished: it was still being written, or its end is missing.'
     if in_flight:
         were = 'was' if in_flight == 1 else 'were'
-        yield f'{counted(in_flight, "robot")} {were} still out when the log ends.'
+        yield f'{counted(in_flight, "robot")} {were} in flight when the log ended.'
     if evidence.without_path:
         yield f'No path is on record for {counted(len(evidence.without_path), "deployment")}.'
     for refusal in evidence.refused[:REFUSALS]:

@@ -480,7 +480,7 @@ CHANGES = {
         'deployment {3} has no path on record']),
     'a report': (drop('/scout_1/report', 3), 1, 5, [4], [*range(5, 9)], [
         'report of deployment {3} is not on record',
-        'deployment {3} has no report on record: the robot was still out']),
+        'deployment {3} has no report on record: the robot was in flight']),
     'a reading': (edit('/scout_1/report', 3, flip_reading), 1, 5, [4], [*range(5, 9)], [
         'report of deployment {3} is not on record']),
     'the readings': (edit('/scout_1/report', 3, lambda told: told.readings.pop()), 1, 5, [4],
@@ -488,7 +488,7 @@ CHANGES = {
     'all reports': (reported_later, 0, 1, [], [*range(1, 9)], [
         '/belief: 1 of 1 messages reproduced, 8 not compared\n', '{0} is in no belief yet']),
     'a robot out': (sent_out, 0, 9, [], [], [
-        '{8} has no report on record: the robot was still out']),
+        '{8} has no report on record: the robot was in flight']),
     'a return not held yet': (not_held(False, False), 0, 9, [], [], ['{8} is in no belief yet']),
     'a return passed over': (not_held(False, True), 1, 10, [], [], [
         'not reproduced: deployment {8} is in no belief']),

@@ -144,7 +144,7 @@ def test_deployments_survive_every_restart(field, before, depth):
                 lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all', 300
             )
             if before > 10_000:
-                assert f'taking in {log}: ' in field.said('/m/estimator')
+                assert f'reading {log}: ' in field.said('/m/estimator')
             assert read_belief_maps(beliefs[-1]).belief.joint.tobytes() == last
         field.until(lambda name=name: field.state(f'/m/{name}'), f'word of {name}', 300)
     until_done(field, robots)

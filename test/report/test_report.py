@@ -188,7 +188,7 @@ def test_robots_in_flight_at_the_end(tmp_path):
     whole.send_out(whole.walk().path)
     log = record(tmp_path / 'mission.mcap', whole.sent)
     _, _, html, (*_, row) = told(log)
-    assert '1 robot was still out' in html
+    assert '1 robot was in flight' in html
     assert row['outcome'] == 'out'
     assert row['told'] is row['moment'] is row['entropy'] is None
 
