@@ -93,7 +93,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--params',
         metavar='FILE',
         help='YAML file with parameters of planner and estimator, such as config/mission.yaml; '
-        'with LOG only those of the planner; default with LOG: the recorded ones',
+        'if LOG is given, only those of the planner, in place of the recorded ones',
     )
     parser.add_argument(
         '--set',

@@ -189,8 +189,8 @@ class PlannerNode(FieldNode):
         if self._has_subscribers:
             return ''
         missing = self.missing_listeners(self._dispatch.paths.values())
-        # A subscriber may be another agent's node: with changing hazards each simulated agent
-        # subscribes to all paths.
+        # Each agent also needs a node of its own: with changing hazards the nodes of simulated
+        # agents subscribe to the paths of all agents.
         absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
         if not missing and absent:
             missing = f'a node of agent {some(absent)} (parameter await_nodes)'
