@@ -140,8 +140,8 @@ def main() -> int:
             turns = [[ask(each, case)[0] for each in workers] for _ in range(options.turns)]
             old, new = (in_words(median(times)) for times in zip(*turns))
             lines.append(f'| {name} | {old} | {new} | {median(n / o for o, n in turns):.2g} |')
-        for worker in workers:
-            worker.communicate()
+        for each in workers:
+            each.communicate()
     write('versions', '\n'.join(lines))
     return 0
 
