@@ -104,7 +104,7 @@ def tree(version: str, folder: Path) -> Iterator[Path]:
         subprocess.run([*git, 'remove', '--force', str(folder)], check=True)
 
 
-def worker(root: Path, folder: str) -> subprocess.Popen[str]:
+def start_worker(root: Path, folder: str) -> subprocess.Popen[str]:
     """Start a process that times what it is asked for in one version."""
     one = dict.fromkeys(('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'), '1')
     paths = f'{root}:{os.environ.get("PYTHONPATH", "")}'
@@ -133,15 +133,15 @@ def main() -> int:
     with TemporaryDirectory() as out, tree(options.version, Path(out, 'tree')) as before:
         log = ROOT / 'test/log/recorded/kappa_bnitp.mcap.gz'
         Path(out, 'log.mcap').write_bytes(gzip.decompress(log.read_bytes()))
-        workers = [worker(root, out) for root in (before, ROOT)]
+        workers = [start_worker(root, out) for root in (before, ROOT)]
         for name, case in tqdm(CASES.items(), unit='case', disable=None):
             firsts = [ask(each, case)[1] for each in workers]
             assert firsts[0] == firsts[1], f'{name} has other bits'
             turns = [[ask(each, case)[0] for each in workers] for _ in range(options.turns)]
             old, new = (in_words(median(times)) for times in zip(*turns))
             lines.append(f'| {name} | {old} | {new} | {median(n / o for o, n in turns):.2g} |')
-        for each in workers:
-            each.communicate()
+        for worker in workers:
+            worker.communicate()
     write('versions', '\n'.join(lines))
     return 0
 

@@ -100,7 +100,7 @@ class Comparison:
         return {**self.head(results.scenario), 'rows': [json_row(r) for r in self.rows(results)]}
 
     def table(self, summary: Row) -> Table:
-        """Return the section as a table for people."""
+        """Return the section as a table to print."""
         heads = ['lethality']
         for name, (head, _) in self.columns.items():
             is_list = any(isinstance(row[name], list) for row in summary['rows'])

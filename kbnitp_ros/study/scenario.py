@@ -107,8 +107,7 @@ PATHS = ('own', 'static')
 # Keys of the generators of drawn numbers, which no world has.
 DRAWN = 0x4452574E
 
-# Type of a value and its limits: lowest and highest number, or a collection of names and further
-# names.
+# Type of a value and its limits: the lowest and highest number, or the names it may have.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 

@@ -140,7 +140,7 @@ class Workers:
 
 
 def _run(function: Callable[[Item], Result], item: Item) -> tuple[Item, Result]:
-    # Sums split among threads may round differently; and all cores are busy with other items.
+    # Sums split among threads may round differently, and other items keep all cores busy.
     threadpool_limits(1, 'blas')
     try:
         return item, function(item)
@@ -163,7 +163,7 @@ def workers(
     if scheduler is not None and backend != 'dask':
         raise ValueError(f'scheduler is {scheduler}: the backend must be dask, not {backend}')
     if scheduler is not None and count is not None:
-        raise ValueError(f'workers is {count}: leave it out, those of {scheduler} are used')
+        raise ValueError(f'workers is {count}: leave it out: {scheduler} has its own')
     if backend == 'loky':
         yield Workers(count or cpu_count())
         return

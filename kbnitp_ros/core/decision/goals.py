@@ -160,7 +160,7 @@ class Area:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """Check that robots can reach all cells from some base, and return."""
+        """Check that each cell is within reach of some base."""
         cells = cells_on(grid, list(self.cells), 'goal')
         in_reach = [grid.at(base).in_reach(max_steps) for base in sorted(grid.bases)]
         out = cells[~np.any(in_reach, axis=0)[cells]]
@@ -403,13 +403,13 @@ def readings_on(
     situation: FlightState,
 ) -> Floats:
     """Return the information of readings on whether some cells are free, (flights,) nats."""
-    # The cells are taken one by one; their sum is limited to what is left to know.
+    # Cells are treated as independent; their sum is limited to the remaining entropy.
     returned = survival * outcomes.sum(axis=0)
     chance = returned.sum(axis=1)
     each = np.where(chance > 0.0, chance, 1.0)
     p_free = (returned @ free / each).clip(0.0, 1.0)[:, None]
     hazard = returned @ situation.draws.hazardous[:, cells] / each[:, None]
-    # Given that not all are free: probability that the hazard is here.
+    # Probability of a hazard in each cell, given that not all cells are free.
     here = (hazard / np.where(p_free < 1.0, 1.0 - p_free, 1.0)).clip(0.0, 1.0)[..., None]
     entered = [np.bincount(path[1:], minlength=situation.grid.cells)[cells] for path in paths]
     visits, joint = np.array(entered), situation.belief.joint[cells]

@@ -133,7 +133,7 @@ def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
     """Check that robots may enter all of these cells; return them as an array, shape (cells,)."""
     array = np.atleast_1d(np.asarray(cells))
     if array.size == 0 or array.dtype.kind not in 'iu' or array.ndim != 1:
-        raise ValueError(f'{what} is {cells!r}: it must be cells, at least one')
+        raise ValueError(f'{what} is {cells!r}: it must be a list of at least one cell')
     for cell in array.tolist():
         if not 0 <= cell < grid.cells:
             raise ValueError(

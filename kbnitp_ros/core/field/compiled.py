@@ -76,7 +76,7 @@ class Compiled:
                 # Counting references to arrays would take a large part of the time.
                 options = {'forceinline': self._is_inlined, '_nrt': not self._is_inlined}
                 self._code = _cached(_for_all_values(jit(nogil=True, **options)(self._kernel)))
-            # numba follows a call to another kernel only if the name stands for compiled code.
+            # numba can only compile a call of another kernel if the name is that of compiled code.
             names = self._kernel.__globals__
             for name, each in [*names.items()]:
                 if isinstance(each, Compiled):

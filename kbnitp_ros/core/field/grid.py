@@ -132,7 +132,7 @@ class Grid:
             object.__setattr__(self, name, value)
 
     def __str__(self) -> str:
-        """Return a text like the call that makes it, with the first of many blocked cells."""
+        """Return the call that makes this grid, with the first few of its blocked cells."""
         blocked = sorted(self.blocked)
         first = ', '.join(map(str, blocked[:SHOWN]))
         more = f', ... {len(blocked)} in all' if len(blocked) > SHOWN else ''

@@ -200,7 +200,8 @@ class World(Value):
 class Traverse(Value):
     """A robot's walk through a world."""
 
-    # Cells of its walk without a loss, shape (steps + 1,); may be longer or shorter than its path.
+    # Cells it would visit if it survived, shape (steps + 1,); errors of motion change its course
+    # and length.
     walk: NDArray[np.intp]
     # Number of steps survived; the base does not know it for a lost robot.
     steps_made: int

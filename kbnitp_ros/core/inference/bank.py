@@ -44,7 +44,7 @@ FEW, MANY = 192, 512
 # Number of Metropolis steps after each resampling.
 MOVES = 3
 
-# Ratio of the particles drawn anew, if the evidence is impossible under all, to the usual number.
+# If the evidence is impossible under all particles, this many times as many are drawn anew.
 MORE = 8
 
 # Copies of all joints in memory: resampled particles, banks to replay from, and moves.

@@ -354,7 +354,7 @@ class Chains:
             self._draw('malfunction', log_likelihood)
 
     def _weigh_by_located(self, endured: Floats, spared: Floats, likelihood: Floats) -> None:
-        """Weight the values of a rate by the located losses; (1 or chains, types, 1 or values)."""
+        """Multiply (1 or chains, types, 1 or values) likelihoods by those of located losses."""
         if self._tally.located_steps.size:
             shape = (CHAINS, endured.shape[1], likelihood.shape[1])
             safe, exposed = (
@@ -429,8 +429,8 @@ class Chains:
         """Return the expected sensor model of the common robot type (:eq:`mean-model`)."""
         means = {name: learnt.mean for name, learnt in self.learnt().items()}
         if 'lethality' in means:
-            # Survival of a hazard is the mean of a product: if both are unknown, a high lethality
-            # goes with few malfunctions.
+            # The survival of a hazard is the mean of a product of two correlated values: if
+            # lethality is high, fewer losses are malfunctions.
             endured, spared = self._steps_survived
             means['lethality'] = self._hypotheses.lethality(spared / endured)
         return self._hypotheses.model_with(means)

@@ -120,7 +120,7 @@ class Estimator:
         self.seed = whole_number('seed', seed, 0)
         self.dynamics = dynamics
         self.clustering = clustering
-        # Methods for independent static hazards alone do not take these arguments.
+        # Methods that only know independent static hazards do not take these arguments.
         further = () if dynamics.effect == 'static' else (dynamics,)
         clusters = clustering is not None and clustering.coupling != 0.0
         named = {'clustering': clustering} if clusters else {}

@@ -252,7 +252,7 @@ def hazards_used_up(belief: Belief, model: SensorModel, observation: Observation
 def moves(
     belief: Belief, model: SensorModel, observation: Observation
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the moves of hazards on a path in a deployment."""
+    """Return the cells of a path, and the moves of their hazards in a deployment."""
     check_cells(belief, observation)
     visits = Visits.of(observation.path)
     before = belief.joint[visits.cells]

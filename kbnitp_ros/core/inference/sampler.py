@@ -36,9 +36,8 @@ MAX_SWEEPS = 32
 PRIOR_SWEEPS = 64
 
 # Limits of the sampling error of a converged belief (KL divergence, nats): with all numbers known,
-# with some to learn, and with a coupling to learn. What is yet to be learnt moves the belief by
-# nats, so a larger error is accepted there; a coupling also moves the cells that were never
-# visited.
+# with unknown values, and with an unknown coupling. Unknown values change the belief by nats, so a
+# larger error is accepted there; a coupling also changes cells that were never visited.
 CONVERGED = 2.5e-4
 CONVERGED_LEARNING = 5e-3
 CONVERGED_CLUSTERING = 1e-2
@@ -50,7 +49,8 @@ TOLD_APART = 0.01
 MAX_MEMORY = 1 << 31
 BYTES = 48
 
-# Seeds are shared with the worlds of simulations, whose generators are keyed by seed and number.
+# Simulations may use the same seed: this key keeps the random numbers of the sampler apart from
+# those of their worlds.
 OWN_KEY = 0x53414D50
 
 

@@ -44,7 +44,7 @@ MIN_TOLERANCE = 1e-6
 ROUNDING = 1e-9
 ROUNDING_OF_COST = 1e-13
 
-# Paths with a lower survival bring nothing in floating point.
+# Paths with a lower survival have no gain in floating point.
 MIN_SURVIVAL = 1e-100
 
 
@@ -54,7 +54,7 @@ class Cuts:
 
     # Number of steps of each path.
     steps: int
-    # The survival, the ratio r2 / r and the sum of W to be cut off next.
+    # Survival, ratio r2 / r and sum of W that the next cut excludes.
     point: tuple[float, float, float]
     # Multipliers of the last cut, shape (cells + 2,).
     multipliers: Floats

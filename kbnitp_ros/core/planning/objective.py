@@ -244,7 +244,7 @@ def after_deployment(
 
 
 def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
-    """Return readings by several cameras, where those beyond `most` by one count no more."""
+    """Return readings of several cameras, with counts of `most` or more summed into one."""
     if most is None:
         return readings
     for axis in range(2, readings.ndim):
@@ -298,8 +298,8 @@ def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.floa
 @lru_cache(maxsize=16)
 def fit_weights(alpha: float) -> NDArray[np.float64]:
     """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
-    # The first exponents sum to h(p), the others to h(p) + (1 - p) ln(1 - p), which a label search
-    # does not add by itself.
+    # The first exponents fit h(p), the others h(p) + (1 - p) ln(1 - p), which a label search does
+    # not add by itself.
     ends = np.geomspace(1e-8, 1e-2, 300)
     survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
     powers = survival[:, None] ** BEHAVIORAL_EXPONENTS
