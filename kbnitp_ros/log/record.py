@@ -283,7 +283,7 @@ class RecordedMission(MissionRecord):
     def named(
         self, key: DeploymentKey, path: int, report: int, stamp: int
     ) -> tuple[ArrayLike, Report]:
-        """Return the path and the report with these hashes, named by a belief of this stamp."""
+        """Return the path and the report of these hashes, for a belief with this stamp."""
         if (key, path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')
         if found := self._reports_read.get((key, report)):

@@ -81,8 +81,9 @@ class NewestBelief:
         if unknown > self.sent_unknown:
             self._node.get_logger().warning(
                 f'the belief holds {counted(unknown, "deployment")} that this planner does not '
-                'know: their paths were lost with the former planner; before the estimator is '
-                'restarted, set its parameter resume to the log, or they will be lost there, too'
+                'know: a former planner sent them, and their paths are no longer published; '
+                'before you restart the estimator, set its parameter resume to the log, or it '
+                'loses them, too'
             )
             self.sent_unknown = unknown
         held = self.last_received = snapshot.deployments

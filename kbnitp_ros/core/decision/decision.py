@@ -154,7 +154,7 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
     if least > max_steps:
         raise ValueError(
             f'goal is cell {to}, {least} steps from cell {start}: at most max_steps = '
-            f'{max_steps} may be; raise max_steps or choose a nearer cell'
+            f'{max_steps} are allowed; raise max_steps or choose a nearer cell'
         )
 
 

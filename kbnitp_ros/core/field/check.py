@@ -94,7 +94,7 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
 
 
 def typed_fields(kind: type[T]) -> type[T]:
-    """Refuse fields of a dataclass in the same way."""
+    """Check the types of a dataclass's fields, as `typed` does for arguments."""
     kind.__init__ = typed(kind.__init__)  # type: ignore[method-assign]
     return kind
 

@@ -282,7 +282,9 @@ class Grid:
         cells = as_path(path)
         steps = len(cells) - 1
         if max_steps is not None and steps > max_steps:
-            raise ValueError(f'path has {steps} steps: at most max_steps = {max_steps} may be')
+            raise ValueError(
+                f'path has {steps} steps: at most max_steps = {max_steps} are allowed'
+            )
         outside = np.flatnonzero((cells < 0) | (cells >= self.cells))
         if outside.size:
             raise ValueError(
@@ -307,7 +309,8 @@ class Grid:
             )
         if max_distance and (length := self.path_length(cells)) > longest(max_distance):
             raise ValueError(
-                f'path is {length:.6g} m long: at most max_distance = {max_distance:.6g} m may be'
+                f'path is {length:.6g} m long: '
+                f'at most max_distance = {max_distance:.6g} m is allowed'
             )
         return cells
 

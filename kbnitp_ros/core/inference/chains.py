@@ -252,7 +252,7 @@ class Chains:
         return strength
 
     def _of_chains(self, name: str, of_values: Floats) -> Floats:
-        """Return the row for a number's value in each chain, shape (1 or chains, 1)."""
+        """Return what holds for each chain's value of a number, shape (1 or chains, 1)."""
         return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
 
     def _given_returns(self) -> tuple[Floats, Floats, Floats]:

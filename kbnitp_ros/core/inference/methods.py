@@ -78,7 +78,7 @@ def as_method(given: object) -> Method:
         others = [kind for kind in dynamics if kind not in HAZARDS]
         if others:
             raise TypeError(
-                f'it takes hazards that are {others[0]!r}: known are {", ".join(HAZARDS)}'
+                f'it supports hazards of kind {others[0]!r}: known are {", ".join(HAZARDS)}'
             )
         takes(given, ('belief', 'model', 'unknowns', 'seed', 'dynamics'))
     if not isinstance(getattr(given, 'learns', None), bool):

@@ -286,7 +286,7 @@ def make_observation(
         if len(read) > MAX_WALK * max_steps:
             raise ValueError(
                 f'readings of deployment {key} has {len(read)} values: at most '
-                f'{MAX_WALK} * max_steps = {MAX_WALK * max_steps} may be'
+                f'{MAX_WALK} * max_steps = {MAX_WALK * max_steps} are allowed'
             )
         try:
             base = int(path[0])

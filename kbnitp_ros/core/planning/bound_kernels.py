@@ -64,7 +64,7 @@ def best_walk(
 
 @compiled
 def best_visits(walks: Walks, multipliers: Any, gradient: Any) -> float:
-    """Return the second maximum of equation :eq:`bound-cut`; subtract from the gradient."""
+    """Return the second maximum of :eq:`bound-cut`; subtract its visits from the gradient."""
     total, cells = 0.0, walks.most.size
     for cell in range(cells):
         best, count = -inf, 0

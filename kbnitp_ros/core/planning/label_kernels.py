@@ -392,7 +392,7 @@ def merge(
 def write_completion(
     labels: Labels, row: int, length: float, problem: LabelProblem, completion: Floats
 ) -> None:
-    """Write the completion along a label, and by one step, as in `find_best`; its length."""
+    """Write how `find_best` may complete a label: by its path, by one step, and its length."""
     factor, term = labels.products.factor, labels.products.term
     gain_factor, gain_term = problem.gains.factor, problem.gains.term
     weight, chance = problem.weight, problem.chance

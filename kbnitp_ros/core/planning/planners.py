@@ -116,7 +116,7 @@ def one_walk(
     max_visits: int,
     rng: np.random.Generator,
 ) -> list[int]:
-    """Return a walk as ranks, one step for each of the `ways`; cut off where it gets stuck."""
+    """Draw a walk in `Reach.cells`, by the numbers of `ways` home; it ends early at a dead end."""
     walk, entered = [0], np.zeros(len(neighbors), dtype=np.intp)
     for left in reversed(ways):
         onward = neighbors[walk[-1]]
@@ -228,7 +228,7 @@ class PathFinder(Value):
         if visits.max() > most:
             raise ValueError(
                 f'path enters cell {visits.argmax()} {visits.max()} times: '
-                f'at most max_visits = {most} may be'
+                f'at most max_visits = {most} are allowed'
             )
         return cells
 

@@ -132,7 +132,7 @@ def _sector_centres(
 
 
 def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
-    """Return the weight above whose margins about `share` of the cells lie."""
+    """Return a weight: about `share` of the mass has margins below it."""
     share -= float(mass[margin == -np.inf].sum())
     is_open = np.isfinite(margin)
     margin, mass = margin[is_open], mass[is_open]
