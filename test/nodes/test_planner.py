@@ -329,7 +329,7 @@ def test_a_planner_that_waits_for_a_belief_states_the_estimator_s_refusal(field)
 AGENTS = [f'scout_{number}' for number in range(1, 9)]
 WIDE = {
     'grid.width': 30, 'grid.height': 30, 'max_steps': 60, 'robots': 16, 'recorded': False,
-    'beam_width': 24,
+    'beam_width': 400,
 }  # fmt: skip
 GOAL = {
     'goal.kind': 'lane',
@@ -356,7 +356,7 @@ def until_said(field, words):
 @pytest.mark.full
 def test_a_pause_during_a_search_is_answered_and_no_robot_is_sent(base):
     seconds = []
-    for data in (True, False, True, False, True):
+    for data in (True, False, True):
         begun = time.monotonic()
         base.do('pause', data=data)
         seconds.append(time.monotonic() - begun)
