@@ -32,8 +32,8 @@ from launch_ros.substitutions import FindPackageShare
 SHARE = FindPackageShare('kbnitp_ros')
 SWITCH = ['true', 'false']
 
-# Exit codes of processes that launch stopped: negative if the signal came before its handler, and
-# 255, from asyncio, if the process ended just before the signal.
+# Exit codes of processes stopped by ros2 launch: negative if the signal arrived before the process
+# handled signals; 255, from asyncio, if the process had just ended.
 ENDED = (0, -signal.SIGINT, -signal.SIGTERM, 255)
 
 # Exit codes of nodes that are not restarted: their work is done, or they cannot start.

@@ -100,7 +100,7 @@ class MissionEvidence:
         return self._ledger is not None and self._ledger.estimator.draws_are_exact
 
     def decision(self, known: Snapshot) -> Decision | None:
-        """Return the decision by a belief; None if its evidence is not known."""
+        """Return the decision given a belief; None without a goal or all of its evidence."""
         goal, draws = self.goal, None
         if goal is not None:
             draws = self.draws(known)

@@ -44,7 +44,7 @@ class Departures:
         # Robots that have departed and were not reported.
         self.out: set[DeploymentKey] = set()
         self._statuses: dict[DeploymentKey, AgentStatus] = {}
-        # Time of the agent's report, by its own clock; None for reports of others.
+        # Time of the report by the agent's clock; None if the agent did not report it.
         self._reported: dict[DeploymentKey, int | None] = {}
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:

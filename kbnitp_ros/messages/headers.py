@@ -65,7 +65,7 @@ def read_stamp(name: str, stamp: Any, last: int = LATEST) -> int:
     if not 0 <= nanoseconds <= last:
         raise ValueError(
             f'{name} is {in_seconds(nanoseconds)} s: '
-            f'it must be from 0 to {last // SECOND} s, so that later ones can follow'
+            f'it must be from 0 to {last // SECOND} s, which leaves room for later stamps'
         )
     return nanoseconds
 
@@ -161,7 +161,7 @@ def _encoded(value: Any) -> Iterator[bytes]:
         for element in elements:
             yield from _encoded(element)
     else:
-        raise TypeError(f'a field has type {type(value)}, which no message has')
+        raise TypeError(f'a field has type {type(value)}, which is none of a ROS message')
 
 
 @lru_cache

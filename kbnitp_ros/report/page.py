@@ -255,7 +255,7 @@ def in_json(plots: Mapping[str, str]) -> str:
 
 
 def mission_title(log: Path) -> str:
-    """Return the name of a mission: its log, or the folder if that has the usual name."""
+    """Return a mission's name: its log's, or its folder's if the log has the usual name."""
     path = log.resolve()
     return path.parent.name if path.name == NAME else path.name
 

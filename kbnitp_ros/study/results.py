@@ -197,7 +197,7 @@ RESAMPLES = 2000
 DECIMALS = 6
 
 
-# Row of a table: values, means over trials and lists of them, by name.
+# Row of a table, by column: a value, a mean over trials, or a list of either.
 Row = dict[str, Any]
 
 

@@ -339,7 +339,7 @@ class Scenario:
             drawn.append('lethality')
         for name in drawn:
             if name not in priors:
-                raise ValueError(f'{name} has no prior here: a number without a value needs one')
+                raise ValueError(f'{name} has neither a value nor a prior: give one of them')
 
     def check_belief(self) -> None:
         """Check that the prior is valid."""

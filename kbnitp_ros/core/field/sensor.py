@@ -104,7 +104,8 @@ def log_predicted_survival(
     lost, survived, safe = lost.take(counts, 1), survived.take(counts, 1), 1.0 - hazard
     loss = safe * lost[0] + hazard * lost[1]
     with np.errstate(divide='ignore'):
-        # 1 - loss cancels where nearly nobody survives, the plain sum where nearly everybody does.
+        # Avoid rounding: 1 - loss is inaccurate for losses near 1, the sum of survivals for losses
+        # near 0.
         return np.where(
             loss < 0.5, np.log1p(-loss), np.log(safe * survived[0] + hazard * survived[1])
         )

@@ -318,7 +318,7 @@ def as_rate(name: str, given: Rate) -> float | Beta:
         )
     low, high = (probability(name, each) for each in given)
     if not 0.0 < low < high:
-        raise ValueError(f'{name} is unknown within {given}: it must go from above 0 to more')
+        raise ValueError(f'{name} is unknown within {given}: it must satisfy 0 < low < high')
     return Beta(0.0, 1.0, low, high)
 
 

@@ -98,7 +98,7 @@ class Labels(NamedTuple):
 
     # Running products of each row.
     products: Products
-    # Equal for equal visits, shape (rows,).
+    # Sum of the marks of a label's visits, equal for equal visits, shape (rows,).
     mark: NDArray[np.int64]
     # Metres, as in `Reach.length`, shape (rows,).
     length: Floats

@@ -50,8 +50,7 @@ class GapLabels(NamedTuple):
 
     # Visits by the rest, shape (cells,).
     visits: Places
-    # Metres of the step from each cell to the end of the gap, inf if there is none, shape
-    # (cells,).
+    # Metres from each cell to the end of the gap, inf if that is not one step, shape (cells,).
     closing: Floats
     # Running products of labels; row 0 is the label of the rest.
     products: Products

@@ -206,7 +206,7 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
         (lambda: Dynamics('learn').known_rates(), "dynamics is 'learn'"),
         (lambda: UNKNOWN['moving'].known_rates(), 'move is unknown, from 0.01 to 0.3: a world'),
         (lambda: Dynamics('changing', vanish=(0.2, 0.1)), r'vanish is unknown within \(0.2, 0.1'),
-        (lambda: Dynamics('changing', vanish=(0.0, 0.1)), 'it must go from above 0 to more'),
+        (lambda: Dynamics('changing', vanish=(0.0, 0.1)), 'it must satisfy 0 < low < high'),
         (lambda: Dynamics('moving', move=(0.5, 1.5)), 'move is 1.5'),
         (lambda: Dynamics('changing', appear=(0.1, 0.2)), 'appear is .* it must be a number'),
         (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing ones have it'),
