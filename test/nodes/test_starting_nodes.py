@@ -37,7 +37,7 @@ def run(server, tmp_path):
             said.write_text('')
             forked = ForkedProcess(run_node, (arguments,), dict(os.environ), str(said))
             started.append((forked, said))
-        return [(process.wait(timeout=180), said.read_text()) for process, said in started]
+        return [(process.wait(timeout=60), said.read_text()) for process, said in started]
 
     return run
 
@@ -131,7 +131,7 @@ def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
     for process in nodes.values():
         process.send_signal(number)
     for name, process in nodes.items():
-        assert process.wait(timeout=180) == 0, name
+        assert process.wait(timeout=60) == 0, name
         assert complaints(field.said(name)) == []
     assert is_finished(log)
 
