@@ -2,6 +2,7 @@
 """How nodes spin, and parts of rclpy and Fast DDS that they use."""
 
 from contextlib import contextmanager
+from itertools import takewhile
 import os
 from pathlib import Path
 import signal
@@ -122,6 +123,31 @@ estimator.main()
             capture_output=True,
         )
     assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.processes
+def test_a_start_that_hangs_prints_its_stack():
+    program = """
+import ctypes
+from kbnitp_ros.nodes import estimator
+from kbnitp_ros.nodes.runtime import process
+process.STARTUP = 1
+estimator.EstimatorNode.create_publisher = lambda *_, **__: ctypes.PyDLL(None).pause()
+estimator.main()
+"""
+    with free_domain() as domain:
+        process = subprocess.Popen(
+            [sys.executable, '-c', program],
+            env=environment(domain),
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        with process.stderr:
+            stack = ''.join(takewhile(lambda line: '<module>' not in line, process.stderr))
+            process.kill()
+        process.wait()
+    assert stack.startswith('Timeout (0:00:01)!')
+    assert 'estimator.py", line' in stack
 
 
 def test_rclpy_is_of_jazzy():

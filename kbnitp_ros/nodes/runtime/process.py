@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 import ctypes
+import faulthandler
 import struct
 import sys
 import time
@@ -29,6 +30,10 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, remove_ros_args, try_shutdown
+
+# Seconds after which a start that hangs prints its stack: Fast DDS 2.14 waits forever for shared
+# memory that a killed process left locked, with Python's lock held.
+STARTUP = 60
 
 # Seconds that a node may take to leave the graph.
 TEARDOWN = 3
@@ -68,6 +73,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         # Checked first, since ROS describes a missing file badly.
         check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
+        faulthandler.dump_traceback_later(STARTUP, file=sys.__stderr__)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except KeyboardInterrupt:
@@ -78,6 +84,8 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         _publish_startup_error(name, arguments, error)
         _leave(2)
         return 2
+    finally:
+        faulthandler.cancel_dump_traceback_later()
     executor = node.make_executor()
     executor.add_node(node)
     code = 1
