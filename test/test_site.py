@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The site of docs/ works offline, and its equations are typeset."""
 
+from fcntl import flock, LOCK_EX
 from itertools import product
 from pathlib import Path
 import re
@@ -17,8 +18,9 @@ DERIVATIONS = ['mathematics', *sorted(f'mathematics/{p.stem}' for p in DOCS.glob
 # `make docs` fails on warnings by itself.
 pytestmark = [pytest.mark.full, pytest.mark.processes]
 
-# Pixels of a phone, a tablet and a desktop, and colour schemes of readers.
-WIDTHS, SCHEMES = (390, 800, 1400), ('light', 'dark')
+# Pixels of a phone, a tablet and a desktop; with colour schemes, which change no width.
+WIDTHS = 390, 800, 1400
+LOOKS = [*product(WIDTHS, ['light']), (WIDTHS[-1], 'dark')]
 # Where `make docs` puts the site as well.
 PICTURES = ROOT / 'build/docs/pictures'
 
@@ -26,14 +28,18 @@ LOADED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)="
 
 
 @pytest.fixture(scope='module')
-def site(tmp_path_factory):
-    """Return the folder of the site, built like by `make docs`."""
+def site(tmp_path_factory, worker_id):
+    """Return the folder of the site, built like by `make docs`, once for all workers."""
     pytest.importorskip('sphinx', reason='make docs installs what the site needs')
-    html = tmp_path_factory.mktemp('site')
+    own = tmp_path_factory.getbasetemp()
+    html = (own if worker_id == 'master' else own.parent) / 'site'
     options = ['--fail-on-warning', '--keep-going', '--quiet', '-d', html / '.doctrees']
     sphinx = [sys.executable, '-m', 'sphinx', *options, '-b', 'html', DOCS, html]
-    made = subprocess.run(sphinx, capture_output=True, text=True, timeout=600)
-    assert made.returncode == 0, made.stderr
+    with html.with_suffix('.lock').open('w') as lock:
+        flock(lock, LOCK_EX)
+        if not html.exists():
+            made = subprocess.run(sphinx, capture_output=True, text=True, timeout=600)
+            assert made.returncode == 0, made.stderr
     return html
 
 
@@ -105,7 +111,7 @@ def test_no_page_is_wider_than_the_window(site, browser):
     pages.append(alike / 'kbnitp_ros.core.run_mission.html')
     shutil.rmtree(PICTURES, ignore_errors=True)
     wider = []
-    for width, scheme in product(WIDTHS, SCHEMES):
+    for width, scheme in LOOKS:
         window = {'width': width, 'height': 1000}
         shown = browser.new_context(viewport=window, color_scheme=scheme, offline=True).new_page()
         # Equations take time to render on a busy machine.
