@@ -102,8 +102,10 @@ def _array_differences(
     differ = differ.reshape(ours.size, ours.itemsize).any(axis=1)
     if not differ.any():
         return
-    gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
-    is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
+    # A corrupt log may hold infinities.
+    with np.errstate(invalid='ignore', over='ignore'):
+        gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
+        is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
     # A difference of NaN counts as the largest.
     worst = int(np.argmax(np.where(differ, np.where(np.isnan(gap), np.inf, gap), -1.0)))
     cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None

@@ -145,6 +145,8 @@ def test_the_prior_has_the_colour_of_the_paper():
 
 
 @pytest.mark.slow
+# No font has the bell.
+@pytest.mark.filterwarnings('ignore:Glyph')
 def test_a_learnt_number_of_any_name_is_drawn(tmp_path):
     names = ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', '']
     unknowns = Unknowns(**dict.fromkeys(NUMBERS, (0.05, 0.95)))
