@@ -92,7 +92,7 @@ BAD_PATHS = [
     (path(2, [1, 0, 1]), 'base'),
     (path(2, [0, 4, 5, 1, 0]), 'blocked'),
     (path(2, [0, 1, 0, 1, 0, 1, 0, 0]), 'max_steps = 6'),
-    (changed(path(1), poses=path(1, [0, 1, 0]).poses), 'is known and differs'),
+    (changed(path(1), poses=path(1, [0, 1, 0]).poses), 'differs from its first path'),
 ]
 
 

@@ -36,7 +36,7 @@ DEVIATIONS = 1.96
 class PossibleWorld(NamedTuple):
     """A possible field, with its robots."""
 
-    # Index, from 0.
+    # Index of the field, from 0.
     number: int
     # The field.
     world: World
@@ -49,8 +49,8 @@ class PossibleWorld(NamedTuple):
         return f'the mission in world {self.number}'
 
 
-# Robots sent by a mission; robots lost, entropy, probability that the goal is free and whether it
-# is reached, each after every robot; and whether its cells are truly free: all as of `Forecast`.
+# Arguments `sent`, `lost`, `entropy`, `p_free`, `reached` and `free` of `Forecast` for one
+# mission.
 Course = tuple[int, Floats, Floats, Floats, Floats, float]
 
 
@@ -78,7 +78,7 @@ class Forecast:
     sent : ndarray, shape (worlds,)
         Number of robots sent by each mission.
     lost : ndarray, shape (worlds, robots + 1)
-        Robots lost after each robot sent; constant after the last one, as below.
+        Robots lost after each robot sent; constant after the last robot, as are the arrays below.
     entropy : ndarray, shape (worlds, robots + 1)
         Entropy of hazards and targets, nats.
     p_free : ndarray, shape (worlds, robots + 1)
@@ -126,7 +126,7 @@ def forecast(
     """
     Run missions in fields drawn from the belief.
 
-    If the belief is right, the real mission is distributed like these.
+    If the belief is right, the real mission has the distribution of these missions.
 
     Parameters
     ----------
@@ -139,8 +139,8 @@ def forecast(
     rng : int or numpy.random.Generator
         The only source of randomness.
     run : callable
-        Applies a function to a list, as `map` does, and returns the results in order; may use
-        other processes.
+        Applies a function to a list, as `map` does, and returns the results in order, as a pool of
+        processes may.
 
     Raises
     ------

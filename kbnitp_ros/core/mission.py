@@ -42,15 +42,15 @@ class Deployment(Value):
     observation : Observation
         Its outcome.
     belief : Belief
-        Belief after it.
+        Belief after the deployment.
     model : SensorModel
-        Sensor model to plan with after it, of the common robot type.
+        Sensor model of the common robot type for planning, after the deployment.
     parameters : mapping of str to Learnt
-        Posteriors of the learnt numbers after it.
+        Posteriors of the learnt numbers after the deployment.
     world : World
-        Field after it.
+        Field after the deployment.
     decision : Decision or None
-        Decision on the goal after it; None without a goal.
+        Decision on the goal after the deployment; None without a goal.
 
     """
 
@@ -71,7 +71,7 @@ class SimulatedMission(list[Deployment]):
         return f'SimulatedMission({len(self)} robots, {lost} lost)'
 
     def to_dataframe(self) -> DataFrame:
-        """Return one row a deployment."""
+        """Return a table with one row for each deployment."""
         table = deployments_table(
             [each.observation for each in self],
             [each.belief for each in self],
@@ -94,11 +94,11 @@ class Truth:
     Attributes
     ----------
     model : SensorModel, optional
-        True sensor model of the common robot type; None: as believed.
+        True sensor model of the common robot type; None: the believed model.
     execution : Execution
         Deviations from orders; none by default.
     dynamics : Dynamics, optional
-        True dynamics of the hazards; None: as believed.
+        True dynamics of the hazards; None: the believed dynamics.
 
     """
 
@@ -116,8 +116,8 @@ class Learning:
     Attributes
     ----------
     unknowns : Unknowns
-        Which numbers of the sensor model and of the prior are not known. Robots are planned with
-        what is known of them by then: with the estimator's model.
+        Unknown numbers of the sensor model and of the prior. Plans use the estimator's current
+        model.
     seed : int
         Seed of the random numbers that the method draws.
     clustering : Clustering or None
@@ -151,10 +151,10 @@ def run_mission(
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
 
-    The robots of a round are planned on the same belief, and their evidence is assimilated in
-    their order. Robot k of the mission is traversed with the k-th child of `rng`, so that its
-    outcome does not depend on what was drawn before, and missions that differ in their method or
-    their teams share their random numbers.
+    All robots of a round are planned on the same belief, and their evidence is assimilated in
+    their order. Robot k of the mission is simulated with the k-th child of `rng`, so its outcome
+    does not depend on earlier draws, and missions with different methods or teams share their
+    random numbers.
 
     Parameters
     ----------
@@ -176,32 +176,33 @@ def run_mission(
     options : SearchOptions
         Options of the search for paths.
     team : Team, optional
-        The robots that leave together, by default one; fewer in the last round if `robots` is no
-        multiple of them. They are of their types in truth as well.
+        The robots of a round, by default one; the last round has fewer if `robots` is not a
+        multiple. Their types also apply to the true robots.
     truth : Truth, optional
         True behaviour of the robots; by default as believed.
     learning : Learning, optional
         Unknowns to learn besides the maps; none by default.
     dynamics : Dynamics
-        How hazards are believed to change. Robot k meets the field that robot k - 1 left; a
-        changing one changes in between, by the second child of the generator of robot k.
+        How hazards are believed to change. Robot k enters the field as robot k - 1 left it, after
+        a change or moves of hazards drawn with the second child of the generator of robot k.
     goal : Goal, optional
         Goal of the mission, such as `Lane` or `Area`; by default the field is mapped.
     stop : Stop, optional
-        Conditions that end the mission early; by default a reached goal.
+        Conditions that end the mission early; by default only a reached goal does.
 
     Returns
     -------
     SimulatedMission
-        Its deployments in order; fewer than `robots` if the mission was over before: the goal is
-        reached at its confidence, a stop came about, or no path is survived with the least
-        probability allowed.
+        Its deployments in order; fewer than `robots` if the mission ended early: the goal was
+        reached at its confidence, a condition of `stop` was met, or no path with the minimum
+        survival was found.
 
     Raises
     ------
     ValueError
         If the world or the belief does not fit the grid, an argument is out of range, a robot's
-        base is none of the grid's, the goal cannot be reached, or the stops contradict each other.
+        base is not one of the grid's, the goal cannot be reached, or `stop` does not fit the
+        mission.
 
     """
     truth, learning = truth or Truth(), learning or Learning()
@@ -243,7 +244,7 @@ def continue_mission(
     grid, world, rng, options, team, goal, stop
         As of `run_mission`.
     truth : Truth, optional
-        True behaviour of the robots; by default as the estimator believes.
+        True behaviour of the robots; by default as in the estimator.
     estimator : Estimator
         Estimator to start from; it is not changed.
     robots : int
@@ -328,7 +329,7 @@ def continue_mission(
 def decided(
     goal: Goal | None, grid: Grid, estimator: Estimator, deployments: int, options: SearchOptions
 ) -> tuple[HazardDraws | None, Decision | None]:
-    """Return the draws and the decision for a goal, if there is one."""
+    """Return the draws and the decision for a goal; None and None without a goal."""
     if goal is None:
         return None, None
     draws = HazardDraws.of(estimator, deployments)
@@ -340,7 +341,7 @@ def deployments_table(
     beliefs: Iterable[Belief | None],
     worlds: Iterable[World | None],
 ) -> DataFrame:
-    """Return one row for each deployment."""
+    """Return a table with one row for each deployment."""
     with extra('report'):
         import pandas
     rows = []

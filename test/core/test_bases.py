@@ -70,7 +70,7 @@ def test_a_grid_at_another_base_is_the_same_field():
 
 
 @for_each('others, message', [
-    ((3,), 'base is 3: it must be a free cell, and that one is blocked'),
+    ((3,), 'base is 3: it must be a free cell, and this cell is blocked'),
     ((20,), 'base is 20.*from 0 to 19'),
     ((-1,), 'base is -1.*from 0 to 19'),
     ((1.5,), 'base is 1.5.*whole number'),
@@ -210,7 +210,7 @@ def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
     with pytest.raises(ValueError, match='path must start at the base 29, not at cell 0'):
         register.record_path(far, [0, 1, 0])
     register.record_path(far, [29, 28, 29])
-    with pytest.raises(ValueError, match='walk from the base back to it.*end at the base 29'):
+    with pytest.raises(ValueError, match='closed walk from the base.*end at the base 29'):
         register.record_report(far, Report(True, ((28, 1), (22, 0))))
     assert register.record_report(far, Report(True, ((28, 1), (22, 0), (29, 0))))
     assert register.outcomes[far].path.tolist() == [29, 28, 22, 29]

@@ -501,7 +501,7 @@ CHANGES = {
     'maps of others': (with_others(('/truth/hazard', TRUTH)), 0, 9, [], [], ['8 deployments']),
     'a model of others': (with_others(('/model', Path())), 0, 9, [], [], ['8 deployments']),
     'contradictions': (contradicted, 0, 9, [], [], [
-        'differ: that with more readings counts', 'is known and differs: the first holds',
+        'differ: the one with more readings counts', 'differs from its first path',
         "/scout_1/report: agent is ''"]),
     'misfits': (misfit, 0, 11, [], [], ['refused: ', 'readings of deployment {9} has 1 values']),
 }  # fmt: skip

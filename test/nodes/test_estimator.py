@@ -63,7 +63,7 @@ BAD_REPORTS = [
     (changed(lost(3), steps_survived=2**32 - 1), 'of 4 steps survived at most 3'),
     (
         report_message(key(1), Observation(HOME, True, [False] * 4), 0),
-        'differ: that with more readings counts',
+        'differ: the one with more readings counts',
     ),
 ]
 

@@ -379,7 +379,7 @@ def test_a_topic_of_a_refused_type_is_recorded_when_one_of_another_type_comes(fi
 def differing(key):
     """Return messages about two different returns of one deployment."""
     return (
-        f'reports of deployment {key} differ: that with more readings counts '
+        f'reports of deployment {key} differ: the one with more readings counts '
         f'(do two robots have the name {key.agent}?)'
     )
 

@@ -349,7 +349,7 @@ def with_base(node):
 
 
 @for_each('given, told', [
-    ({'team.scout_2.base': 1}, 'team.scout_2.base: base is 1.*that one is blocked; choose'),
+    ({'team.scout_2.base': 1}, 'team.scout_2.base: base is 1.*this cell is blocked; choose'),
     ({'team.scout_2.base': 8}, 'team.scout_2.base: base is 8.*from 0 to 7; choose a free'),
     ({'team.scout_2.base': 2}, 'scout_2.base: base is 2, which obstacles cut off.*base 0.*conn'),
     ({'team.scout_2.base_position': (9.0, 1.0)}, r'scout_2.base_position: point \(9.0, 1.0'),

@@ -14,19 +14,19 @@ from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Number of lanes compared, besides the cheapest one by the probability of each cell.
+# Number of lanes compared, in addition to the lane that is cheapest by the marginals of its cells.
 LANES = 48
-# Standard deviation of the logarithms of the scales of their costs.
+# Standard deviation of the log of the random factors by which the costs of cells are scaled.
 SCALE = 0.7
-# Number of draws averaged for the costs of a lane: few, so that hazards stay joint.
+# Number of draws averaged for the costs of a lane: an average of few keeps hazards dependent.
 TOGETHER = 16
-# Cost of a step besides hazards: of equally free lanes the shortest is chosen.
+# Cost of each step besides its hazard: among equally free lanes the shortest is chosen.
 STEP_COST = 1e-4
-# Lower limit of the probability that a cell is free, for its logarithm.
+# Lower limit of the log probability that a cell is free.
 LEAST = -30.0
 # Maximum number of path costs in memory.
 MAX_TOGETHER = 1 << 25
-# Values closer than this many decimals are ties, so rounding never decides.
+# Decimals of compared values: closer values are ties, so rounding errors never decide.
 DECIMALS = 9
 
 
@@ -34,18 +34,18 @@ DECIMALS = 9
 class SafestPath:
     """The safest path found."""
 
-    # From the one cell to the other, shape (steps + 1,).
+    # Cells in order, shape (steps + 1,).
     path: Path
-    # Probability that no cell of it has a hazard, in [0, 1].
+    # Probability that no cell of the path has a hazard, in [0, 1].
     p_free: float
-    # Probability that a traveller survives it, in [0, 1].
+    # Probability that a traveller survives the path, in [0, 1].
     survival: float
 
 
 def cheapest_lanes(
     grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
 ) -> list[list[Path]]:
-    """Return the cheapest way for each row of costs, within each limit of steps."""
+    """Return the cheapest path for each limit of steps and each row of costs."""
     goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
     most = min(max(limits), grid.cells - 1)
     together = max(1, MAX_TOGETHER // ((most + 1) * (grid.cells + 1)))
@@ -53,7 +53,7 @@ def cheapest_lanes(
     for first in range(0, len(costs), together):
         some = slice(first, first + together)
         entered = costs[some].T
-        # Cost of the cheapest ways of n steps, shape (most + 1, cells + 1, lanes).
+        # Cost of the cheapest paths of n steps, shape (most + 1, cells + 1, lanes).
         cost = np.full((most + 1, grid.cells + 1, entered.shape[1]), np.inf)
         cost[0, start] = 0.0
         for step in range(most):
@@ -64,7 +64,7 @@ def cheapest_lanes(
 
 
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Return a cheapest way to the goal for each lane, from the costs of ways of n steps."""
+    """Trace a cheapest path to the goal for each lane, given the costs of paths of n steps."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))
@@ -85,7 +85,7 @@ def lanes_within(
     limits: Sequence[int],
     count: int = LANES,
 ) -> list[list[Path]]:
-    """Return different candidates for the safest way, the same for the same draws."""
+    """Return distinct candidates for the safest path; equal draws give equal candidates."""
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
     some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)
@@ -106,7 +106,7 @@ def lanes_within(
 
 
 def there_and_back(out: Path, back: Path) -> Path:
-    """Return the path to the end of one lane, and from there back along another one."""
+    """Return the path out along one lane and back along another."""
     return np.concatenate([out, back[-2::-1]])
 
 
@@ -114,9 +114,9 @@ def safest_path(
     grid: Grid, draws: HazardDraws, model: SensorModel, start: int, to: int, max_steps: int
 ) -> SafestPath:
     """
-    Return the way with the highest probability to be free of hazards.
+    Return the path with the highest probability of being free of hazards.
 
-    The best path found, with probabilities that are exact over the draws.
+    The search is a heuristic; the probabilities are those of the path found, over all draws.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def safest_path(
     Raises
     ------
     ValueError
-        If a cell is off the map or on an obstacle, or there is no such path.
+        If a cell is off the map or on an obstacle, or no path within `max_steps` joins the cells.
 
     """
     check_way(grid, start, to, max_steps)
@@ -144,7 +144,7 @@ def safest_path(
 
 
 def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
-    """Check that a cell can be reached from another one."""
+    """Check that the cell `to` can be reached from `start`."""
     cells_on(grid, [start], 'start')
     cells_on(grid, [to], 'goal')
     whole_number('max_steps', max_steps, 1)
@@ -158,7 +158,7 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
         )
 
 
-# Minimum number of independent draws in the tail beyond a confidence: fewer are chance.
+# Minimum expected number of independent draws beyond a confidence; fewer do not confirm it.
 FEWEST_LEFT_OUT = 5.0
 
 
@@ -180,15 +180,15 @@ class Decision:
     path : ndarray of int, shape (steps + 1,)
         Lane, one way, from the base to the goal; empty for other goals.
     survival : float
-        Probability that a robot survives that path, in [0, 1]; NaN without one.
+        Probability that a robot survives `path`, in [0, 1]; NaN for other goals.
     hazards_mean : float
         Expected number of hazards in `cells`.
     hazards_5, hazards_95 : int
         Quantiles of 5 % and 95 % of the number of hazards in `cells`.
     reached : bool
-        Whether the requested confidence is reached; False without one.
+        Whether the requested confidence is reached; False if none is requested.
     reason : str
-        Reason why not; empty if it is reached.
+        Why the confidence is not reached; empty if it is.
 
     """
 
@@ -213,7 +213,7 @@ class Decision:
         confidence: float | None,
         lane: SafestPath | None = None,
     ) -> Decision:
-        """Return the decision on whether these cells, or those of the lane, are free."""
+        """Return the decision on whether `cells`, such as the cells of `lane`, are free."""
         count = draws.hazard_count(cells)
         p_free = draws.p_free(cells)
         if confidence is None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Goals: lanes and areas to be certified free of hazards, and the flights for them.
+Goals: lanes and areas to be certified free of hazards, and flights that serve a goal.
 
-A goal computes the probability that it is reached, and the flight that brings it nearest. A new
-one is one file and one line here, or an entry point of another package. Without one ('map') robots
+A goal computes the probability that it is reached, and the flight that raises it most. A new goal
+takes one file and one line here, or an entry point of another package. With the goal 'map' robots
 are sent for information.
 """
 
@@ -39,13 +39,13 @@ from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Maximum number of joint outcomes tracked for robots in flight: those of the last six.
+# Maximum number of joint outcomes tracked: those of the last six robots in flight.
 MAX_OUTCOMES = 64
 
-# Maximum number of cells, the most uncertain ones, with a direct flight as a candidate.
+# Number of the most uncertain cells that get a direct flight as a candidate.
 DIRECT = 16
-# Maximum number of candidate paths of each search, one for information on all hazards, one for
-# targets as well.
+# Maximum number of candidate paths of each of the two searches: for information on hazards alone,
+# and on hazards and targets.
 SEARCHED = 24
 
 
@@ -74,22 +74,22 @@ class FlightState:
         survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
         if len(outcomes) > MAX_OUTCOMES:
-            # Sums out the outcome of the robot sent first, which alternates.
+            # Sum over the outcome of the robot sent first, which alternates.
             outcomes = outcomes[0::2] + outcomes[1::2]
         return replace(self, outcomes=outcomes)
 
     def planned(self, path: Path, gain: float) -> Plan:
-        """Return the plan of a path with its gain for the goal."""
+        """Return the plan of a path with a gain for the goal."""
         return replace(Plan.along(path, self.belief, self.model), gain=gain)
 
     def is_allowed(self, survival: Floats) -> Bools:
-        """Return a mask of paths with the minimum survival; `survival` is (paths, draws)."""
+        """Return a mask of paths of sufficient survival; `survival` has shape (paths, draws)."""
         allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
         return allowed
 
 
 def flights_over(situation: FlightState, over: Sequence[int]) -> list[Path]:
-    """Return closed paths for information on the field, and to some cells and back."""
+    """Return closed paths for information on the field, and direct flights to cells of `over`."""
     grid, draws, options = situation.grid, situation.draws, situation.options
     hazard = draws.p_hazard()
     none = np.zeros(grid.cells)
@@ -115,7 +115,7 @@ def flights_over(situation: FlightState, over: Sequence[int]) -> list[Path]:
 
 
 def information(survival: Floats, outcomes: Floats) -> Floats:
-    """Return the information of flights on all hazards, nats (:eq:`outcome-information`)."""
+    """Return each flight's information about all hazards, nats (:eq:`outcome-information`)."""
     known = outcomes.sum(axis=1)
     expected = survival @ (outcomes / np.where(known > 0.0, known, 1.0)[:, None]).T
     entropy: Floats = binary_entropy(expected.clip(0.0, 1.0)) @ known
@@ -136,7 +136,7 @@ class Area:
     cells : iterable of int
         Cells of the area, at least one.
     confidence : float, optional
-        Probability that all are free at which the mission ends, in (0, 1); by default it goes on.
+        Probability, in (0, 1), that all cells are free at which the mission ends; optional.
 
     Raises
     ------
@@ -160,20 +160,20 @@ class Area:
         check_confidence(self.confidence)
 
     def check(self, grid: Grid, max_steps: int) -> None:
-        """Check that each cell is within reach of some base."""
+        """Check that each cell is within reach of at least one base."""
         cells = cells_on(grid, list(self.cells), 'goal')
         in_reach = [grid.at(base).in_reach(max_steps) for base in sorted(grid.bases)]
         out = cells[~np.any(in_reach, axis=0)[cells]]
         if out.size:
             raise ValueError(
-                f'goal has cell {out[0]}, and {out.size - 1} more, that no robot comes back from '
+                f'goal has cell {out[0]}, and {out.size - 1} more, from which no robot can return '
                 f'within max_steps = {max_steps}: raise max_steps or choose a smaller area'
             )
 
     def decide(
         self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
     ) -> Decision:
-        """Return the probability that all cells are free, and the hazards that remain."""
+        """Return the decision on whether all cells are free."""
         return Decision.about(self.name, draws, list(self.cells), self.confidence)
 
     def flight(self, situation: FlightState) -> Plan | None:
@@ -200,7 +200,7 @@ class Area:
 
 
 def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:
-    """Return the expected fall of the entropies of cells, (flights,) nats (:eq:`area-value`)."""
+    """Return the entropy that outcomes should remove, (flights,) nats (:eq:`area-value`)."""
 
     def entropies(chance: Floats, hazards: Floats) -> Floats:
         given = hazards / np.where(chance > 0.0, chance, 1.0)[:, None]
@@ -221,7 +221,7 @@ def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floa
 def expected_from_readings(
     here: Floats, returned: Floats, visits: Path, joint: Floats, model: SensorModel
 ) -> Floats:
-    """Return the expected fall of entropies by readings, (flights,) nats (:eq:`area-readings`)."""
+    """Return the entropy that readings should remove, (flights,) nats (:eq:`area-readings`)."""
     chance = returned.sum(axis=1)
     hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)
     information = np.zeros_like(hazard)
@@ -238,7 +238,7 @@ def expected_from_readings(
 def readings_given(
     joint: Floats, model: SensorModel, visits: Path
 ) -> Iterator[tuple[int, Floats, Floats]]:
-    """Yield for each number of visits P(readings | Z = 0) and P(readings | Z = 1), (cells, n)."""
+    """Yield each number of visits with P(readings | Z = 0) and P(readings | Z = 1), (cells, n)."""
     of_hazard = joint.sum(axis=2, keepdims=True)
     target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
     likelihood = positives(camera_rates(model), int(visits.max(initial=0)))
@@ -247,7 +247,7 @@ def readings_given(
         yield count, safe, hazardous
 
 
-# Maximum numbers of lanes combined to a flight: of the longest ones, and of each shorter length.
+# Maximum number of lanes combined to flights: of the longest lanes, of each shorter length.
 OUT, BACK = 12, 4
 # Minimum P(the best lane is free) for flights that seek information on that lane alone.
 PROBABLE = 0.45
@@ -268,10 +268,10 @@ class Lane:
     Parameters
     ----------
     to : int
-        Cell that it leads to.
+        Cell that the lane leads to.
     confidence : float, optional
-        Probability that it is free of hazards at which the mission ends, in (0, 1); by default it
-        goes on.
+        Probability, in (0, 1), that the lane is free at which the mission ends; by default it goes
+        on.
 
     Raises
     ------
@@ -298,7 +298,7 @@ class Lane:
     def decide(
         self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
     ) -> Decision:
-        """Return the safest lane found, and how safe it is; it may take `max_steps` one way."""
+        """Return the decision on the safest lane found, of at most `max_steps` steps one way."""
         lane = safest_path(grid, draws, model, grid.base, self.to, max_steps)
         return Decision.about(self.name, draws, lane.path, self.confidence, lane)
 
@@ -332,7 +332,7 @@ class Lane:
         return situation.planned(paths[best], max(0.0, float(rise)))
 
     def _flights(self, situation: FlightState) -> tuple[list[Path], list[Path]]:
-        """Return lanes, and closed paths to the goal, or as far as a robot can return from."""
+        """Return lanes, and closed paths along lanes to the goal, or as far as the steps allow."""
         grid, draws, options = situation.grid, situation.draws, situation.options
         start, most = situation.start, options.max_steps
         least = int(grid.steps_from(start, grid.free)[self.to])
@@ -365,7 +365,7 @@ class Lane:
 
 
 def flights_along(situation: FlightState, lane: Path) -> list[Path]:
-    """Return closed paths for information on the hazards of a lane alone."""
+    """Return closed paths sought for information on the hazards of one lane only."""
     grid, options = situation.grid, situation.options
     none = np.zeros(grid.cells)
     hazard = none.copy()
@@ -377,7 +377,7 @@ def flights_along(situation: FlightState, lane: Path) -> list[Path]:
 
 
 def information_on(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
-    """Return the information of flights on one event, (flights,) nats (:eq:`lane-information`)."""
+    """Return flights' information about one event, (flights,) nats (:eq:`lane-information`)."""
 
     def left(chance: Floats, event: Floats) -> Floats:
         entropy: Floats = binary_entropy(
@@ -402,8 +402,8 @@ def readings_on(
     paths: Sequence[Path],
     situation: FlightState,
 ) -> Floats:
-    """Return the information of readings on whether some cells are free, (flights,) nats."""
-    # Cells are treated as independent; their sum is limited to the remaining entropy.
+    """Return the readings' information about whether `cells` are all free, (flights,) nats."""
+    # The cells' information is added as if independent, and limited to the event's entropy.
     returned = survival * outcomes.sum(axis=0)
     chance = returned.sum(axis=1)
     each = np.where(chance > 0.0, chance, 1.0)
@@ -425,7 +425,7 @@ def readings_on(
 
 
 def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Path]:
-    """Return the `count` lanes with the highest probability to be free."""
+    """Return the `count` lanes with the highest probability of being free."""
     p_free = draws.are_free(lanes) @ draws.weight
     best = np.argsort(-np.round(p_free, DECIMALS), kind='stable')[:count]
     return [lanes[lane] for lane in best.tolist()]
@@ -450,9 +450,9 @@ class Goal(Protocol):
     Attributes
     ----------
     name : str
-        Name of its kind.
+        Name of the kind of goal.
     confidence : float or None
-        Probability at which it is reached and the mission ends; None: the mission goes on.
+        Probability at which the mission ends; None to continue after any decision.
 
     """
 

@@ -16,13 +16,13 @@ from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Number of draws for a decision: ten of them show an event of 0.5 %.
+# Number of draws for a decision: an event with a probability of 0.5 % occurs in about ten.
 DRAWS = 2048
 
 # Maximum number of bytes of the draws.
 MAX_MEMORY = 1 << 30
 
-# Generators of draws are keyed by this, the seed of the estimator and the number of deployments.
+# Part of the key of random generators, with the estimator's seed and the number of deployments.
 OWN_KEY = 0x44524157
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ class HazardDraws:
     """
     Weighted joint draws of all hazards.
 
-    Probabilities of several cells are counted in the draws, so the dependence of the cells of a
+    Joint probabilities of cells are shares of the draws, so the dependence between the cells of a
     lost path is kept.
 
     Parameters
@@ -83,7 +83,7 @@ class HazardDraws:
         return probability.clip(0.0, 1.0)
 
     def p_free(self, cells: ArrayLike) -> float:
-        """Return the probability that none of some cells has a hazard (:eq:`set-free`)."""
+        """Return the probability that no cell of `cells` has a hazard (:eq:`set-free`)."""
         free: Bools = np.logical_not(self.hazardous[:, np.unique(cells)].any(axis=1))
         return float(np.clip(self.weight @ free, 0.0, 1.0))
 
@@ -104,7 +104,7 @@ class HazardDraws:
         return chances
 
     def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
-        """Return 1 for each path and draw without hazards on it, else 0; shape (paths, draws)."""
+        """Return 1 where a draw has no hazard on a path, 0 elsewhere; shape (paths, draws)."""
         free: Floats = np.equal(self._hazards_entered([*map(np.asarray, paths)]), 0.0).astype(
             float
         )
@@ -130,7 +130,7 @@ def quantile(count: Floats, level: float) -> int:
 
 
 def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
-    """Check that robots may enter all of these cells; return them as an array, shape (cells,)."""
+    """Return `cells` as an array, shape (cells,), checked to be cells that robots may enter."""
     array = np.atleast_1d(np.asarray(cells))
     if array.size == 0 or array.dtype.kind not in 'iu' or array.ndim != 1:
         raise ValueError(f'{what} is {cells!r}: it must be a list of at least one cell')
@@ -151,11 +151,11 @@ class Target(NamedTuple):
     cell: int
     # Probability of a target, in [0, 1].
     probability: float
-    # Number of readings by returned robots there.
+    # Number of readings of the cell by returned robots.
     looks: int
     # Number of positive readings.
     found: int
-    # Probability that all these readings miss a target, in [0, 1]; 1 without readings.
+    # Probability that all readings miss a target, in [0, 1]; 1 without readings.
     missed: float
 
 
@@ -166,7 +166,7 @@ def targets(
     least: float = 0.0,
 ) -> list[Target]:
     """
-    Return the possible targets, the most probable first.
+    Return the cells that may have a target, the most probable first.
 
     Equation :eq:`looks-missed`.
 

@@ -31,7 +31,7 @@ class Stop:
     ----------
     gain : float
         Minimum expected gain for each robot that is expected to be lost; the mission stops when
-        the next robots promise less. Its unit is that of the goal: nats of information (map), nats
+        the next round promises less. In the unit of the goal: nats of information (map), nats
         about hazards in the area (area), or probability that the best lane is free (lane). 0:
         never.
     losses : int
@@ -62,7 +62,7 @@ class Stop:
             raise ValueError(few)
 
     def why(self, decision: Decision | None, lost: int) -> str:
-        """Return why the mission is over now; empty if it is not."""
+        """Return why the mission is over; empty if it continues."""
         if decision is not None and decision.reached:
             return (
                 f'the goal {decision.goal} is reached: free of hazards with probability '
@@ -73,7 +73,7 @@ class Stop:
         return ''
 
     def why_not_worth(self, plans: Sequence[Plan]) -> str:
-        """Return why the robots of a round are not worth sending; empty if they are."""
+        """Return why a round gains too little for its expected losses; empty if it does not."""
         gain = sum(plan.information if plan.gain is None else plan.gain for plan in plans)
         lost = sum(1.0 - plan.survival for plan in plans)
         if gain >= self.gain * lost:
@@ -84,12 +84,12 @@ class Stop:
         )
 
 
-# Less information than this, in nats, is rounding.
+# Information below this is rounding, nats.
 LEAST_INFORMATION = 1e-9
 
 
 def why_worthless(plans: Sequence[Plan], loss_cost: float) -> str:
-    """Return why no plan of a round is worth a robot; empty if one is."""
+    """Return why no plan's information exceeds its cost; empty if a plan's does."""
     best = max(plans, key=lambda plan: plan.information)
     if best.information < LEAST_INFORMATION:
         return f'no plan is expected to bring more than {best.information:.2g} nats'
@@ -117,7 +117,7 @@ def plan_round(
     bound: bool = False,
 ) -> list[Plan]:
     """
-    Plan a round for a goal, robot after robot, each for what it adds to those before.
+    Plan a round for a goal, robot after robot, each for its gain given the earlier robots.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def plan_round(
     Raises
     ------
     NoPathError
-        If a robot may take no path.
+        If no path of a robot satisfies the options.
     ValueError
         As of `plan_team` and `check_sought`.
 
@@ -167,7 +167,7 @@ def plan_round(
         with GOALS.blamed(goal.name):
             plan = goal.flight(own)
         if plan is None and len(keepout):
-            # Forbidden cells of the operator may keep robots from the goal.
+            # Keepout cells may block every path that serves the goal.
             return for_information()
         if plan is None:
             raise NoPathError(

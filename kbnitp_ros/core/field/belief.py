@@ -35,7 +35,7 @@ class Belief(Value):
     Raises
     ------
     ValueError
-        If the shape is another or a cell's four values are not a distribution.
+        If the shape is wrong or a cell's four values are not a distribution.
 
     """
 
@@ -79,9 +79,8 @@ class Belief(Value):
         Raises
         ------
         ValueError
-            If a map has another length, a value is no probability, or a cell's three values have
-            no joint distribution: kappa * hazard <= target <= kappa * hazard + 1 - hazard (names
-            such cells).
+            If the maps' lengths differ, a value is no probability, or a cell has no joint
+            distribution: kappa * hazard <= target <= kappa * hazard + 1 - hazard must hold.
 
         """
         z = probability_map('hazard', hazard)
@@ -109,9 +108,9 @@ class Belief(Value):
         """
         Return a mission's belief before its first deployment.
 
-        As `from_maps`, with numbers for maps that are the same everywhere, and with what is known
-        of the grid: its bases have no hazard (their targets are as likely as in any cell found
-        free of hazard), and blocked cells hold nothing to be looked for.
+        As `from_maps`, where a number stands for a uniform map. The bases of the grid have no
+        hazard (and targets as likely as in any cell found free of hazard), and blocked cells have
+        neither hazards nor targets.
 
         Raises
         ------
@@ -127,7 +126,7 @@ class Belief(Value):
         return cls.from_maps(*maps).on(grid)
 
     def on(self, grid: Grid) -> Belief:
-        """Return the belief with what is known of a grid, as in `prior`."""
+        """Return the belief on a grid, whose bases have no hazard, as in `prior`."""
         joint = self.joint.copy()
         for base in sorted(grid.bases):
             joint[base, 1] = 0.0
@@ -181,7 +180,7 @@ class Belief(Value):
         z = np.stack([1.0 - self.hazard, self.hazard], axis=-1)
         x = np.stack([1.0 - self.target, self.target], axis=-1)
         product = z[:, :, None] * x[:, None, :]
-        # An independent belief keeps its bits, however often this is called.
+        # Leave an independent belief as it is: rounding would change it at every call.
         return (
             self if np.abs(self.joint - product).max() <= TOLERANCE else Belief(product, self.grid)
         )
@@ -200,7 +199,7 @@ def binary_entropy(probability: ArrayLike) -> NDArray[np.float64]:
     return surprisal(p) + surprisal(1.0 - p)
 
 
-# A map may be certain and wrong; that loss is kept finite, at 36 nats.
+# Limits the loss of a cell to 36 nats where a map is certain and wrong.
 SMALLEST = np.finfo(np.float64).eps
 
 
@@ -220,7 +219,7 @@ def log_loss(probability: NDArray[np.float64], truth: ArrayLike) -> float:
     Returns
     -------
     float
-        -sum log P(truth) in nats, at least 0; a cell counts at most 36.
+        -sum log P(truth) in nats, at least 0; the loss of each cell is at most 36.
 
     Raises
     ------

@@ -19,7 +19,7 @@ SHOWN = 24
 
 
 class Value:
-    """A dataclass with equality by its fields, arrays bit for bit."""
+    """A dataclass whose equality compares its fields, arrays bit for bit."""
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and all(
@@ -63,7 +63,7 @@ MADE_BY = {'Goal': 'Lane(...) or Area(...)'}
 
 
 def typed(call: Callable[P, R]) -> Callable[P, R]:
-    """Refuse arguments of another core class than annotated."""
+    """Decorate a function to refuse arguments of another core class than annotated."""
     names = tuple(signature(call).parameters)
 
     @cache
@@ -113,7 +113,7 @@ def check_several(name: str, values: Iterable[Any]) -> Iterable[Any]:
 
 
 def generator(rng: np.random.Generator | int) -> np.random.Generator:
-    """Return a generator, or that of a seed."""
+    """Return a random generator, made from `rng` if that is a seed."""
     try:
         return np.random.default_rng(rng)
     except (TypeError, ValueError) as error:

@@ -12,9 +12,9 @@ from kbnitp_ros.core.field.unknowns import Bins
 import numpy as np
 from numpy.typing import NDArray
 
-# Maximum width of a field that is summed exactly, in cells.
+# Maximum width of a field whose partition function is summed exactly, in cells.
 MAX_ACROSS = 16
-# Width of the strips that wider fields are combined from, in cells.
+# Width of the strips from which the sums of wider fields are extrapolated, in cells.
 STRIP = 12
 
 
@@ -34,7 +34,7 @@ def log_partition(
             f'hazard is too wide for clustered hazards: with obstacles, at most {MAX_ACROSS} '
             'cells across'
         )
-    # The strip has the hole at the same distance from the nearer edge as the field.
+    # The hole is as far from the nearer edge in the strip as in the field.
     strip = np.ones((rows, STRIP), dtype=bool)
     for row, column in holes:
         middle = STRIP // 2
@@ -50,17 +50,17 @@ def log_partition(
 def _sums(
     free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums that `transfer` computes."""
+    """Return ln Z and the expected hazards of each field, summed by `transfer`."""
     log_z, count = np.empty_like(fields), np.empty_like(fields)
     transfer(np.ascontiguousarray(free), fields, coupling, log_z, count)
     return log_z, count
 
 
-# Maximum coupling: above the critical one, 1.763, hazards nearly fill large regions or none.
+# Maximum coupling: above the critical 1.763, hazards nearly fill large regions, or none occur.
 STRONGEST = 1.7
-# Number of couplings weighted if it is learnt.
+# Number of couplings weighted if the coupling is learnt.
 COUPLINGS = 17
-# Tolerance of the log odds of the density, and maximum number of steps of the search.
+# Tolerance of the log odds of the density, and maximum number of secant steps.
 PRECISION = 1e-10
 MAX_SECANTS = 100
 
@@ -77,8 +77,8 @@ class Clustering:
 
     .. math:: P(z) \propto \exp \Bigl( a \sum_i z_i + J \sum_{i \sim j} z_i z_j \Bigr),
 
-    over the cells that may have a hazard, with the pairs i ~ j of those that share a side. The
-    field a is such that the mean of P(z_i = 1) over these cells is the density of the prior.
+    over the cells that may have a hazard; i ~ j are the pairs of cells that share a side. The
+    field a gives P(z_i = 1) the density of the prior as its mean over these cells.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Clustering:
 
     @property
     def neighbors(self) -> NDArray[np.intp]:
-        """Return the cells that share a side with each, -1 for none, shape (cells, 4)."""
+        """Return the neighbours that share a side with each cell, or -1; shape (cells, 4)."""
         cells = np.arange(self.grid.cells).reshape(self.grid.height, self.grid.width)
         around = np.pad(cells, 1, constant_values=-1)
         sides = (around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1])
@@ -143,7 +143,7 @@ class Clustering:
         field = sought.copy()
         fields, log_zs = [], []
         for coupling in self.bins.values:
-            # Each search starts from the field found before.
+            # Start the search from the solution for the previous coupling.
             field, log_z = _solve_field(free, coupling, sought, field)
             fields.append(field)
             log_zs.append(log_z)
@@ -156,7 +156,7 @@ def _solve_field(
     sought: NDArray[np.float64],
     field: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Find the field that gives the log odds sought, and log Z, by the secant method."""
+    """Find the field for the log odds `sought`, and its log Z, by the secant method."""
     cells = np.count_nonzero(free)
     slope, off = np.ones_like(field), np.zeros_like(field)
     step = np.zeros_like(field)

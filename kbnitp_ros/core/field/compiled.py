@@ -24,17 +24,17 @@ Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 PACKAGE = Path(__file__).parents[2]
 _CHECKS: list[Callable[[], None]] = []
 
-# Whether kernels that are not loaded yet run interpreted.
+# Whether kernels run interpreted unless they are loaded already.
 _INTERPRETED = ContextVar('interpreted', default=False)
 
 
 def compiled(kernel: Kernel) -> Kernel:
-    """Return the kernel, compiled at its first call, or interpreted without numba."""
+    """Return the kernel, compiled at its first call; interpreted if numba is missing."""
     return cast(Kernel, Compiled(kernel, is_inlined=False))
 
 
 def inlined(kernel: Kernel) -> Kernel:
-    """Compile a kernel that others call in loops; it makes and returns no arrays."""
+    """Inline a kernel that other kernels call in loops; it must not make or return arrays."""
     return cast(Kernel, Compiled(kernel, is_inlined=True))
 
 
@@ -54,7 +54,7 @@ def while_compiling(check: Callable[[], None]) -> None:
 
 
 class Compiled:
-    """A kernel that is compiled, with all that it calls, at its first call."""
+    """A kernel that is compiled at its first call, with the kernels it calls."""
 
     def __init__(self, kernel: Callable[..., Any], is_inlined: bool) -> None:
         # numba names its cache by this path, which must not depend on how the file is imported.
@@ -69,14 +69,14 @@ class Compiled:
 
     @property
     def code(self) -> Any:
-        """Return the compiled code, or the kernel itself without numba."""
+        """Return the compiled code, or the kernel itself if numba is missing."""
         if self._code is None:
             self._code = self._kernel
             if jit := _jit():
-                # Counting references to arrays would take a large part of the time.
+                # Reference counting of arrays would take a large part of the time.
                 options = {'forceinline': self._is_inlined, '_nrt': not self._is_inlined}
                 self._code = _cached(_for_all_values(jit(nogil=True, **options)(self._kernel)))
-            # numba can only compile a call of another kernel if the name is that of compiled code.
+            # numba compiles calls of another kernel only if its name refers to compiled code.
             names = self._kernel.__globals__
             for name, each in [*names.items()]:
                 if isinstance(each, Compiled):
@@ -85,7 +85,7 @@ class Compiled:
 
 
 def cache_folder() -> Path:
-    """Return the cache folder, named by a hash of all sources: old code is never used."""
+    """Return the cache folder, named by a hash of all kernels' sources: old code is never used."""
     sources = b''.join(path.read_bytes() for path in sorted(PACKAGE.rglob('*_kernels.py')))
     return PACKAGE / '__pycache__' / f'kernels-{sha256(sources).hexdigest()[:16]}'
 
@@ -100,7 +100,7 @@ def _jit() -> Any:
         return None
     if numba.config.DISABLE_JIT:
         return None
-    # If this cannot be written, numba looks for another folder.
+    # If this folder is not writable, numba chooses another one.
     numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(cache_folder())
 
     class Compilation(numba.core.event.Listener):  # type: ignore[misc]
@@ -121,7 +121,7 @@ def _jit() -> Any:
 
 
 def _for_all_values(code: Any) -> Any:
-    """Return a dispatcher that compiles once for constants and variables."""
+    """Return a dispatcher that compiles a call with constants as a call with variables."""
     import numba
 
     compile_for, unliteral = code.get_call_template, numba.types.unliteral
@@ -134,7 +134,7 @@ def _for_all_values(code: Any) -> Any:
 
 
 def _cached(code: Any) -> Any:
-    """Return a dispatcher of numba with a cache that survives torn files and a full disk."""
+    """Return a numba dispatcher whose cache tolerates corrupt files and a full disk."""
     try:
         code.enable_caching()
     except RuntimeError as error:
@@ -147,7 +147,7 @@ def _cached(code: Any) -> Any:
             try:
                 return access(*arguments)
             except Exception as error:
-                # pickle raises many types on a torn file.
+                # pickle raises many types of exceptions on a corrupt file.
                 _warn(f'{error!r}; {files.cache_path} is emptied and kernels are compiled anew')
                 rmtree(files.cache_path, ignore_errors=True)
 

@@ -24,7 +24,7 @@ ROUNDING = 1e-9
 # Offsets in rows and columns of the neighbour in each column of `Grid.neighbor_table`.
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
-# Fields shown in a grid's text, and maximum number of blocked cells shown.
+# Fields shown by `repr`, and maximum number of blocked cells shown.
 TOLD = (
     'width',
     'height',
@@ -61,7 +61,7 @@ class Grid:
     connectivity : int
         Number of neighbours that a step may lead to: 8, or the 4 that share a side.
     through_corners : bool
-        Whether a diagonal step may touch a blocked cell, as in arXiv:2305.06929. Without, both
+        Whether a diagonal step may touch a blocked cell, as in arXiv:2305.06929. If False, both
         cells beside the step must be free.
     other_bases : iterable of int
         Further bases (`at`): free cells, and free of hazard.
@@ -102,7 +102,7 @@ class Grid:
         for cell in (base, *others):
             if cell in blocked:
                 raise ValueError(
-                    f'base is {cell}: it must be a free cell, and that one is blocked'
+                    f'base is {cell}: it must be a free cell, and this cell is blocked'
                 )
         if not (isfinite(self.resolution) and self.resolution > 0):
             raise ValueError(f'resolution is {self.resolution}: it must be positive, in metres')
@@ -147,7 +147,7 @@ class Grid:
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:
-        """Return the cells that a robot can enter, shape (cells,)."""
+        """Return a mask of the cells that a robot can enter, shape (cells,)."""
         free = np.ones(self.cells, dtype=bool)
         free[list(self.blocked)] = False
         free.flags.writeable = False
@@ -155,7 +155,7 @@ class Grid:
 
     @cached_property
     def may_be_hazardous(self) -> NDArray[np.bool_]:
-        """Return the cells that may have a hazard, shape (cells,): all free ones but the bases."""
+        """Return a mask of cells that may have a hazard, (cells,): free cells except bases."""
         may_be = self.free.copy()
         may_be[list(self.bases)] = False
         may_be.flags.writeable = False
@@ -167,7 +167,7 @@ class Grid:
         return frozenset(self.other_bases) | {self.base}
 
     def at(self, base: int | None) -> Grid:
-        """Return the same field for robots of one of its bases; None for the grid's own."""
+        """Return the grid with another of its bases as `base`; None keeps the base."""
         if base is None or base == self.base:
             return self
         if base not in self.bases:
@@ -181,7 +181,7 @@ class Grid:
 
     @cached_property
     def _at(self) -> dict[int, Grid]:
-        # Each base has its own distances, which take long in a large field.
+        # Distances are cached for each base: computing them takes long in a large field.
         return {}
 
     @cached_property
@@ -226,13 +226,13 @@ class Grid:
 
     @cached_property
     def steps_to_base(self) -> NDArray[np.intp]:
-        """Return the fewest steps from each cell to the base, (cells,); `cells` if cut off."""
+        """Return the fewest steps from each cell to the base, (cells,); `cells` if unreachable."""
         steps = self.steps_from(self.base, self.free)
         steps.flags.writeable = False
         return steps
 
     def steps_from(self, cell: int, is_open: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the fewest steps from a cell to each, (cells,); `cells` if there is no way."""
+        """Return the fewest steps from `cell` to each cell, (cells,); `cells` if out of reach."""
         steps = np.full(self.cells, self.cells, dtype=np.intp)
         frontier = np.array([cell])
         distance = 0
@@ -246,7 +246,7 @@ class Grid:
 
     @cached_property
     def distance_to_base(self) -> NDArray[np.float64]:
-        """Return the distance of each cell to the base, (cells,), metres; inf if cut off."""
+        """Return the distance of each cell to the base, (cells,), metres; inf if unreachable."""
         distance = np.full(self.cells, np.inf)
         distance[self.base] = 0.0
         nearer = np.array([self.base])
@@ -261,7 +261,7 @@ class Grid:
         return distance
 
     def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
-        """Return the cells, (cells,), that a path within both limits can visit (0 m: no limit)."""
+        """Return a mask, (cells,), of cells that paths within the limits can visit (0 m: none)."""
         steps = self.steps_to_base
         in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
         if max_distance:
@@ -269,7 +269,7 @@ class Grid:
         return in_reach
 
     def path_length(self, path: NDArray[np.intp]) -> float:
-        """Return the distance that a path covers, shape (steps + 1,), metres."""
+        """Return the length of a path, shape (steps + 1,), in metres."""
         row, col = np.divmod(path, self.width)
         moves = np.abs(np.diff(row)) + np.abs(np.diff(col))
         straight, diagonal = (moves == 1).sum(), (moves == 2).sum()
@@ -278,7 +278,7 @@ class Grid:
     def check_path(
         self, path: ArrayLike, max_steps: int | None = None, max_distance: float = 0.0
     ) -> NDArray[np.intp]:
-        """Return `path` as an array of cells; raise ValueError if no robot can take it."""
+        """Return `path` as an array of cells; raise ValueError if it is invalid on this grid."""
         cells = as_path(path)
         steps = len(cells) - 1
         if max_steps is not None and steps > max_steps:
@@ -315,20 +315,20 @@ class Grid:
         return cells
 
     def check_any_path(self, path: ArrayLike) -> NDArray[np.intp]:
-        """Return `path` as an array of cells if a robot of one of the bases can take it."""
+        """Return `path` as an array of cells, checked as a path from one of the bases."""
         cells = as_path(path)
         base = int(cells[0])
         return (self.at(base) if base in self.bases else self).check_path(cells)
 
     def in_metres(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Return x and y in the frame, (..., 2), of columns and rows; (0, 0) is a corner."""
+        """Convert columns and rows to x and y in the frame, (..., 2); (0, 0) is a corner."""
         points: NDArray[np.float64] = turned(
             np.asarray(places) * self.resolution, self.yaw
         ) + np.array(self.origin)
         return points
 
     def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return columns and rows, (..., 2), of x and y in metres; the inverse of `in_metres`."""
+        """Convert x and y in metres to columns and rows, (..., 2); the inverse of `in_metres`."""
         places: NDArray[np.float64] = (
             turned(np.asarray(points) - np.array(self.origin), -self.yaw) / self.resolution
         )
@@ -340,7 +340,7 @@ class Grid:
         return self.in_metres(np.stack([col, row], axis=-1) + 0.5)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
-        """Return the cells that hold points, (n, 2) metres; raise ValueError outside the grid."""
+        """Return the cells of points, (n, 2) in metres; raise ValueError outside the grid."""
         array = np.asarray(points, dtype=np.float64)
         if array.ndim != 2 or array.shape[1] != 2:
             raise ValueError(f'points have shape {array.shape}: it must be (n, 2), x and y')
@@ -359,7 +359,7 @@ class Grid:
 
 
 def longest(max_distance: float) -> float:
-    """Return the longest sum of step lengths within an allowed distance, both in metres."""
+    """Return the maximum sum of step lengths for a limit in metres, with a margin for rounding."""
     return max_distance * (1.0 + ROUNDING)
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def as_path(path: ArrayLike) -> NDArray[np.intp]:
-    """Return a copy of `path` as cell numbers: at least one step."""
+    """Return a copy of `path` as cell numbers; ValueError if it has no step."""
     array = np.asarray(path)
     if array.ndim != 1 or array.size < 2:
         raise ValueError(
@@ -38,20 +38,20 @@ class Observation(Value):
     Parameters
     ----------
     path : array_like of int, shape (steps + 1,)
-        Cells in order, the base first and last: the start, and the end of each step. The walk of a
-        robot that returned; the orders of a lost one.
+        Cells in order: the start, then the end of each step; the base is first and last. Of a
+        robot that returned, the cells it visited; of a lost robot, the cells it was ordered to.
     survived : bool
         Whether the robot came back (the path-based sensor did not trigger, Theta = 0).
     readings : array_like of bool or int, shape (steps,), optional
         The target sensor's reading Y in the cell each step leads to, -1 where it did not look;
         None when the robot was lost.
     steps_survived : int
-        Number of first steps that a lost robot is known to have survived, by its last contact; 0
-        without one.
+        Number of steps that a lost robot is known to have survived, by its last contact; 0 without
+        a contact.
     lost_at : array_like, shape (steps,), optional
         Likelihood of a loss in each step of a lost robot: P(observed | lost in the step) up to a
-        factor, at least 0 and not all 0; None if all steps are alike. It says when the robot was
-        lost, not by what.
+        factor, at least 0 and not all 0; None if all steps are alike. It is evidence of when the
+        robot was lost, not of the cause.
 
         Stored normalised: the largest value is 1, steps before the first possible one are 0 and
         counted in `steps_survived`, and None stands for equal values in all remaining steps.
@@ -87,7 +87,7 @@ class Observation(Value):
             raise ValueError('readings are missing: a robot that returned has one for each step')
         steps = whole_number('steps_survived', self.steps_survived, 0)
         if self.survived and steps:
-            raise ValueError(f'steps_survived is {steps}: a robot that returned survived them all')
+            raise ValueError(f'steps_survived is {steps}: leave it at 0 for a robot that returned')
         if steps >= self.steps:
             raise ValueError(
                 f'steps_survived is {steps}: a robot lost on a path of {self.steps} steps '
@@ -100,7 +100,7 @@ class Observation(Value):
     def _check_readings(self, given: NDArray[Any]) -> None:
         unseen = given == -1
         yes_or_no('readings', given[~unseen])
-        # Booleans, or -1, 0 and 1 if one of them is -1.
+        # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
         readings = given.astype(np.int8 if unseen.any() else bool)
         if not self.survived:
             raise ValueError(
@@ -130,8 +130,8 @@ class Observation(Value):
         lost_at[: self.steps_survived] = 0.0
         if not lost_at.any():
             raise ValueError(
-                f'lost_at is 0 in all steps after the {self.steps_survived} that were survived: '
-                'the robot was lost in one of them'
+                f'lost_at is 0 in all steps after the first {self.steps_survived}, which were '
+                'survived: the loss must be possible in one of the later steps'
             )
         lost_at /= lost_at.max()
         first = int(np.argmax(lost_at > 0.0))
@@ -147,7 +147,7 @@ class Observation(Value):
 
     @property
     def lost_on(self) -> tuple[NDArray[np.intp], NDArray[np.float64] | None]:
-        """Return where a robot may have been lost: a stretch of its path, with likelihoods."""
+        """Return the stretch of the path where the robot may have been lost, with likelihoods."""
         first = self.steps_survived
         if self.lost_at is None:
             return self.path[first:], None
@@ -158,7 +158,7 @@ class Observation(Value):
 
 
 def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> Observation:
-    """Return the loss of a robot after its last contact (:eq:`contact-probability`)."""
+    """Return the observation of a loss after a last contact (:eq:`contact-probability`)."""
     heard = Observation(as_path(path), False, steps_survived=steps_survived)
     if contact == 0.0:
         return heard
@@ -169,12 +169,12 @@ def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> 
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """The number of times a path enters each of its cells."""
+    """The number of visits of a path to each of its cells."""
 
-    # The cells that some step leads to, ascending, shape (n,). The return counts as a visit, the
-    # start does not.
+    # The cells visited, ascending, shape (n,). The return to the base is a visit, the start is
+    # not.
     cells: NDArray[np.intp]
-    # Steps into each, shape (n,).
+    # Number of visits to each cell, shape (n,).
     counts: NDArray[np.intp]
     # Index into `cells` of each step's cell, shape (steps,).
     of_step: NDArray[np.intp]

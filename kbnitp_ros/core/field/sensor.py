@@ -23,8 +23,8 @@ class SensorModel:
     lethality : float
         Chance in [0, 1] that a hazard strikes a robot which steps into its cell.
     malfunction : float
-        Chance in [0, 1] that a robot is lost in a step, hazard or not: the path-based sensor's
-        false positive.
+        Chance in [0, 1] that a robot fails in a step, with or without a hazard in the cell: the
+        path-based sensor's false positive.
     false_negative : float
         Chance in [0, 1] that a robot survives a hazard's strike: the path-based sensor's false
         negative.
@@ -35,7 +35,7 @@ class SensorModel:
     Raises
     ------
     ValueError
-        If one of them is NaN or outside [0, 1].
+        If a probability is NaN or outside [0, 1].
 
     """
 
@@ -69,7 +69,7 @@ class SensorModel:
         return _log_reading(self.true_positive, self.false_positive)
 
 
-# Each update and each plan uses these several times.
+# Cached, since each update and each plan needs the arrays several times.
 @lru_cache(maxsize=64)
 def _log_survival(strike: float, malfunction: float) -> NDArray[np.float64]:
     with np.errstate(divide='ignore'):
@@ -89,7 +89,7 @@ def _log_reading(true_positive: float, false_positive: float) -> NDArray[np.floa
 
 
 def times_log(count: ArrayLike, log: ArrayLike) -> NDArray[np.float64]:
-    """Return ``count * log``, broadcast, with 0 * -inf = 0: the log of a power."""
+    """Return ``count * log``, the log of a power, broadcast, with 0 * -inf = 0."""
     with np.errstate(invalid='ignore'):
         return np.where(np.equal(count, 0), 0.0, np.multiply(count, log))
 
@@ -111,7 +111,7 @@ def log_predicted_survival(
         )
 
 
-# Each update and each plan uses these several times.
+# Cached, since each update and each plan needs the arrays several times.
 @lru_cache(maxsize=64)
 def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], ...]:
     """Return log s_z^n, 1 - s_z^n and s_z^n for n up to `most`, each of shape (2, most + 1)."""
@@ -120,7 +120,7 @@ def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], 
 
 
 def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return for each value the sum of all the others, shape (..., n); -inf is allowed."""
+    """Return, in place of each value, the sum of all other values, (..., n); -inf is allowed."""
     none = np.zeros((*values.shape[:-1], 1))
     before = np.concatenate([none, np.cumsum(values[..., :-1], axis=-1)], axis=-1)
     after = np.cumsum(values[..., :0:-1], axis=-1)[..., ::-1]
@@ -130,7 +130,7 @@ def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 SENSORS = tuple(field.name for field in fields(SensorModel))
 
-# The whole numbers, and their minima.
+# Minima of the fields of `RobotType` that are whole numbers.
 LEAST = {'max_steps': 1, 'base': 0}
 
 
@@ -142,7 +142,7 @@ class RobotType:
     Parameters
     ----------
     lethality, malfunction, false_negative, true_positive, false_positive : float, optional
-        As in `SensorModel`; a number of a type is known, even if the common one is learnt.
+        As in `SensorModel`; a value given here is known, even if the common value is learnt.
     max_steps : int, optional
         Maximum steps of a path, at least 1.
     max_distance : float, optional
@@ -155,7 +155,7 @@ class RobotType:
     Raises
     ------
     ValueError
-        If a number is out of range; it is named.
+        If a number is out of range.
 
     """
 
@@ -180,16 +180,16 @@ class RobotType:
 
     @property
     def own(self) -> dict[str, Any]:
-        """Return its own values, by name."""
+        """Return the values that the type sets itself, by name."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
     @property
     def sensors(self) -> dict[str, Any]:
-        """Return its own values of the sensor model."""
+        """Return the values of the sensor model that the type sets itself, by name."""
         return {name: value for name, value in self.own.items() if name in SENSORS}
 
     def model(self, common: SensorModel) -> SensorModel:
-        """Return its sensor model, given the common one."""
+        """Return the sensor model of the type, given the common sensor model."""
         sensors = self.sensors
         return replace(common, **sensors) if sensors else common
 

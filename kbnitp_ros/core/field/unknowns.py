@@ -12,9 +12,9 @@ from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import NDArray
 
-# Number of values of an unknown number, evenly spaced in asin(sqrt(p)). There a rate found from n
-# trials has the standard deviation 0.5 / sqrt(n), whatever the rate; 64 values are closer together
-# than twice that for up to 1,600 trials.
+# Number of values of an unknown number, evenly spaced in asin(sqrt(p)). On that scale an estimate
+# of a rate from n trials has the standard deviation 0.5 / sqrt(n) at any rate; the spacing of 64
+# values is less than two standard deviations for up to 1,600 trials.
 VALUES = 64
 # Number of points in each value's bin at which its prior is summed.
 POINTS = 32
@@ -28,8 +28,8 @@ class Beta:
     Parameters
     ----------
     a, b : float
-        Its density is proportional to p^(a-1) (1-p)^(b-1); above 0. With a `low` above 0 `a` may
-        be 0: with a `b` of 1 the density is then log-uniform.
+        Positive exponents of the density, proportional to p^(a-1) (1-p)^(b-1). If `low` is above
+        0, `a` may be 0: with `b` = 1 the density is then log-uniform.
     low, high : float
         Interval of the number, in [0, 1].
 
@@ -81,7 +81,7 @@ class Bins(Value):
     edges: NDArray[np.float64]
     # In (0, 1), ascending, shape (values,).
     values: NDArray[np.float64]
-    # Log probability of each, shape (values,).
+    # Log prior probability of each value, shape (values,).
     log_prior: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -104,9 +104,9 @@ class Learnt(Value):
     bins : Bins
         Possible values.
     weights : ndarray, shape (values,)
-        The probability of each.
+        Posterior probability of each value.
     effective_samples : float
-        Number of independent posterior draws that would give the mean as precisely.
+        Number of independent posterior draws that would estimate the mean as precisely.
 
     """
 
@@ -148,17 +148,17 @@ class Unknowns:
     """
     The unknown numbers, each with its prior.
 
-    None for a number that the sensor model or the prior maps state; ``(low, high)`` for a uniform
-    prior on an interval; or a `Beta`.
+    ``(low, high)`` is a uniform prior on an interval, a `Beta` any other prior. None: the number
+    is known, from the sensor model or the prior maps.
 
     Parameters
     ----------
     lethality, malfunction, true_positive, false_positive : (float, float) or Beta, optional
-        Numbers of the sensor model. No evidence separates lethality from false negative, so the
-        latter is always known.
+        Numbers of the sensor model. The false negative is always known, since no evidence
+        separates it from the lethality.
     hazard_density : (float, float) or Beta, optional
-        Mean prior hazard of the cells where the prior is neither 0 nor 1; one offset of their log
-        odds gives the prior map this mean.
+        Mean prior hazard of the cells where the prior is neither 0 nor 1; all their log odds are
+        shifted by one offset to give the prior map this mean.
     kappa : (float, float) or Beta, optional
         P(X = 1 | Z = 1), likewise.
     target_background : (float, float) or Beta, optional
@@ -167,7 +167,7 @@ class Unknowns:
     Raises
     ------
     ValueError
-        If an interval is empty, reversed or not within [0, 1]; it is named.
+        If an interval is empty, reversed or not within [0, 1].
 
     """
 
@@ -207,7 +207,7 @@ HAZARDS = ('static', 'changing', 'used_up', 'moving', 'learn')
 Rate: TypeAlias = 'float | Sequence[float] | Beta'
 Rates: TypeAlias = 'float | NDArray[np.float64]'
 
-# The rates of each kind.
+# The rates of each kind of hazards.
 HAZARD_RATES = {'changing': ('appear', 'vanish'), 'moving': ('move',)}
 
 # The prior of a completely unknown rate: log-uniform.
@@ -222,29 +222,29 @@ class Dynamics:
     Parameters
     ----------
     kind : str
-        ``'static'``: they stay, whatever they strike. ``'changing'``: before every deployment but
-        the first, each cell changes by itself. ``'used_up'``: a hazard that strikes is gone,
+        ``'static'``: hazards stay, even if they strike. ``'changing'``: before every deployment
+        but the first, each cell changes by itself. ``'used_up'``: a hazard that strikes is gone,
         whether or not the robot survives. ``'moving'``: before every deployment but the first,
-        each hazard may go to a neighbouring cell that has none and may have one. ``'learn'``: one
-        of these, which the evidence tells.
+        each hazard may move to a neighbouring cell that has no hazard and may have one.
+        ``'learn'``: the kind is inferred from the evidence.
     appear : float
         Chance in [0, 1] that a cell of a changing field without a hazard has one at the next
-        deployment. 0 with an unknown `vanish` stands for the rate that keeps the expected number
-        of hazards of the prior.
+        deployment. If it is 0 and `vanish` is unknown, hazards appear at the rate that keeps their
+        expected number as in the prior.
     vanish : float, (float, float) or Beta
         Chance in [0, 1] that a hazard of a changing field is gone by the next deployment; if
-        unknown, a prior, or two numbers for a log-uniform one between them.
+        unknown, a prior, or the two ends of a log-uniform prior.
     move : float, (float, float) or Beta
-        Chance in [0, 1] that a moving hazard leaves its cell if it can, likewise.
+        Chance in [0, 1] that a moving hazard leaves its cell if it can; if unknown, as `vanish`.
 
-    Rates of 0 mean static hazards; with 'learn' 0 stands for an unknown rate, log-uniform from
-    .001 to .1.
+    With rates of 0 hazards are static; but with 'learn' a rate of 0 stands for an unknown rate,
+    log-uniform from .001 to .1.
 
     Raises
     ------
     ValueError
-        If there is no such kind, a rate is NaN or outside [0, 1], or hazards of another kind are
-        given rates.
+        If the kind is unknown, a rate is NaN or outside [0, 1], or the kind does not have a given
+        rate.
 
     """
 
@@ -263,13 +263,13 @@ class Dynamics:
                     rate = ANY_RATE
                 if rate and self.kind not in (kind, 'learn'):
                     raise ValueError(
-                        f'{name} is {rate} and hazards are {self.kind}: only {kind} ones have it'
+                        f'{name} is {rate} and hazards are {self.kind}: only {kind} hazards use it'
                     )
                 object.__setattr__(self, name, rate)
 
     @property
     def effect(self) -> str:
-        """Return the kind, which is static where hazards change at rates of 0."""
+        """Return the kind; 'static' if all rates of its changes are 0."""
         always = self.kind in ('used_up', 'learn')
         return self.kind if always or self.appear or self.vanish or self.move else 'static'
 
@@ -281,7 +281,7 @@ class Dynamics:
 
     @property
     def kinds(self) -> tuple[Dynamics, ...]:
-        """Return the possible kinds of hazards."""
+        """Return the dynamics of each possible kind of hazards."""
         if self.kind != 'learn':
             return (self,)
         return (
@@ -292,7 +292,7 @@ class Dynamics:
         )
 
     def known_rates(self) -> dict[str, float]:
-        """Return the rates by name; refuse unknown ones."""
+        """Return the rates by name; raise ValueError if one is unknown."""
         if self.kind == 'learn':
             raise ValueError(
                 "dynamics is 'learn', but the hazards of a world are of a known kind: use one of "
@@ -330,7 +330,7 @@ def appearance(vanish: Any, density: Any) -> Any:
 def joint_after_change(
     joint: NDArray[np.float64], possible: NDArray[np.bool_], appear: Rates, vanish: Rates
 ) -> NDArray[np.float64]:
-    """Return joints after a change of a changing field: targets stay (:eq:`hazard-change`)."""
+    """Return the joints after hazards changed; targets stay (:eq:`hazard-change`)."""
     safe, hazardous = joint[possible, 0], joint[possible, 1]
     after = joint.copy()
     after[possible, 0] = safe * (1.0 - appear) + hazardous * vanish
@@ -341,11 +341,11 @@ def joint_after_change(
 def joint_after_moves(
     joint: NDArray[np.float64], neighbors: NDArray[np.intp], move: Rates
 ) -> NDArray[np.float64]:
-    """Return joints moved (:eq:`hazard-leaves`, :eq:`hazard-arrives`, :eq:`hazard-moves`)."""
+    """Move hazards in joints (:eq:`hazard-leaves`, :eq:`hazard-arrives`, :eq:`hazard-moves`)."""
     hazard = joint[:, 1].sum(axis=1)
 
     def around(values: NDArray[np.float64], without: float) -> NDArray[np.float64]:
-        """Return the values of the cells around each, (cells, 8, ...)."""
+        """Return the values of each cell's neighbours, (cells, 8, ...)."""
         padded = np.concatenate([values, np.full_like(values[:1], without)])
         return padded[neighbors]
 
@@ -371,7 +371,7 @@ def inverse(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def neighbors_to_move_to(grid: Grid, possible: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the cells around each that may have a hazard, (cells, 8); `grid.cells` for none."""
+    """Return each cell's neighbours that may have a hazard, (cells, 8); `grid.cells` for none."""
     table = np.delete(grid.neighbor_table, 4, axis=1)
     is_open = (table >= 0) & possible[table] & possible[:, None]
     return np.where(is_open, table, grid.cells)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hidden world that robots traverse, and their execution of orders."""
+"""The hidden world that robots traverse, and how robots execute orders."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ class World(Value):
         target_background: float,
     ) -> World:
         """
-        Draw a world: two uniform numbers a cell, whatever the probabilities.
+        Draw a world by two uniform numbers for each cell, at any probabilities.
 
         Parameters
         ----------
         grid : Grid
-            Its bases get no hazard, its blocked cells get nothing.
+            Grid of the world. Bases get no hazard; blocked cells get neither hazard nor target.
         rng : int or numpy.random.Generator
             The only source of randomness.
         hazard_density : float
@@ -125,7 +125,7 @@ class World(Value):
         """
         Send a robot along a path.
 
-        Two uniform numbers are drawn for each step, whatever happens in it.
+        Two uniform numbers are drawn for each step, also after a loss.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class World(Value):
         rng: np.random.Generator,
         dynamics: Dynamics = STATIC,
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], World]:
-        """Return survival and reading of each step, and the field after it (:eq:`step-events`)."""
+        """Return survival and reading of each step, and the final field (:eq:`step-events`)."""
         beyond = path[(path < 0) | (path >= self.hazard.size)]
         if beyond.size:
             raise ValueError(
@@ -180,7 +180,7 @@ class World(Value):
     def after_change(
         self, dynamics: Dynamics, grid: Grid, possible: NDArray[np.bool_], rng: np.random.Generator
     ) -> World:
-        """Draw the field after hazards changed or moved (:eq:`hazard-change`)."""
+        """Draw the field after a change or moves of its hazards (:eq:`hazard-change`)."""
         rates = dynamics.known_rates()
         if dynamics.kind == 'changing':
             stays_or_comes = np.where(self.hazard, 1.0 - rates['vanish'], rates['appear'])
@@ -200,12 +200,12 @@ class World(Value):
 class Traverse(Value):
     """A robot's walk through a world."""
 
-    # Cells it would visit if it survived, shape (steps + 1,); errors of motion change its course
-    # and length.
+    # Cells of the walk as if the robot survived, shape (steps + 1,); errors of motion make it
+    # differ from the path.
     walk: NDArray[np.intp]
-    # Number of steps survived; the base does not know it for a lost robot.
+    # Number of steps survived; unknown to the base if the robot is lost.
     steps_made: int
-    # The observation that the base gets.
+    # The observation at the base.
     observation: Observation
     # The field after the robot.
     world: World
@@ -219,7 +219,7 @@ class Execution:
     Parameters
     ----------
     detour : float
-        Probability of a step through a third cell next to both of its ends.
+        Probability of a detour through a third cell next to both ends of the step.
     early_return : float
         Probability of turning back before the step, by a shortest way home; never before the
         first.
@@ -275,7 +275,7 @@ class Execution:
     def _walk(
         self, grid: Grid, path: NDArray[np.intp], rng: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Draw the way of a robot."""
+        """Draw the walk of a robot, and the steps of `path` passed after each step of the walk."""
         drawn = rng.random((len(path) - 1, 3))
         if not self.early_return and not self.detour:
             return path, np.arange(1, len(path))
@@ -284,7 +284,7 @@ class Execution:
         for step, (turns, strays, which) in enumerate(drawn):
             here, there = int(path[step]), int(path[step + 1])
             if step and turns < self.early_return:
-                # By a shortest way.
+                # Go home by a shortest path.
                 while here != grid.base:
                     around = grid.neighbors(here)
                     here = int(around[np.argmin(grid.steps_to_base[around])])

@@ -3,8 +3,8 @@
 A bank of one-pass filters, one for each of many guesses of unknown numbers.
 
 Iterated batch importance sampling (Chopin 2002): a particle is a guess with the filter's joints of
-all cells, and the evidence of each deployment weighs it. Where few particles have most of the
-weight they are drawn anew, and moved by Metropolis steps that fold all evidence again.
+all cells, weighted by the evidence of each deployment. When few particles have most of the weight,
+particles are resampled, and moved by Metropolis steps that filter all evidence again.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from kbnitp_ros.core.inference.particle_filter import assimilated, Evidence, Flo
 import numpy as np
 from numpy.typing import NDArray
 
-# Number of particles for up to three unknown numbers, and for more.
+# Number of particles for up to three unknown numbers, and for four or more.
 FEW, MANY = 192, 512
 
 # Number of Metropolis steps after each resampling.
 MOVES = 3
 
-# If the evidence is impossible under all particles, this many times as many are drawn anew.
+# Factor on the number of particles drawn anew if the evidence is impossible under all.
 MORE = 8
 
-# Copies of all joints in memory: resampled particles, banks to replay from, and moves.
+# Number of copies of all joints in memory, including those of resampling and moves.
 COPIES = MORE + 24
 
 # Maximum bytes of a bank.
 MAX_MEMORY = 4 << 30
 
-# Number of groups of particles whose beliefs give the sampling error.
+# Number of groups of particles; the spread of their beliefs gives the sampling error.
 GROUPS = 8
 
 
@@ -91,26 +91,26 @@ class Bank:
                 'nothing'
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
-        # Change between deployments and steps of each robot type, for the numbers used last.
+        # Cached for the last numbers: change between deployments, `Steps` of each robot type.
         self._effects: tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Steps]] | None = (
             None
         )
         self._joints = self._first_joints(self._numbers)
-        # Log likelihood of all outcomes so far, and of those since the last resampling.
+        # Log likelihood of all outcomes so far, and of the outcomes since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 
     def copy(self) -> Bank:
-        """Return an independent copy; arrays are shared, since none is ever changed."""
+        """Return an independent copy; arrays are shared, since they are never changed."""
         return copy(self)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Weight the particles by the evidence of one more deployment; resample them if due."""
+        """Weight the particles by one more deployment; resample if few keep most of the weight."""
         check_cells(self._prior, observation)
         self.take(Evidence.of(observation, robot_type))
 
     def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
-        """Assimilate a deployment counted by cell, which several banks may share."""
+        """Assimilate evidence counted by cell; several banks may share the counts."""
         has_begun = bool(self._evidence)
         rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
         numbers, log_likelihood, log_weights = (
@@ -159,7 +159,7 @@ class Bank:
 
     @property
     def model(self) -> SensorModel:
-        """Return the sensor model of the mean numbers."""
+        """Return the sensor model with the posterior means of the learnt numbers."""
         means = dict(zip(self._names, self.weights @ self._numbers))
         return replace(self._known, **{name: means[name] for name in RATES if name in means})
 
@@ -197,7 +197,7 @@ class Bank:
     def draws_with_models(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
-        """Draw hazards, with the sensor model of the particle of each."""
+        """Draw hazards, each draw with the sensor model of its particle."""
         hazardous, particles = self._drawn(count, rng)
         models = [
             replace(
@@ -237,7 +237,7 @@ class Bank:
         has_begun: bool = False,
         is_predicted: bool = False,
     ) -> tuple[Floats, Floats]:
-        """Return the joints after some deployments, and the log probabilities of `assimilated`."""
+        """Fold deployments into joints; return these and log probabilities as in `assimilated`."""
         joints = np.array(joints)
         log_chances: Floats = np.zeros((1, len(numbers)))
         learnt = dict(zip(self._names, numbers.T))
@@ -255,7 +255,7 @@ class Bank:
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in steps:
                 model = robot_type.model(self._known)
-                # A robot type's own numbers replace learnt ones.
+                # Numbers that the robot type sets replace learnt numbers.
                 of_all = {k: v for k, v in learnt.items() if k not in robot_type.sensors}
                 own = {
                     name: np.broadcast_to(
@@ -300,7 +300,7 @@ class Bank:
 
 
 def with_average(probability: Floats, undecided: NDArray[np.bool_], averages: Floats) -> Floats:
-    """Return a map shifted to averages, (cells, particles) (:eq:`prior-offset`)."""
+    """Shift a map to each particle's average, (cells, particles) (:eq:`prior-offset`)."""
     shifted = np.repeat(probability[:, None], averages.size, axis=1)
     open_to = probability[undecided]
     if np.ptp(open_to) == 0.0:
@@ -312,7 +312,7 @@ def with_average(probability: Floats, undecided: NDArray[np.bool_], averages: Fl
 
 
 def prior_density(belief: Belief) -> float:
-    """Return the mean hazard of the cells that may have one."""
+    """Return the mean hazard of the cells that may have a hazard."""
     hazard = belief.hazard
     return float(hazard[hazard > 0.0].mean()) if hazard.any() else 0.0
 
@@ -346,20 +346,20 @@ def stratified(priors: Sequence[Beta], count: int, rng: np.random.Generator) -> 
 
 
 def within(numbers: Floats, priors: Sequence[Beta]) -> Floats:
-    """Keep numbers off the ends of their intervals, where they have no logit."""
+    """Clip numbers inside their intervals, at whose ends the logit is infinite."""
     low, high = np.array([(prior.low, prior.high) for prior in priors]).T
     margin = 1e-9 * (high - low)
     return numbers.clip(low + margin, high - margin)
 
 
 def expit_within(logits: Floats, priors: Sequence[Beta]) -> Floats:
-    """Return the numbers with some log odds within their intervals."""
+    """Convert log odds to numbers within their intervals."""
     low, high = np.array([(prior.low, prior.high) for prior in priors]).T
     return within(low + (high - low) * expit(logits), priors)
 
 
 def log_prior(logits: Floats, priors: Sequence[Beta]) -> Floats:
-    """Return the log density of log odds, but for a constant, shape (particles,)."""
+    """Return the log prior density of log odds up to a constant, shape (particles,)."""
     numbers = expit_within(logits, priors)
     a, b = np.array([(prior.a, prior.b) for prior in priors]).T
     density = (a - 1.0) * np.log(numbers) + (b - 1.0) * np.log1p(-numbers)

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CHAINS = 256
-# Number of groups of independent chains, whose spread gives the sampling error.
+# Number of groups of chains; the spread of their averages gives the sampling error.
 GROUPS = 16
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ Places = NDArray[np.intp]
 
 # Number of swaps proposed in a sweep.
 SWAPS = 4
-# Limit of the log odds from readings alone, below what stands for certainty in a prior.
+# Limit of the log odds from readings, below the log odds of certainty in a prior.
 CERTAIN_READING = 1e5
 # Numbers that the likelihood of readings depends on.
 OF_READINGS = {'kappa', 'target_background', 'true_positive', 'false_positive'}
@@ -51,14 +51,14 @@ class ChainState:
 
     # Index of each number's value, by name, shape (chains,).
     place: Mapping[str, Places]
-    # The cells whose hazards the chains draw, in ascending order, shape (held,).
+    # The cells in the chains, ascending, shape (held,).
     cells: Places
-    # Hazards of these cells in each chain, shape (chains, held).
+    # Hazards of `cells` in each chain, shape (chains, held).
     hazardous: NDArray[np.int8]
 
     @classmethod
     def start(cls, all_bins: Mapping[str, Bins], rng: np.random.Generator) -> ChainState:
-        """Return chains with numbers drawn from their priors, and without cells."""
+        """Return chains without cells, their numbers drawn from the priors."""
         place = {
             name: np.searchsorted(
                 np.cumsum(np.exp(bins.log_prior))[:-1], even(1, rng)[:, 0], 'right'
@@ -70,7 +70,7 @@ class ChainState:
     def with_cells(
         self, cells: Places, hypotheses: Hypotheses, rng: np.random.Generator
     ) -> ChainState:
-        """Return the state extended to `cells`."""
+        """Return the state extended to `cells`, drawing new cells from the prior."""
         is_held = np.isin(cells, self.cells)
         offset = hypotheses.offset('hazard_density', self.place)
         probability = expit(hypotheses.maps['hazard_density'].at(offset, cells[~is_held]))
@@ -88,7 +88,7 @@ def even(numbers: int, rng: np.random.Generator) -> Floats:
 
 
 class Chains:
-    """Sweeps of the chains through the posterior of some evidence (:eq:`sampled-posterior`)."""
+    """Gibbs sweeps of the chains, given the evidence of a tally (:eq:`sampled-posterior`)."""
 
     def __init__(
         self,
@@ -97,9 +97,9 @@ class Chains:
         state: ChainState,
         rng: np.random.Generator,
     ) -> None:
-        # From here on, cells are those of the chains; others are not drawn.
+        # Cells are indexed by their place in the chains below.
         self._cells = state.cells
-        # Joints of the others: the prior with the numbers of each chain.
+        # Cells outside the chains have the joints of the prior with each chain's numbers.
         elsewhere = np.setdiff1d(np.arange(hypotheses.belief.cells), state.cells)
         self._elsewhere = elsewhere[:0] if hypotheses.prior_is_known else elsewhere
         self._elsewhere_odds = {
@@ -119,14 +119,14 @@ class Chains:
         self._place = {name: each.copy() for name, each in state.place.items()}
         self.sweeps = 0
         self._undecided = np.flatnonzero(undecided)
-        # On a large field robots return from few cells; the others have the odds of the prior.
+        # Only cells with a survived step need odds; the other cells have the odds of the prior.
         self._returned = np.flatnonzero(tally.survived.any(axis=0))
         self._prior_odds = {name: each.odds(*LIMITS[name]) for name, each in maps.items()}
         # Rates of each robot type, in the order of the tally.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
-        # Constant over sweeps if all that it depends on is known.
+        # Factors of the readings if constant: if the numbers in OF_READINGS are known.
         self._of_readings = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()
-        # Properties that losses share: robot type and number of steps.
+        # Losses with the same robot type and number of steps share their factors.
         longest = tally.steps.max(initial=0)
         lengths, length = np.unique(
             tally.robot_type * (longest + 1) + tally.steps, return_inverse=True
@@ -175,12 +175,12 @@ class Chains:
             name: np.zeros((GROUPS, hypotheses.bins[name].values.size))
             for name in hypotheses.unknown
         }
-        # Sums of the chances to survive a step into a safe cell and into a hazard, of the common
-        # type.
+        # Sums, for the common type, of the chances to survive a step into a safe cell and into a
+        # hazard.
         self._steps_survived = np.zeros(2)
 
     def sweep(self) -> None:
-        """Draw everything once, and add up the conditional probabilities."""
+        """Draw all hazards and unknown numbers once, and add up conditional probabilities."""
         target_odds = self.draw_field()
         self._draw_survival()
         self._draw_the_rest(*target_odds)
@@ -192,7 +192,7 @@ class Chains:
         self.sweeps += 1
 
     def draw_field(self) -> tuple[Floats, Floats]:
-        """Draw the hazards alone; return the odds of targets without and with a hazard."""
+        """Draw the hazards; return the odds of a target in a safe cell and in a hazardous cell."""
         hazard_odds, *target_odds = self._given_returns()
         factors = self._factors._replace(odds=hazard_odds)
         with np.errstate(over='ignore'):
@@ -212,7 +212,7 @@ class Chains:
 
     @property
     def state(self) -> ChainState:
-        """Return the present state; the chains must not continue from it."""
+        """Return the state; it shares arrays with the chains, so end them before using it."""
         return ChainState(self._place, self._cells, self._hazardous)
 
     def hazards(self) -> NDArray[np.bool_]:
@@ -252,11 +252,11 @@ class Chains:
         return strength
 
     def _of_chains(self, name: str, of_values: Floats) -> Floats:
-        """Return what holds for each chain's value of a number, shape (1 or chains, 1)."""
+        """Select the entry of `of_values` for each chain's value of a number, (1 or chains, 1)."""
         return of_values[None] if of_values.size == 1 else of_values[self._place[name], None]
 
     def _given_returns(self) -> tuple[Floats, Floats, Floats]:
-        """Return hazard and target odds given returns (:eq:`hazard-odds`, :eq:`reading-odds`)."""
+        """Return hazard and target odds of all cells (:eq:`hazard-odds`, :eq:`reading-odds`)."""
         tally, cells = self._tally, self._returned
         told_if_safe, told_if_hazardous, target_if_safe, target_if_hazardous = (
             self._of_readings or self._given_readings()
@@ -293,7 +293,7 @@ class Chains:
         )
 
     def _odds_with(self, name: str, log_odds: Floats) -> Floats:
-        """Return the odds by a prior map; those of cells with returns by `log_odds`."""
+        """Return the odds of a prior map, replaced by `log_odds` in cells with survived steps."""
         of_values = self._prior_odds[name]
         is_known = of_values.shape[0] == 1
         odds = of_values[np.zeros(log_odds.shape[0], np.intp) if is_known else self._offset(name)]
@@ -301,7 +301,7 @@ class Chains:
         return odds
 
     def _draw(self, name: str, log_likelihood: Floats) -> Floats:
-        """Draw a number in each chain if it is unknown, and add up the weights of its values."""
+        """Draw an unknown number in each chain, and add up the weights of its values."""
         log_weight = log_likelihood + self._hypotheses.bins[name].log_prior
         weight: Floats = np.exp(log_weight - log_weight.max(axis=1, keepdims=True))
         draw_values(weight, self._rng.random(CHAINS), self._place[name])
@@ -354,7 +354,7 @@ class Chains:
             self._draw('malfunction', log_likelihood)
 
     def _weigh_by_located(self, endured: Floats, spared: Floats, likelihood: Floats) -> None:
-        """Multiply (1 or chains, types, 1 or values) likelihoods by those of located losses."""
+        """Multiply by located losses; chances have shape (1 or chains, types, 1 or values)."""
         if self._tally.located_steps.size:
             shape = (CHAINS, endured.shape[1], likelihood.shape[1])
             safe, exposed = (
@@ -429,8 +429,7 @@ class Chains:
         """Return the expected sensor model of the common robot type (:eq:`mean-model`)."""
         means = {name: learnt.mean for name, learnt in self.learnt().items()}
         if 'lethality' in means:
-            # The survival of a hazard is the mean of a product of two correlated values: if
-            # lethality is high, fewer losses are malfunctions.
+            # Average the chance to survive a hazard: malfunction and lethality are correlated.
             endured, spared = self._steps_survived
             means['lethality'] = self._hypotheses.lethality(spared / endured)
         return self._hypotheses.model_with(means)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running estimate of a mission, and the ledger of its record."""
+"""The estimator of a mission's belief, and the ledger that keeps it in deployment order."""
 
 from __future__ import annotations
 
@@ -50,19 +50,20 @@ class Estimator:
     Parameters
     ----------
     belief : Belief
-        The prior. A method without kappa starts from its hazard and target maps alone.
+        The prior. A method without kappa uses only its hazard and target maps.
     model : SensorModel
         Believed sensor model of the robots.
     method : str or callable
         One of `METHODS`, or a callable that makes an `Inference`, such as a class.
     unknowns : Unknowns
-        Numbers to learn, with 'kappa_bnitp', 'relaxed_itp' (all but kappa), and
+        Numbers to learn. Methods: 'kappa_bnitp', 'relaxed_itp' (all numbers but kappa), and
         'kappa_bnitp_sampled' in static fields.
     seed : int
         Seed of the random numbers that a method draws, at least 0. The same evidence in the same
         order gives the same belief, bit for bit.
     dynamics : Dynamics
-        How hazards change. The prior is about the first deployment, the belief about the last.
+        How hazards change. The prior describes the field at the first deployment, the belief the
+        field at the last deployment.
     clustering : Clustering, optional
         Clustering of static hazards; independent by default. All cells that may have a hazard then
         need the same prior hazard.
@@ -77,8 +78,8 @@ class Estimator:
     Raises
     ------
     ValueError
-        If the method is unknown, cannot learn the numbers or take such hazards or a clustering, a
-        number to learn has no effect, or a method of another package breaks its rules.
+        If the method is unknown or does not support the numbers to learn, the dynamics or the
+        clustering, a number to learn has no effect, or another package's method breaks its rules.
 
     """
 
@@ -120,14 +121,14 @@ class Estimator:
         self.seed = whole_number('seed', seed, 0)
         self.dynamics = dynamics
         self.clustering = clustering
-        # Methods that only know independent static hazards do not take these arguments.
+        # Methods for independent static hazards do not accept these arguments.
         further = () if dynamics.effect == 'static' else (dynamics,)
         clusters = clustering is not None and clustering.coupling != 0.0
         named = {'clustering': clustering} if clusters else {}
         make: Callable[..., Inference] = start
         self.version = start.version
         self._evidence: tuple[tuple[Observation, RobotType], ...] = ()
-        # Made on first use, since studies never use it.
+        # The checker is made on first use, since studies never use it.
         self._make_checker: Callable[[], Checker] | None = None
         self._checker: Checker | None = None
         self._checked_deployments = 0
@@ -157,7 +158,7 @@ class Estimator:
         """
         Return the sensor model to plan with: the given one, or its posterior mean.
 
-        It is the model of the common robot type; `RobotType.model` derives that of another type.
+        It is the model of the common robot type; `RobotType.model` derives those of other types.
         """
         return self._inference.model
 
@@ -168,13 +169,13 @@ class Estimator:
 
     @property
     def kinds(self) -> Mapping[str, float]:
-        """Return the probability of each kind of hazards; 1 for a given kind."""
+        """Return the probability of each kind of hazards; 1 if the kind is given."""
         kinds: Mapping[str, float] = getattr(self._inference, 'kinds', {self.dynamics.kind: 1.0})
         return kinds
 
     @property
     def probable_dynamics(self) -> Dynamics:
-        """Return the most probable kind of hazards, at the mean rates."""
+        """Return the most probable kind of hazards, with its mean rates."""
         probable = max(self.kinds, key=lambda kind: self.kinds[kind])
         dynamics = next(each for each in self.dynamics.kinds if each.kind == probable)
         rates: dict[str, Any] = {
@@ -191,8 +192,8 @@ class Estimator:
         """
         Return the evidence for alternatives to the model (:eq:`model-check`).
 
-        Of 'kappa_bnitp' and 'relaxed_itp'; other methods have no alternatives. Moving hazards
-        hardly show in returns: the check may not see them.
+        Only 'kappa_bnitp' and 'relaxed_itp' have alternatives. The check may miss moving hazards,
+        which hardly affect returns.
         """
         if self._make_checker is None:
             name = entry_name(self.method)
@@ -214,7 +215,7 @@ class Estimator:
         """
         Return the expected KL divergence of the belief due to sampling, nats; 0 if exact.
 
-        It is estimated from the spread of the chains, and misses a bias that they share.
+        The estimate is based on the spread of the chains, so it misses a bias common to all.
         """
         return self._inference.sampling_error
 
@@ -233,16 +234,16 @@ class Estimator:
         observation : Observation
             Its outcome.
         robot_type : RobotType
-            Type of the robot; its own numbers replace those of the estimator's model, and are
-            known even if the latter are learnt.
+            Type of the robot; numbers that it sets are known, and replace the numbers of the
+            estimator's model, given or learnt.
 
         Raises
         ------
         ValueError
-            If its path leaves the belief's cells, its outcome is impossible under the belief, or
-            the method does not use its `lost_at`; the belief then stays as it is.
+            If the path leaves the belief's cells, the outcome is impossible under the belief, or
+            the method does not use `lost_at`; the belief is then unchanged.
         PluginError
-            If a method of another package breaks its rules; the belief then stays as it is.
+            If a method of another package breaks its rules; the belief is then unchanged.
 
         """
         if observation.lost_at is not None:
@@ -258,12 +259,12 @@ class Estimator:
         self._evidence = (*self._evidence, (observation, robot_type))
 
     def _checked(self, inference: Inference) -> Inference:
-        """Check that a method returned an inference of the field."""
+        """Check the inference that a method returned."""
         lacking = [name for name in (*CALLED, *KNOWN) if not hasattr(inference, name)]
         if lacking:
             raise METHODS.fault(self.method, f'has no {" and no ".join(lacking)}')
         if not isinstance(inference.belief, Belief):
-            raise METHODS.fault(self.method, f'believes {inference.belief!r}, which is no Belief')
+            raise METHODS.fault(self.method, f'has the belief {inference.belief!r}: no Belief')
         if inference.belief.cells != self.prior.cells:
             raise METHODS.fault(
                 self.method,
@@ -274,16 +275,16 @@ class Estimator:
 
     @property
     def draws_are_exact(self) -> bool:
-        """Return whether `draws` come from the joint posterior, and not an approximation."""
+        """Return whether `draws` come from the joint posterior, without approximation."""
         return bool(getattr(self._inference, 'draws_are_exact', False))
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """
         Draw the hazards of all cells jointly, given all deployments so far.
 
-        'kappa_bnitp_sampled' draws from the joint posterior. One-pass methods, and those of other
-        packages without `draws` of their own, draw each cell independently; where they learn
-        numbers, given the numbers that they draw first. No certificate rests on such draws.
+        'kappa_bnitp_sampled' draws from the joint posterior. One-pass methods, and methods of
+        other packages that define no `draws`, draw each cell independently, given learnt numbers
+        drawn first. Do not base a certificate on independent draws.
 
         Parameters
         ----------
@@ -322,7 +323,7 @@ class Estimator:
         return hazardous, float(independent)
 
     def worlds(self, count: int, rng: np.random.Generator) -> list[tuple[World, SensorModel]]:
-        """Draw fields as by `draws`, their targets, and the sensor model of each."""
+        """Draw fields: hazards as in `draws`, targets, and a sensor model for each field."""
         draw = getattr(self._inference, 'draws_with_models', None)
         if draw is None:
             hazardous, models = self.draws(count, rng)[0], [self.model] * count
@@ -335,15 +336,14 @@ class Estimator:
         return [(World(*maps), model) for *maps, model in zip(hazardous, target, models)]
 
     def copy(self) -> Estimator:
-        """Return an independent copy; it takes next to no memory."""
+        """Return an independent copy; it shares arrays and takes little memory."""
         other = copy(self)
         other._inference = self._inference.copy()
         return other
 
 
-# Spacing of the estimators kept, a power of two: one after each of the last few deployments, one
-# after every second further back, then every fourth, and so on. Going back for a late deployment
-# then costs little more than the deployments after it.
+# Estimators are kept after each of the last 2 ** DENSE deployments, and after every second,
+# fourth, eighth and so on further back: a late deployment costs little more than its successors.
 DENSE = 2
 
 
@@ -351,9 +351,9 @@ class Ledger(MissionRecord):
     """
     The record of a mission and its belief, with each deployment counted exactly once.
 
-    The belief is always, bit for bit, that of an estimator that assimilates the deployments whose
-    path and report are both known one after another in deployment order, so the order of arrival
-    does not matter. A report that is impossible together with the deployments held is refused.
+    The belief assimilates, in deployment order, all deployments whose path and report are known:
+    it is the same, bit for bit, whatever their order of arrival. A report that is impossible given
+    the assimilated deployments is refused.
 
     Parameters
     ----------
@@ -371,10 +371,9 @@ class Ledger(MissionRecord):
     newest_stamp : int
         Stamp of its report, nanoseconds of ROS time.
     report_contents : dict of DeploymentKey to int
-        Hashes of the messages that the reports in the belief came with, 0 where there was none.
+        Hashes of the messages of the reports in the belief; 0 for a report without a message.
     assimilations : int
-        Number of deployments that its estimators assimilated, repetitions after a late one
-        included.
+        Number of deployments assimilated, including repetitions after late deployments.
 
     """
 
@@ -391,17 +390,17 @@ class Ledger(MissionRecord):
         self.newest_stamp = 0
         self.report_contents: dict[DeploymentKey, int] = {}
         self.assimilations = 0
-        # Estimators at some earlier numbers of deployments.
+        # Estimators kept, by number of deployments.
         self._estimators = {0: estimator}
 
     @property
     def estimator(self) -> Estimator:
-        """Return the estimator given the deployments held."""
+        """Return the estimator after all assimilated deployments."""
         return self._estimators[len(self.deployments)]
 
     @property
     def belief(self) -> Belief:
-        """Return the belief given the deployments held."""
+        """Return the belief after all assimilated deployments."""
         return self.estimator.belief
 
     def copy(self) -> Ledger:
@@ -412,11 +411,11 @@ class Ledger(MissionRecord):
         return other
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # The first message may have been lost with its publisher and a recorder.
+        # Refer to the new message: no log may have the first if its publisher was lost.
         self.report_contents[key] = report.content
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Assimilate a deployment with this outcome, and all later ones again."""
+        """Assimilate a deployment, and assimilate all later deployments again."""
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         start = max(count for count in self._estimators if count <= place)
         estimators = {count: each for count, each in self._estimators.items() if count <= start}
@@ -434,7 +433,7 @@ class Ledger(MissionRecord):
                 if each == key:
                     raise
                 raise ValueError(
-                    f'report of deployment {key} contradicts that of {each}, which counts: {error}'
+                    f'report of deployment {key} contradicts the counted report of {each}: {error}'
                 ) from error
             estimators[count] = estimator
             estimators = {

@@ -38,7 +38,7 @@ Floats = NDArray[np.float64]
 # Numbers of a sensor model that can be unknown.
 RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
 
-# The error on impossible evidence.
+# Text of the exception for impossible evidence.
 IMPOSSIBLE = (
     'the outcome is impossible under this belief and sensor model: '
     'allow for it with probabilities that are not exactly 0 or 1'
@@ -87,7 +87,7 @@ def loss_weights(observation: Observation) -> NDArray[np.float64]:
 
 
 def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.float64]) -> Belief:
-    """Return the belief given evidence on some cells; other cells keep their bits."""
+    """Return the belief given evidence on `cells`; other cells stay the same, bit for bit."""
     joint = belief.joint.copy()
     joint[cells] = condition(joint[cells], log_likelihood)
     return Belief(joint)
@@ -96,7 +96,7 @@ def given(belief: Belief, cells: NDArray[np.intp], log_likelihood: NDArray[np.fl
 def condition(
     joint: NDArray[np.float64], log_likelihood: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the cells' joints given evidence, normalised (:eq:`returned`)."""
+    """Return the normalised joints of cells given evidence (:eq:`returned`)."""
     with np.errstate(divide='ignore'):
         log_joint = np.log(joint) + log_likelihood
     peak = log_joint.max(axis=(1, 2), keepdims=True)
@@ -110,7 +110,7 @@ def condition(
 def hazard_change(
     prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the change of joints, (cells, 2, 2, ...), between deployments, at rates by case."""
+    """Return the function that applies hazard changes between deployments to joints."""
     possible = prior.hazard > 0.0
     appear, vanish, move = (
         rates.get(name, getattr(dynamics, name)) for name in ('appear', 'vanish', 'move')
@@ -176,7 +176,7 @@ def multi_universe_likelihood(
     log_survival = model.log_survival
     cells = len(visits.cells)
     visited = visits.of_step[:, None] == np.arange(cells)
-    # Visits before each step, and after the last one, shape (steps + 1, n).
+    # Visits before each step, and after the last step, shape (steps + 1, n).
     made = np.concatenate([np.zeros((1, cells), dtype=np.intp), visited.cumsum(axis=0)])
     predicted = log_predicted_survival(hazard, made, log_survival)
     given = times_log(made[..., None], log_survival)
@@ -214,7 +214,7 @@ def can_be_lost(
     survives: NDArray[np.float64],
     dies: NDArray[np.float64],
 ) -> bool:
-    """Return whether any hazards explain the loss."""
+    """Return whether some arrangement of hazards makes the loss possible."""
     open_to = possible.copy()
     for cell, weight in zip(of_step, lost_at):
         if weight > 0.0 and (open_to[cell] & (dies > 0.0)).any():
@@ -252,7 +252,7 @@ def hazards_used_up(belief: Belief, model: SensorModel, observation: Observation
 def moves(
     belief: Belief, model: SensorModel, observation: Observation
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the cells of a path, and the moves of their hazards in a deployment."""
+    """Return the path's cells, their joints, and P(outcome, Z after | Z before) of each."""
     check_cells(belief, observation)
     visits = Visits.of(observation.path)
     before = belief.joint[visits.cells]
@@ -286,7 +286,7 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
     # Visits to each cell before each step, (steps, n), and their effect on its hazard.
     made = np.concatenate([np.zeros((1, visits.cells.size), np.intp), entered[:-1]]).cumsum(axis=0)
     moved = survived_transition(model, made)
-    # In the last step the robot has failed, or set the hazard off.
+    # In the step of the loss the robot failed, or a hazard struck it and was used up.
     failed, struck = model.malfunction, model.lethality * (1.0 - model.false_negative)
     lost = np.array([[failed, 0.0], [(1.0 - failed) * struck, failed]])
     own = np.matmul(moved[here, visits.of_step], lost)
@@ -306,9 +306,9 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """Assignments of losses without malfunction to hazards of their own."""
+    """Assignments of each loss without malfunction to a different hazard."""
 
-    # Cells that may have a hazard, unless a robot with a lethality of 1 set it off, shape
+    # Cells that may have a hazard, and that no robot with a lethality of 1 has entered, shape
     # (cells,).
     possible: NDArray[np.bool_]
     # For each loss, the cells whose hazard may have caused it.
@@ -328,7 +328,7 @@ class Explanations:
         fits = (loss_weights(observation) > 0.0) & self.possible[path]
         if not is_certain:
             return self._explained(tuple(np.unique(path[fits]).tolist()))
-        # Assigning the first such step leaves most hazards for other losses.
+        # The earliest possible step leaves the most hazards to explain other losses.
         fits[np.setdiff1d(np.arange(path.size), np.unique(path, return_index=True)[1])] = False
         for step in np.flatnonzero(fits).tolist():
             try:
@@ -339,7 +339,7 @@ class Explanations:
         return self._explained(())
 
     def _entered(self, cells: NDArray[np.intp]) -> Explanations:
-        """Return the explanations after robots that set off every hazard entered these cells."""
+        """Return the explanations after a robot with a lethality of 1 has entered these cells."""
         possible = self.possible.copy()
         possible[cells] = False
         return replace(self, possible=possible)
@@ -361,8 +361,8 @@ class Explanations:
         if not finds_cell(len(self.allowed)):
             raise ValueError(
                 f'the loss on a path through {len(cells)} cells that may have a hazard is '
-                'impossible: hazards that strike are used up, there is no malfunction, and all of '
-                'these explain losses before; allow for it with a malfunction above 0'
+                'impossible: hazards that strike are used up, there is no malfunction, and the '
+                'hazards explain only the other losses; allow for it with a malfunction above 0'
             )
         return replace(self, allowed=allowed, chosen=chosen)
 
@@ -371,7 +371,7 @@ Self = TypeVar('Self', bound='KnownModel')
 
 
 class KnownModel:
-    """An inference of the field alone, with a known sensor model and prior."""
+    """An inference of the field with a known sensor model and prior."""
 
     learns: ClassVar[bool] = False
     version: ClassVar[int] = 1
@@ -393,17 +393,17 @@ class KnownModel:
 class OnePass:
     """A method that assimilates each deployment once and keeps no evidence."""
 
-    # (hazard of the visited cells (n,), model, visits, lost_at of the steps or None) ->
-    # likelihood, shape (n, 2), indexed [visited cell, z], up to a common factor.
+    # Likelihood of a loss, (n, 2), indexed [visited cell, z], up to a common factor. Arguments:
+    # hazard of the visited cells (n,), sensor model, visits, and `lost_at` of the steps or None.
     lost: Callable[
         [NDArray[np.float64], SensorModel, Visits, NDArray[np.float64] | None], NDArray[np.float64]
     ]
-    # Whether the method updates kappa; otherwise a mission starts from kappa := target.
+    # Whether the method updates kappa; if not, kappa := target.
     correlated: bool
     # Kinds of `Dynamics` besides static hazards. For hazards that are used up the exact likelihood
     # replaces `lost`.
     dynamics: tuple[str, ...] = ('changing',)
-    # Makes the inference of a mission that learns numbers or the kind of hazards.
+    # Factory of the inference that learns numbers or the kind of hazards; None if unsupported.
     bank: Callable[..., Any] | None = None
     takes_lost_at: ClassVar[bool] = True
     version: ClassVar[int] = 1
@@ -426,7 +426,7 @@ class OnePass:
 
     @property
     def learns(self) -> bool:
-        """Return whether it can learn unknown numbers."""
+        """Return whether the method can learn unknown numbers."""
         return self.bank is not None
 
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
@@ -458,7 +458,7 @@ class OnePass:
 
 
 class OnePassEstimate(KnownModel):
-    """A one-pass belief; hazards may change, move, or be gone once they strike."""
+    """A one-pass belief about hazards that are static, change, move or are used up."""
 
     def __init__(
         self, belief: Belief, model: SensorModel, method: OnePass, dynamics: Dynamics = STATIC

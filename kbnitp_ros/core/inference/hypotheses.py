@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Priors of the sensors and the field, and the values of unknown numbers."""
+"""The possible values of unknown numbers of the sensor model and the prior."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 
-# Log odds that stand for certainty in sums: far above any evidence, and low enough not to round it
-# away.
+# Log odds of certainty in sums: above any evidence, low enough not to lose evidence by rounding.
 CERTAIN = 1e6
-# Log odds beyond which a hazard, and a target, count as certain.
+# Log odds at which a hazard is treated as certain, and at which a target is.
 CERTAIN_HAZARD = 300.0
 CERTAIN_TARGET = 700.0
 # Bounds of the bisection for offsets of log odds, and its number of steps.
@@ -29,7 +28,7 @@ HALVINGS = 60
 
 @dataclass(frozen=True, eq=False)
 class PriorMap:
-    """A probability for each cell: the prior's, with an offset common to all log odds."""
+    """A probability for each cell: the prior with one offset added to all log odds."""
 
     # The prior's log odds, shape (cells,).
     log_odds: NDArray[np.float64]
@@ -38,14 +37,14 @@ class PriorMap:
     # Offset for each possible average of the undecided cells, shape (values,); a single 0 if the
     # average is known.
     offset: NDArray[np.float64]
-    # log (1 - p) with each offset, shape (cells, values); 0 where the probability is decided.
+    # log (1 - p) with each offset, shape (cells, values); 0 in cells that are not undecided.
     log_absent: NDArray[np.float64]
 
     @classmethod
     def of(
         cls, probability: NDArray[np.float64], undecided: NDArray[np.bool_], average: Bins | None
     ) -> PriorMap:
-        """Return a map whose average over undecided cells may be unknown."""
+        """Return a prior map; `average`: possible averages over undecided cells, if unknown."""
         with np.errstate(divide='ignore'):
             log_odds = np.log(probability) - np.log1p(-probability)
         log_odds = log_odds.clip(-CERTAIN, CERTAIN)
@@ -57,7 +56,7 @@ class PriorMap:
         return cls(log_odds, undecided, offset, log_absent)
 
     def within(self, cells: NDArray[np.intp]) -> PriorMap:
-        """Return the map of some of the cells."""
+        """Return the map restricted to `cells`."""
         return replace(
             self,
             log_odds=self.log_odds[cells],
@@ -68,13 +67,13 @@ class PriorMap:
     def at(
         self, place: NDArray[np.intp], cells: NDArray[np.intp] | slice = slice(None)
     ) -> NDArray[np.float64]:
-        """Return the log odds of cells in chains with these values, shape (1 or chains, cells)."""
+        """Return the log odds of cells with the offset of each chain, (1 or chains, cells)."""
         if self.offset.size == 1:
             return self.log_odds[None, cells]
         return self.log_odds[cells] + self.undecided[cells] * self.offset[place, None]
 
     def odds(self, lowest: float, highest: float) -> NDArray[np.float64]:
-        """Return the odds for each value, within limits, shape (values, cells)."""
+        """Return the odds with each offset, within limits of log odds, shape (values, cells)."""
         log_odds = self.at(np.arange(self.offset.size))
         odds: NDArray[np.float64] = np.exp(log_odds.clip(lowest, highest))
         return odds
@@ -87,7 +86,7 @@ class PriorMap:
 
 
 def offsets(log_odds: NDArray[np.float64], averages: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return offsets of log odds that give probabilities certain averages (:eq:`prior-offset`)."""
+    """Return the offset of log odds that gives each average probability (:eq:`prior-offset`)."""
     low, high = np.full_like(averages, -FURTHEST), np.full_like(averages, FURTHEST)
     for _ in range(HALVINGS):
         middle = (low + high) / 2.0
@@ -113,9 +112,9 @@ def expit(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
 # Tolerance of equal hazards in a uniform prior.
 SAME = 1e-12
 
-# The prior's maps with unknown averages: P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
+# Prior maps whose average may be unknown: P(Z = 1), P(X = 1 | Z = 1) and P(X = 1 | Z = 0).
 MAPS = ('hazard_density', 'kappa', 'target_background')
-# Limits of the log odds of each.
+# Limits of the log odds of each map.
 LIMITS = {
     'hazard_density': (-CERTAIN_HAZARD, CERTAIN_HAZARD),
     'kappa': (-np.inf, CERTAIN_TARGET),
@@ -126,10 +125,10 @@ LIMITS = {
 def prior_maps(
     belief: Belief, model: SensorModel, unknown: Sequence[str]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]]:
-    """Return `MAPS` and where each is open; refuse unknown numbers without effect."""
+    """Return `MAPS` with masks of undecided cells; refuse unknown numbers without effect."""
     if 'lethality' in unknown and model.false_negative == 1.0:
         raise ValueError(
-            'lethality is unknown, and makes no difference: '
+            'lethality is unknown but has no effect: '
             'with a false_negative of 1 every robot survives a strike'
         )
     safe = belief.joint[:, 0].sum(axis=1)
@@ -142,16 +141,14 @@ def prior_maps(
     ):
         maps[name] = values, where & (values > 0.0) & (values < 1.0)
         if name in unknown and not maps[name][1].any():
-            raise ValueError(
-                f'{name} is unknown, and makes no difference: the prior leaves it open in no cell'
-            )
+            raise ValueError(f'{name} is unknown but has no effect: the prior decides every cell')
     return maps
 
 
 def make_joint(
     hazard: NDArray[np.float64], kappa: NDArray[np.float64], background: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the joints, (cells, 2, 2, ...), of `MAPS`, each (cells, ...)."""
+    """Return the joints, (cells, 2, 2, ...), for the three `MAPS`, each (cells, ...)."""
     safe = 1.0 - hazard
     joint = [safe * (1.0 - background), safe * background, hazard * (1.0 - kappa), hazard * kappa]
     return np.stack(joint, axis=1).reshape(-1, 2, 2, *hazard.shape[1:])
@@ -160,24 +157,25 @@ def make_joint(
 class Clusters(NamedTuple):
     """A clustered prior for each coupling J and each hazard density."""
 
-    # The cells that share a side with each, shape (cells, 4); -1 for none.
+    # Neighbours that share a side with each cell, shape (cells, 4); -1 for none.
     neighbors: NDArray[np.intp]
-    # J, shape (couplings,).
+    # Values of J, shape (couplings,).
     coupling: NDArray[np.float64]
-    # a and ln Z, shape (couplings, densities).
+    # Values of a and of ln Z, shape (couplings, densities).
     field: NDArray[np.float64]
     log_z: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Rates:
-    """Rates of one robot type for each value of the numbers; one value if they are known."""
+    """Rates of a robot type, by the values of each number; a known number has one value."""
 
-    # Log chance of a step without malfunction, for each malfunction, shape (values,).
+    # Log chance of a step without malfunction, for each value of malfunction, shape (values,).
     log_endured: NDArray[np.float64]
-    # Log chance to survive the strike of a hazard, for each lethality, shape (values,).
+    # Log chance to survive a step into a hazard, without malfunction, by lethality, shape
+    # (values,).
     log_spared: NDArray[np.float64]
-    # As in a `SensorModel`, shape (values,).
+    # Rates of the camera as in `SensorModel`, shape (values,).
     true_positive: NDArray[np.float64]
     false_positive: NDArray[np.float64]
 
@@ -211,7 +209,7 @@ class Hypotheses:
         if clustering is not None:
             self._cluster(belief, clustering)
         self.prior_is_known = not set(MAPS) & set(self.unknown)
-        # Only the chains know the expectation of a clustered prior in each cell.
+        # The expectation of a clustered prior in each cell is estimated by the chains.
         is_expected = self.prior_is_known or self.clusters is not None
         self.belief = belief
         if not is_expected:
@@ -223,8 +221,8 @@ class Hypotheses:
         undecided = self.maps['hazard_density'].undecided
         if clustering.grid.cells != belief.cells:
             raise ValueError(
-                f'clustering is of a grid of {clustering.grid.cells} cells, and the prior has '
-                f'{belief.cells}'
+                f'clustering is of a grid of {clustering.grid.cells} cells, but the prior has '
+                f'{belief.cells} cells'
             )
         hazard = belief.hazard[belief.hazard > 0.0]
         if hazard.size == 0 or hazard.max() == 1.0 or np.ptp(hazard) > SAME:
@@ -242,7 +240,7 @@ class Hypotheses:
         if bins.values.size > 1:
             self.unknown += ('coupling',)
         log_odds, prior = field.ravel(), self.maps['hazard_density']
-        # The same log odds in all undecided cells, for each coupling and density.
+        # All undecided cells have the same log odds: the field a for each coupling and density.
         self.maps['hazard_density'] = replace(
             prior,
             log_odds=np.where(undecided, log_odds[0], prior.log_odds),
@@ -251,13 +249,13 @@ class Hypotheses:
         )
 
     def offset(self, name: str, place: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
-        """Return the index of a prior map's offset for the numbers of each chain."""
+        """Return the index of a prior map's offset in each chain, whose numbers are at `place`."""
         if name != 'hazard_density' or self.clusters is None:
             return place[name]
         return place['coupling'] * self.clusters.field.shape[1] + place['hazard_density']
 
     def rates(self, robot_type: RobotType) -> Rates:
-        """Return the rates of a robot type: its own numbers are known, the others as here."""
+        """Return the rates of a robot type; numbers that the type sets have one value."""
         values = {name: self.bins[name].values for name in RATES}
         values |= {name: np.array([value]) for name, value in robot_type.sensors.items()}
         strike = values['lethality'] * (1.0 - robot_type.model(self._model).false_negative)
@@ -270,24 +268,24 @@ class Hypotheses:
             )
 
     def make_belief(self, joint: NDArray[np.float64]) -> Belief:
-        """Return the belief with these joints, without states that the prior excludes."""
+        """Return the belief with these joints, setting states that the prior excludes to 0."""
         joint = np.where(self._prior.joint > 0.0, joint, 0.0)
         return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
 
     def lethality(self, spared: float) -> float:
-        """Return the lethality for a share of robots that survive a hazard."""
+        """Return the lethality at which a robot survives a hazard with the chance `spared`."""
         lethality = (1.0 - spared) / (1.0 - self._model.false_negative)
         return min(max(lethality, 0.0), 1.0)
 
     def model_with(self, numbers: Mapping[str, float]) -> SensorModel:
-        """Return the sensor model with some numbers; those of the prior are ignored."""
+        """Return the sensor model with these numbers, ignoring numbers of the prior."""
         return replace(
             self._model, **{name: value for name, value in numbers.items() if name in RATES}
         )
 
     def refuse_impossible(self, tally: Tally) -> None:
-        """Refuse evidence that no allowed values and no hazards explain."""
-        # All unknowns lie strictly between 0 and 1, and their values make no difference here.
+        """Raise ValueError if the evidence is impossible for all hazards and values of numbers."""
+        # Any values of unknown numbers will do: all lie strictly between 0 and 1.
         model = self.model_with({name: self.bins[name].values[0] for name in self.unknown})
         models = [robot_type.model(model) for robot_type in tally.robot_types]
         with np.errstate(divide='ignore'):
@@ -320,6 +318,6 @@ class Hypotheses:
         )
         if not (possible.any(axis=1).all() and (spared < 0.0).all() and explained):
             raise ValueError(
-                'the outcome is impossible under this prior, sensor model and what came before: '
+                'the outcome is impossible under this prior, sensor model and earlier evidence: '
                 'allow for it with probabilities that are not exactly 0 or 1'
             )

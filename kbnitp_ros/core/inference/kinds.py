@@ -18,13 +18,13 @@ from kbnitp_ros.core.inference.particle_filter import Evidence, Floats
 import numpy as np
 from numpy.typing import NDArray
 
-# Prior probability of each kind. A hundred robots can hardly tell slow changes from static
-# hazards, so under equal priors most static fields would be taken for changing.
+# Prior probability of each kind. The evidence of a hundred robots hardly separates slow changes
+# from static hazards, so with equal priors most static fields would be classified as changing.
 PRIOR = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12}
 
 
 class Kinds:
-    """A belief for hazards of unknown kind: a mixture with a bank for each kind (:eq:`kinds`)."""
+    """A belief about hazards of unknown kind: a mixture of banks, one a kind (:eq:`kinds`)."""
 
     is_converged = True
 
@@ -57,7 +57,7 @@ class Kinds:
         self.take(Evidence.of(observation, robot_type))
 
     def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
-        """Assimilate a counted deployment."""
+        """Assimilate evidence counted by cell."""
         banks, ruled_out, predicted = dict(self._banks), set(self._ruled_out), []
         for (kind, bank), weight in zip(self._banks.items(), self._weights):
             if kind not in ruled_out:
@@ -104,7 +104,7 @@ class Kinds:
 
     @property
     def model(self) -> SensorModel:
-        """Return the sensor model of the mean numbers."""
+        """Return the sensor model with the posterior means of the learnt numbers."""
         models = [bank.model for bank in self._banks.values()]
         return replace(
             self._known,
@@ -137,7 +137,7 @@ class Kinds:
         return float(self._weights @ [bank.sampling_error for bank in self._banks.values()])
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
-        """Draw kinds, and the hazards of each field by `Bank.draws`."""
+        """Draw a kind for each draw, and its hazards by `Bank.draws`."""
         drawn = [bank.draws(share, rng) for bank, share in self._shares(count, rng)]
         return (
             rng.permutation(np.concatenate([hazardous for hazardous, _ in drawn])),
@@ -147,7 +147,7 @@ class Kinds:
     def draws_with_models(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
-        """Draw hazards, with the sensor model of the particle of each."""
+        """Draw hazards, each draw with the sensor model of its particle."""
         drawn = [bank.draws_with_models(share, rng) for bank, share in self._shares(count, rng)]
         hazardous = np.concatenate([hazardous for hazardous, _ in drawn])
         models = [model for _, models in drawn for model in models]
@@ -155,7 +155,7 @@ class Kinds:
         return hazardous[order], [models[place] for place in order]
 
     def _shares(self, count: int, rng: np.random.Generator) -> list[tuple[Bank, int]]:
-        """Return the number of draws from each bank, without zeros."""
+        """Return the banks with draws, and the number of draws from each."""
         shares = rng.multinomial(count, self._weights)
         return [(bank, int(share)) for bank, share in zip(self._banks.values(), shares) if share]
 
@@ -169,6 +169,6 @@ def learning(
     correlated: bool,
     count: int | None = None,
 ) -> Bank | Kinds:
-    """Return a bank, or a mixture of banks where the kind of hazards is learnt."""
+    """Return a bank, or a mixture of banks if the kind of hazards is learnt."""
     make = Kinds if dynamics.kind == 'learn' else Bank
     return make(belief, model, unknowns, seed, dynamics, correlated, count)

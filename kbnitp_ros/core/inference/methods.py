@@ -2,7 +2,7 @@
 """
 The inference methods.
 
-A new one is one file and one line here, or an entry point of another package.
+A new method takes one file and one line here, or an entry point of another package.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_converged')
 class Inference(Protocol):
     """The state of a method after some deployments."""
 
-    # Given all deployments.
+    # Belief given all deployments so far.
     belief: Belief
-    # To plan with.
+    # Sensor model for planning.
     model: SensorModel
     # The posterior of each unknown number.
     parameters: Mapping[str, Learnt]
@@ -45,10 +45,10 @@ class Inference(Protocol):
     is_converged: bool
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Assimilate a deployment by a robot type; a ValueError leaves all as it was."""
+        """Assimilate a deployment by a robot type; if it raises ValueError, nothing changes."""
 
     def copy(self) -> Inference:
-        """Return an independent copy that takes next to no memory."""
+        """Return an independent copy, which must take little memory."""
 
 
 class Method(Protocol):
@@ -100,7 +100,7 @@ def supported_dynamics(method: object) -> tuple[str, ...]:
 def check_able(
     given: str | Callable[..., object], is_able: Callable[[Method], object], lack: str
 ) -> None:
-    """Check that a method supports what is asked of it."""
+    """Check that a method has a capability; the error starts with `lack` and names methods."""
     if not is_able(METHODS.find(given)):
         able = [name for name, each in METHODS.items() if is_able(each)]
         raise ValueError(f'{lack}: use {" or ".join(able)}')
@@ -138,12 +138,12 @@ def update(
     method: str = 'kappa_bnitp',
 ) -> Belief:
     """
-    Return the belief after one deployment; cells off the path keep their bits.
+    Return the belief after one deployment; cells off the path stay the same, bit for bit.
 
-    A returned robot's cells are updated exactly (arXiv:2305.06929, eq. 6-8). Of a lost robot each
-    cell's P(Z) is updated with the method's likelihood of the loss, and X follows through
-    P(X | Z), which a loss leaves unchanged. Steps it is known to have survived are evidence of
-    their own: it was lost in the rest.
+    If the robot returned, its cells are updated exactly (arXiv:2305.06929, eq. 6-8). If it was
+    lost, P(Z) of each cell is updated with the method's likelihood of the loss, and P(X) follows
+    through P(X | Z), which a loss leaves unchanged. Steps that it is known to have survived are
+    assimilated first; the likelihood of the loss covers the remaining steps.
 
     Parameters
     ----------
@@ -159,8 +159,8 @@ def update(
     Raises
     ------
     ValueError
-        If the method is unknown or keeps more state than a belief, the path leaves the belief's
-        cells, or the outcome is impossible under the belief.
+        If the method is unknown or not one-pass, the path leaves the belief's cells, or the
+        outcome is impossible under the belief.
 
     """
     one_pass = {name: each for name, each in METHODS.items() if isinstance(each, OnePass)}

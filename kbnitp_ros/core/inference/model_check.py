@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The model check: how well stated alternatives predict the evidence, compared with the belief.
+The model check: compares how well alternatives and the belief predict the evidence.
 
-An alternative's running evidence over that of the belief is, under a right model, a nonnegative
-martingale that starts at 1: so is the average of such ratios, and it ever passes 20 with a
-probability of at most .05 (Ville's inequality, :eq:`model-check`).
+The ratio of an alternative's evidence to the belief's evidence is, if the belief's model is right,
+a nonnegative martingale that starts at 1. So is the average of such ratios, which therefore
+reaches 20 with a probability of at most .05 (Ville's inequality, :eq:`model-check`).
 """
 
 from __future__ import annotations
@@ -22,15 +22,14 @@ from kbnitp_ros.core.inference.kinds import Kinds, learning
 from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
 
-# The average ratio from which the model is in doubt.
+# Average ratio at which the model is in doubt.
 IN_DOUBT = 20.0
 
-# Factors of the odds of a return.
+# Factors on the odds of a return in two of the alternatives.
 RETURN_SHIFTS = (2.0, 0.5)
 
-# Maximum number of particles of an alternative that leaves a number open, and of particles times
-# cells: fewer particles in a large field are less sensitive, and keep the check as fast as the
-# search.
+# Maximum number of particles of an alternative with an unknown number, and of particles times
+# cells, which makes the check of a large field as fast as the search, but less sensitive.
 PARTICLES, MAX_CELLS = 64, 60_000
 
 WORDS = {
@@ -41,7 +40,7 @@ WORDS = {
 }
 SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
 
-# Relative weights of the alternatives in the average, by how much each would matter.
+# Weights of the alternatives in the average, higher for more harmful errors of the model; else 1.
 WEIGHTS = {'used_up': 5, 'malfunction': 4, 'lethality': 3, 'static': 3, 'changing': 2, 'moving': 2}
 
 
@@ -55,8 +54,8 @@ class ModelCheck:
     is_in_doubt : bool
         Whether the average ratio has ever reached 20.
     alternatives : mapping of str to float
-        For each alternative the probability of all evidence so far by its predictions, over that
-        by the belief's predictions.
+        For each alternative, the ratio of the probability of all evidence so far under the
+        alternative to that under the belief.
     reason : str
         The assumption in doubt and the best explanation, as a sentence.
 
@@ -68,7 +67,7 @@ class ModelCheck:
 
 
 class Checker:
-    """The running evidence of alternatives to a belief's model."""
+    """The evidence so far for alternatives to a belief's model."""
 
     def __init__(
         self,
@@ -118,7 +117,7 @@ class Checker:
         assert predicted is not None
         other._alternatives, ratios = {}, []
         for name, bank in self._alternatives.items():
-            # None once the evidence rules it out.
+            # An alternative is None once the evidence is impossible under it.
             after = None if bank is None else bank.copy()
             try:
                 if after is not None:

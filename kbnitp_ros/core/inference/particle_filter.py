@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One-pass filters, vectorised over particles, on outcomes counted by cell."""
+"""One-pass filters of evidence counted by cell, vectorised over particles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
-# Factors of the odds of a positive reading in the alternatives of the model check.
+# Factors on the odds of a positive reading in alternatives of the model check.
 READING_SHIFTS = (2.0, 0.5)
 
 
@@ -25,13 +25,13 @@ class Evidence:
 
     # Visits to the cells of the path.
     visits: Visits
-    # Readings of each cell, shape (n,); none of a lost robot.
+    # Numbers of readings of each cell, shape (n,); 0 for a lost robot.
     positive: NDArray[np.intp]
     negative: NDArray[np.intp]
-    # Visits to the cell of each step before it, shape (steps,).
+    # Number of earlier visits to the cell of each step, shape (steps,).
     before: NDArray[np.intp]
-    # Masks by cell with its visits so far, and by step: 1 in the first for the cell of the step,
-    # in the second for each other cell; shape (n * (most visits + 1), steps).
+    # Masks by cell and its number of earlier visits, and by step: of the cell that the step
+    # enters, and of all other cells; shape (n * (most visits + 1), steps).
     inside: Floats
     elsewhere: Floats
     # Likelihood of a loss in each step, shape (steps,); None for a return.
@@ -41,7 +41,7 @@ class Evidence:
 
     @classmethod
     def of(cls, observation: Observation, robot_type: RobotType) -> Evidence:
-        """Count the outcome of a robot."""
+        """Count an outcome by cell."""
         visits = Visits.of(observation.path)
         readings = observation.readings
         read = np.full(observation.steps, -1) if readings is None else readings
@@ -72,12 +72,12 @@ class Steps:
     lose: Floats
     # P(reading y | X = x), indexed [y, x, particle], shape (2, 2, particles).
     read: Floats
-    # Effects of 0, 1, 2, ... survived visits, as far as they were needed.
+    # Cached effects of 0, 1, 2, ... survived visits.
     visits: list[Floats] = field(default_factory=list)
 
     @classmethod
     def of(cls, rates: Mapping[str, Floats], false_negative: float, are_used_up: bool) -> Steps:
-        """Return the steps of robots with these `RATES`, each of shape (particles,)."""
+        """Return the effects of steps at `RATES`, each of shape (particles,)."""
         lethality, malfunction, true_positive, false_positive = (rates[name] for name in RATES)
         endured, none = 1.0 - malfunction, np.zeros_like(malfunction)
         spared, deadly = lethality * false_negative, lethality * (1.0 - false_negative)
@@ -104,7 +104,7 @@ class Steps:
 def assimilated(
     joint: Floats, steps: Steps, evidence: Evidence, correlated: bool, is_predicted: bool
 ) -> tuple[Floats, Floats]:
-    """Return joints and ln P (:eq:`bank-returned`, :eq:`bank-lost`, :eq:`shifted-readings`)."""
+    """Update joints, with ln P (:eq:`bank-returned`, :eq:`bank-lost`, :eq:`shifted-readings`)."""
     hazard = joint.sum(axis=2)
     if not correlated:
         joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]
@@ -125,7 +125,7 @@ def assimilated(
                 for shift in READING_SHIFTS
             ]
         return normalised(moved, joint), safe_log(np.stack(chances)).sum(axis=1)
-    # Chance to survive each number of visits, and then to be lost, (n, visits, particles).
+    # Chances to survive each number of visits, and to be lost in the next, (n, visits, particles).
     spared = np.stack(
         [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
     )
@@ -133,7 +133,7 @@ def assimilated(
     here = alive[cell, before]
     goes_on = ratio(alive[cell, before + 1], here)
     reached = np.cumprod(np.concatenate([np.ones_like(here[:1]), goes_on[:-1]]), axis=0)
-    # Probability of a loss in each step, without and with the factor of its own cell.
+    # Probability of a loss in each step, without and with the factor of the cell entered.
     fits = ratio(reached * evidence.lost_in[:, None], here)
     lost = fits * fatal[cell, before]
     elsewhere = ratio((evidence.elsewhere @ lost).reshape(alive.shape), alive)
@@ -150,20 +150,20 @@ def assimilated(
 
 
 def then(first: Floats, second: Floats) -> Floats:
-    """Return one change of hazards after another, each (z, y, particles)."""
+    """Compose two changes of a hazard, each (z, y, particles)."""
     both: Floats = first[:, 0, None] * second[0] + first[:, 1, None] * second[1]
     return both
 
 
 def moved_by(moves: Floats, joint: Floats) -> Floats:
-    """Return joints, (n, z, x, particles), with their hazards changed by (n, z, y, particles)."""
+    """Apply changes of hazards, (n, z, y, particles), to joints, (n, z, x, particles)."""
     safe, hazardous = moves[:, 0, :, None], moves[:, 1, :, None]
     moved: Floats = safe * joint[:, 0, None] + hazardous * joint[:, 1, None]
     return moved
 
 
 def normalised(moved: Floats, joint: Floats) -> Floats:
-    """Return normalized joints; the former ones where the outcome is impossible."""
+    """Return `moved` normalised; `joint` where the outcome is impossible."""
     total = moved.sum(axis=(1, 2), keepdims=True)
     posterior: Floats = np.divide(moved, total, out=joint.copy(), where=total > 0.0)
     return posterior

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The evidence of a mission: paths and reports, and which of them count."""
+"""The record of a mission's evidence: paths, reports and outcomes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Self = TypeVar('Self', bound='MissionRecord')
 
-# Bytes: maximum of all pending reports, their sum after a cut, one report, one reading.
+# Bytes: maximum of all pending reports, their total after dropping some, one report, one reading.
 MAX_PENDING = 50_000_000
 LEFT_PENDING = 45_000_000
 REPORT, READING = 1000, 100
@@ -35,7 +35,7 @@ class DeploymentKey(NamedTuple):
     agent : str
         Name of the robot.
     stamp : int
-        When its path was published, nanoseconds of ROS time.
+        Time when its path was published, nanoseconds of ROS time.
 
     """
 
@@ -61,14 +61,14 @@ class Report:
     survived : bool
         Whether the robot returned.
     readings : tuple of (int, int)
-        The cell and the target sensor's reading of each step that the robot made, -1 where it did
-        not look; empty when lost.
+        The cell and the reading of the target sensor for each step of the robot, -1 for a step
+        without a reading; empty for a lost robot.
     stamp : int
-        When the base received it, nanoseconds of ROS time; comparisons ignore it.
+        Time when the base received the report, nanoseconds of ROS time; ignored in comparisons.
     steps_survived : int
         Number of steps that a lost robot is known to have survived.
     content : int
-        Hash of its message, by which a log names it; 0 without a message.
+        Hash of the report's message, which identifies it in a log; 0 without a message.
     lost_at : tuple of float
         Likelihood of a loss in each step of a lost robot's path; empty if all are alike.
 
@@ -84,12 +84,12 @@ class Report:
 
 class MissionRecord:
     """
-    The paths and reports of a mission, in any order: of each deployment one outcome counts.
+    The paths and reports of a mission, in any order, with one outcome for each deployment.
 
-    Of a deployment's paths the first valid one counts. Of its reports one counts, whatever their
-    order: a return before a loss, since the robot was only late; of two losses the one with the
-    later contact or, at equal contacts, with the narrower `lost_at`; of two returns, which differ
-    only if two robots share a name, the one with more readings. All evidence is validated here: a
+    The first valid path of a deployment counts. The report that counts does not depend on the
+    order of arrival: a return counts rather than a loss, since the robot was only late; the loss
+    with the later contact, or at equal contacts with the narrower `lost_at`; the return with more
+    readings (returns differ only if two robots share a name). All evidence is validated here: a
     refused report changes nothing.
 
     Parameters
@@ -99,18 +99,18 @@ class MissionRecord:
     max_steps : int
         Maximum steps of a path.
     robot_types : mapping of str to RobotType
-        Robot types, with bases, of agents that differ from the common type.
+        Robot types, with bases, of agents that are not of the common type.
 
     Attributes
     ----------
     paths : dict of DeploymentKey to ndarray of int, shape (steps + 1,)
         Known paths, in order of arrival.
     outcomes : dict of DeploymentKey to Observation
-        Outcomes of the deployments whose path and report are known.
+        Outcomes of the deployments with a known path and report.
     path_contents : dict of DeploymentKey to int
         Hashes of the messages of the known paths; 0 without a message.
     contradicted : dict of DeploymentKey to str
-        Deployments with contradicting returns, and a sentence about each.
+        Deployments with contradicting returns, each with a sentence that explains it.
     duplicates : int
         Number of duplicate paths and reports.
     lost : int
@@ -148,7 +148,7 @@ class MissionRecord:
         return self.max_steps if own is None else own
 
     def check_path(self, key: DeploymentKey, path: ArrayLike) -> NDArray[np.intp]:
-        """Return a path as cells; raise ValueError if no robot of its agent could take it."""
+        """Return a path as cells; raise ValueError if it is invalid for the deployment's robot."""
         grid = self.grid.at(self.robot_type(key).base)
         return grid.check_path(path, self.most_steps(key))
 
@@ -167,11 +167,11 @@ class MissionRecord:
         return other
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """Record a path; return whether a pending report gives its outcome now."""
+        """Record a path; return whether a pending report now gives the deployment an outcome."""
         cells = self.check_path(key, path)
         if key in self.paths:
             if not np.array_equal(cells, self.paths[key]):
-                raise ValueError(f'path of deployment {key} is known and differs: the first holds')
+                raise ValueError(f'path of deployment {key} differs from its first path')
             self.duplicates += 1
             return False
         self.paths[key] = cells
@@ -199,7 +199,7 @@ class MissionRecord:
         )
         if differs:
             self.contradicted[key] = (
-                f'reports of deployment {key} differ: that with more readings counts '
+                f'reports of deployment {key} differ: the one with more readings counts '
                 f'(do two robots have the name {key.agent}?)'
             )
         if known is not None and outcome_rank(outcome) <= outcome_rank(known):
@@ -233,8 +233,8 @@ class MissionRecord:
             if self._pending_bytes <= LEFT_PENDING:
                 break
         raise ValueError(
-            f'{before - self.pending} reports of deployments whose paths are not known, '
-            f'such as {by_distance[0]}: at most {MAX_PENDING // 10**6} MB of them are kept'
+            f'{before - self.pending} reports of deployments with unknown paths are '
+            f'dropped, such as {by_distance[0]}: at most {MAX_PENDING // 10**6} MB are kept'
         )
 
     def _take_pending(self, key: DeploymentKey) -> list[Report]:
@@ -251,21 +251,21 @@ class MissionRecord:
         """Handle a duplicate report."""
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
-        """Return the outcome of a report; raise ValueError if no robot can have made it."""
+        """Return the outcome of a report; raise ValueError if the report is impossible."""
         return make_observation(report, key, self.paths[key], self.grid, self.most_steps(key))
 
 
 def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
-    """Return a sort key of endings: the more informative one is greater."""
+    """Return a sort key of outcomes, which is greater for more evidence on the robot's end."""
     lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
-    # The largest value is 1, so a smaller sum locates the loss more closely; without `lost_at` all
-    # steps are alike.
+    # The largest value is 1, so a smaller sum locates the loss more closely; without `lost_at` the
+    # loss is not located at all.
     located = -sum(lost_at) if lost_at else -np.inf
     return outcome.survived, outcome.steps_survived, located, lost_at
 
 
 def outcome_rank(outcome: Observation) -> tuple[Any, ...]:
-    """Return the rank of an outcome among those of a deployment; the greatest counts."""
+    """Return a sort key of a deployment's possible outcomes; the greatest counts."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
     read = sum(each >= 0 for each in readings)
     return ending_key(outcome), read, readings, outcome.path.tolist()
@@ -279,7 +279,7 @@ def report_size(report: Report) -> int:
 def make_observation(
     report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
 ) -> Observation:
-    """Return the observation of a report on a path; ValueError if no robot can have made it."""
+    """Return the observation from a report and a path; ValueError if the report is impossible."""
     read = [reading for _, reading in report.readings]
     walk = path
     if report.survived:
@@ -294,7 +294,7 @@ def make_observation(
         except ValueError as error:
             raise ValueError(
                 f'readings of deployment {key} has {len(read)} values: there must be one for each '
-                f'step of a walk from the base back to it, of the cell it led to; {error}'
+                f'step of a closed walk from the base, with the cell entered; {error}'
             ) from error
     try:
         readings = np.array(read) if read else None

@@ -2,12 +2,12 @@
 """
 Sampling: the joint posterior of the field and of unknown numbers, by many Gibbs chains.
 
-Every lost path stays a factor 1 - prod_i s_{z_i}^{n_i}, and every step survived and every reading
-a local likelihood in which targets are summed out. Each chain holds the hazards of all cells and a
-value of each number that is not known; a sweep draws each of these given all others. The belief
-averages the conditional probabilities that hazards were drawn with, which vary less than what was
-drawn (Rao-Blackwell). Cells without evidence are summed out like targets: they enter the
-chains when a robot is first sent to them. The chains go on from deployment to deployment.
+Every lost path is a factor 1 - prod_i s_{z_i}^{n_i}; every survived step and every reading is a
+local likelihood in which targets are summed out. A chain holds the hazards of all visited cells
+and a value of each unknown number; a sweep draws each of them given all others. The belief
+averages the conditional probabilities of the draws, which vary less than the draws themselves
+(Rao-Blackwell). Cells without evidence are summed out like targets: they enter the chains when a
+robot is first sent to them. Each deployment continues the chains of the previous one.
 """
 
 from __future__ import annotations
@@ -28,39 +28,38 @@ from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 
-# Number of sweeps between two tests of convergence, and maximum for a deployment.
+# Number of sweeps between tests of convergence, and maximum number of sweeps for a deployment.
 SWEEPS = 4
 MAX_SWEEPS = 32
 
-# Number of sweeps that take the chains into a clustered prior, and number averaged for its belief.
+# Number of sweeps to reach a clustered prior, and number of sweeps averaged for its belief.
 PRIOR_SWEEPS = 64
 
 # Limits of the sampling error of a converged belief (KL divergence, nats): with all numbers known,
-# with unknown values, and with an unknown coupling. Unknown values change the belief by nats, so a
-# larger error is accepted there; a coupling also changes cells that were never visited.
+# with unknown numbers, and with an unknown coupling. Unknown numbers change the belief by whole
+# nats, so a larger error is accepted; a coupling also changes cells that were never visited.
 CONVERGED = 2.5e-4
 CONVERGED_LEARNING = 5e-3
 CONVERGED_CLUSTERING = 1e-2
 
-# Variance of a hazard below which a cell is ignored in the autocorrelation of the chains.
+# Variance of a cell's hazard below which the autocorrelation of the chains ignores the cell.
 TOLD_APART = 0.01
 
 # Maximum bytes of the chains, and bytes of a chain for each cell.
 MAX_MEMORY = 1 << 31
 BYTES = 48
 
-# Simulations may use the same seed: this key keeps the random numbers of the sampler apart from
-# those of their worlds.
+# Key of the sampler's random numbers: simulated worlds may be drawn with the same seed.
 OWN_KEY = 0x53414D50
 
 
 def generator(seed: int, deployments: int) -> np.random.Generator:
-    """Return the generator of a deployment, different from those of worlds and robots."""
+    """Return the random generator for the sampling after a number of deployments."""
     return np.random.default_rng([OWN_KEY, seed, deployments])
 
 
 class Sampler:
-    """The evidence of a mission, and its belief by sampling."""
+    """A belief by sampling, with all evidence of the mission."""
 
     learns: ClassVar[bool] = True
     draws_are_exact: ClassVar[bool] = True
@@ -101,11 +100,11 @@ class Sampler:
             self._enter_prior(rng)
 
     def _enter_prior(self, rng: np.random.Generator) -> None:
-        """Bring the chains into the clustered prior, and take their expectation as the belief."""
+        """Run the chains under the clustered prior, and take their average as the belief."""
         cells = np.arange(self.belief.cells)
         state = self._state.with_cells(cells, self._hypotheses, rng)
         chains = Chains(self._hypotheses, self._tally, state, rng)
-        # The numbers stay as drawn, so that each chain gets a field of its own.
+        # Keep the numbers drawn from their priors: each chain draws a field for its numbers.
         for _ in range(PRIOR_SWEEPS):
             chains.draw_field()
         chains = Chains(self._hypotheses, self._tally, chains.state, rng)
@@ -142,7 +141,7 @@ class Sampler:
         self.model = chains.model()
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
-        """Draw the hazards of all cells jointly, by copies of the chains."""
+        """Draw the hazards of all cells jointly, by further sweeps of a copy of the chains."""
         hazardous = np.stack([chains.hazards() for chains in self._after_sweeps(count, rng)])
         average = hazardous.mean(axis=(0, 1))
         spread = average * (1.0 - average)

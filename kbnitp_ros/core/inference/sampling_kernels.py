@@ -9,10 +9,10 @@ from kbnitp_ros.core.field.compiled import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
-# Lower limit of the chance of a loss, so that a chain can leave states that explain no loss;
-# nothing is subtracted from it.
+# Lower limit of the likelihood of a located loss, so that a chain can leave states in which the
+# loss is impossible; lower than LEAST, since the likelihood is no difference.
 LEAST_FIT = 1e-100
-# Products are divided before they leave the range of floating point.
+# Upper limit of products, within the range of floating point.
 LARGE = 1e300
 
 
@@ -22,13 +22,13 @@ class LocatedGraph(NamedTuple):
     # The losses through cell i are ``loss[first_entry[i]:first_entry[i + 1]]``; shape (cells +
     # 1,).
     first_entry: NDArray[np.int32]
-    # A loss, and its first and last steps into the cell, shape (entries,).
+    # Index of a loss, and of its first and last steps into the cell, shape (entries,).
     loss: NDArray[np.int32]
     first: NDArray[np.int32]
     last: NDArray[np.int32]
     # The steps of loss a are ``first_step[a]`` to ``first_step[a + 1] - 1``; shape (losses + 1,).
     first_step: NDArray[np.int32]
-    # The robot type, shape (losses,).
+    # Robot type of each loss, shape (losses,).
     robot_type: NDArray[np.int32]
     # The cell of each step, shape (steps,).
     cell: NDArray[np.int32]
@@ -39,11 +39,11 @@ class LocatedGraph(NamedTuple):
 class LocatedSums(NamedTuple):
     """Sums of one chain over the steps before and after each step of the located losses."""
 
-    # Likelihood of the loss in the steps before this one, shape (steps,).
+    # Likelihood of the loss in earlier steps, shape (steps,).
     before: NDArray[np.float64]
-    # Chance to survive the steps before this one, shape (steps,).
+    # Chance to survive all earlier steps, shape (steps,).
     reached: NDArray[np.float64]
-    # Likelihood of the loss from this step on, of a robot that reaches it, shape (steps,).
+    # Likelihood of the loss from this step on, given survival so far, shape (steps,).
     rest: NDArray[np.float64]
     # s_z of one step, by robot type, shape (types, 2).
     survival: NDArray[np.float64]
@@ -51,7 +51,7 @@ class LocatedSums(NamedTuple):
 
 @compiled
 def new_sums(located: LocatedGraph, robot_types: int) -> LocatedSums:
-    """Return empty sums of one chain."""
+    """Allocate the sums of one chain."""
     steps = located.cell.size
     return LocatedSums(
         np.empty(steps), np.empty(steps), np.empty(steps), np.empty((robot_types, 2))
@@ -101,7 +101,7 @@ def located_chance(
     entry: int,
     hazard: int,
 ) -> float:
-    """Return the likelihood of a located loss if the cell of an entry had this hazard."""
+    """Return the likelihood of a located loss if the entry's cell has this hazard, 0 or 1."""
     path, first, last = located.loss[entry], located.first[entry], located.last[entry]
     survival, cell = sums.survival[located.robot_type[path]], located.cell[first]
     rest = sums.rest[last + 1] if last + 1 < located.first_step[path + 1] else 0.0
@@ -130,7 +130,7 @@ def located_ratio(
     hazard: int,
     ratio: float,
 ) -> float:
-    """Return `ratio` times the ratio of located losses, this hazard in a cell to the other."""
+    """Multiply `ratio` by the located losses' likelihood ratio, `hazard` to its opposite."""
     for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
         now = located_chance(sums, located, hazardous, entry, hazard)
         other = located_chance(sums, located, hazardous, entry, 1 - hazard)
@@ -146,7 +146,7 @@ def weigh_by_located(
     exposed: NDArray[np.float64],
     likelihood: NDArray[np.float64],
 ) -> None:
-    """Weight numbers by the located losses (:eq:`loss-located`)."""
+    """Multiply `likelihood`, (chains, values), by that of located losses (:eq:`loss-located`)."""
     rest = np.empty(likelihood.shape[1])
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
@@ -170,7 +170,7 @@ def weigh_by_located(
                 own[value] /= largest
 
 
-# Maximum number of losses multiplied before products are divided.
+# Number of losses multiplied between normalisations, so that products do not underflow.
 OFTEN = 6
 
 
@@ -178,7 +178,7 @@ OFTEN = 6
 def draw_values(
     weights: NDArray[np.float64], uniform: NDArray[np.float64], place: NDArray[np.intp]
 ) -> None:
-    """Draw a value for each chain by `weights`, (chains, values), and normalize these."""
+    """Draw a value for each chain by `weights`, (chains, values); normalise the weights."""
     for chain in range(weights.shape[0]):
         own = weights[chain]
         total = 0.0
@@ -201,8 +201,8 @@ def weigh_by_losses(
     likelihood: NDArray[np.float64],
 ) -> None:
     """Multiply `likelihood`, (chains, values), by that of all losses (:eq:`rate-conditional`)."""
-    # A path is survived with chance `fixed`, which does not depend on the rate, (chains, losses),
-    # times that of its `row` in `by_rate`, (rows, values).
+    # The chance to survive a path is `fixed`, (chains, losses), independent of the rate, times the
+    # path's `row` of `by_rate`, (rows, values).
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
         for path in range(fixed.shape[1]):
@@ -229,30 +229,30 @@ def sum_of_cells(
                     total[chain, value] += table[cell, value]
 
 
-# Lower limit of the likelihood of a loss, so that a chain can leave states that explain no loss;
-# far above the rounding of 1 - 1.
+# Lower limit of the likelihood of a loss, so that a chain can leave states in which the loss is
+# impossible; far above the rounding error of 1 - 1.
 LEAST = 1e-30
-# Products are divided before they leave the range of floating point.
+# Limit below which products are divided, within the range of floating point.
 SMALL = 1e-200
 
 
 class LossGraph(NamedTuple):
-    """The cells of lost paths, indexed both ways."""
+    """The lost paths through each cell, and the cells of each lost path."""
 
     # The lost paths through cell i are ``loss[first_loss[i]:first_loss[i + 1]]``; shape (cells +
     # 1,).
     first_loss: NDArray[np.int32]
-    # A lost path, and its visits to the cell, shape (entries,).
+    # Index of a lost path, and its number of visits to the cell, shape (entries,).
     loss: NDArray[np.int32]
     visits: NDArray[np.int32]
-    # The undecided cells of lost path a are ``cell[first_cell[a]:first_cell[a + 1]]``; located
-    # losses come last; shape (losses + 1,).
+    # The undecided cells of lost path a are ``cell[first_cell[a]:first_cell[a + 1]]``; paths of
+    # located losses come last; shape (losses + 1,).
     first_cell: NDArray[np.int32]
     cell: NDArray[np.int32]
 
 
 class HazardState(NamedTuple):
-    """The hazards of each chain, and what follows from them; kernels change it."""
+    """The hazards of each chain, and quantities derived from them; kernels change all in place."""
 
     # Z of each cell, shape (chains, cells).
     hazardous: NDArray[np.int8]
@@ -264,29 +264,29 @@ class HazardState(NamedTuple):
 
 
 class Factors(NamedTuple):
-    """The factors of the conditionals that hazards are drawn from."""
+    """The factors of the conditional probabilities from which hazards are drawn."""
 
     # Odds of each hazard without the losses, from `SMALL` to `LARGE`, shape (1 or chains, cells).
     odds: NDArray[np.float64]
-    # Index of the length of each lost path, shape (losses,); lengths of different robot types
-    # differ.
+    # Index of each lost path's pair of length and robot type, shape (losses,).
     length: NDArray[np.intp]
-    # Robot type of each length, shape (lengths,).
+    # Robot type of each pair, shape (lengths,).
     robot_type: NDArray[np.intp]
-    # Chance of no malfunction in a path of each length, shape (values, lengths).
+    # Chance of no malfunction in a path of each pair, shape (values, lengths).
     endured: NDArray[np.float64]
-    # Chance of no strike in so many exposures of a robot of each type, shape (values, types, most
+    # Chance to survive the strikes of each number of exposures, shape (values, types, most
     # exposures + 1).
     spared: NDArray[np.float64]
-    # Chances of no malfunction and of no strike in one step, shape (values, types).
+    # Chances, in one step, of no malfunction and of surviving a hazard's strike, shape (values,
+    # types).
     step_endured: NDArray[np.float64]
     step_spared: NDArray[np.float64]
     # The lost paths.
     graph: LossGraph
     # The located losses.
     located: LocatedGraph
-    # The cells that share a side with each, -1 for none, shape (cells, 4); no rows if hazards are
-    # independent (equation :eq:`clustered-prior`).
+    # Neighbours that share a side with each cell, -1 for none, shape (cells, 4); no rows if
+    # hazards are independent (equation :eq:`clustered-prior`).
     neighbors: NDArray[np.intp]
     # e^J of the coupling J of neighbouring hazards, shape (chains,).
     coupling: NDArray[np.float64]
@@ -294,7 +294,7 @@ class Factors(NamedTuple):
 
 @compiled
 def lost(survived: float) -> float:
-    """Return the chance of a loss, given that of survival (:eq:`loss-probability`)."""
+    """Return the chance of a loss for a chance of survival (:eq:`loss-probability`)."""
     return max(1.0 - survived, LEAST)
 
 
@@ -314,7 +314,7 @@ def tabulate_losses(
 
 @compiled
 def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, hazards: int) -> None:
-    """Add the exposures of lost paths to hazards that appear in a cell; negative: vanish."""
+    """Add the exposures of lost paths to a cell, `hazards` times: 1 or, if a hazard goes, -1."""
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         exposures[graph.loss[entry]] += hazards * graph.visits[entry]
 
@@ -329,7 +329,7 @@ def loss_ratio(
     hazards: int,
     ratio: float,
 ) -> float:
-    """Apply `add_exposures`, and return `ratio` times the likelihood ratio of the losses."""
+    """Apply `add_exposures`; return `ratio` times the losses' likelihood ratio, new to old."""
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         path = graph.loss[entry]
         chance = table[length[path]]
@@ -365,7 +365,7 @@ def count_coupled(
 
 @compiled
 def nth_cell(cells: NDArray[np.int32], hazardous: NDArray[np.int8], hazard: int, n: int) -> int:
-    """Return cell number n, from 0, among those with this hazard."""
+    """Return the n-th cell, from 0, among cells with this hazard."""
     for cell in cells:
         if hazardous[cell] == hazard:
             if n == 0:
@@ -384,11 +384,11 @@ def draw_hazards(
 ) -> None:
     """Draw each cell given all others (:eq:`hazard-conditional`, :eq:`loss-located`)."""
     graph, located, neighbors = factors.graph, factors.located, factors.neighbors
-    # Without located losses, passing so many arrays takes longer than the call itself.
+    # Calls are skipped without located losses: passing so many arrays takes longer than the call.
     any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
-    # By the number of hazardous neighbours: computing the power would dominate most cells.
+    # Indexed by number of hazardous neighbours: a power for each cell would dominate the time.
     weight_around = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
         malfunction, strike = state.malfunction[chain], state.strike[chain]
@@ -435,7 +435,7 @@ def draw_hazards(
 def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float64]) -> None:
     """Propose to swap a hazardous and a safe cell of a lost path (:eq:`swap`)."""
     graph, located, neighbors = factors.graph, factors.located, factors.neighbors
-    # Without located losses, passing so many arrays takes longer than the call itself.
+    # Calls are skipped without located losses: passing so many arrays takes longer than the call.
     any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
@@ -462,13 +462,13 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
             ratio = odds[new] / odds[old]
             if any_coupled:
-                # Neither counts as a neighbour of the other's hazard.
+                # Remove the old hazard, lest it count as a neighbour of the new cell.
                 hazardous[old] = 0
                 more = hazards_around(neighbors, hazardous, new)
                 more -= hazards_around(neighbors, hazardous, old)
                 hazardous[old] = 1
                 ratio = min(ratio * factors.coupling[chain] ** more, LARGE)
-            # The new hazard comes first, so that every loss stays explained.
+            # Add the new hazard before removing the old, so that every loss stays possible.
             ratio = loss_ratio(exposures, factors.length, table, graph, new, 1, ratio)
             if any_located:
                 ratio = located_ratio(sums, located, hazardous, new, 1, ratio)
@@ -489,7 +489,7 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
 
 @compiled
 def count_exposures(state: HazardState, graph: LossGraph) -> None:
-    """Add up the exposures of each lost path, starting from 0."""
+    """Add up the exposures of each lost path in each chain."""
     for chain in range(state.hazardous.shape[0]):
         hazardous, exposures = state.hazardous[chain], state.exposures[chain]
         for cell in range(hazardous.size):
@@ -504,7 +504,7 @@ def add_joints(
     target_if_hazardous: NDArray[np.float64],
     joints: NDArray[np.float64],
 ) -> None:
-    """Add the joints, averaged over each group of chains (:eq:`averaged-belief`)."""
+    """Add the joints' averages over each group of chains (:eq:`averaged-belief`)."""
     # Odds have the shape (1 or chains, cells).
     chains, cells = hazard_odds.shape
     size = chains // joints.shape[0]

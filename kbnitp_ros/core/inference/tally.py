@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tally of the evidence that the Gibbs chains sample from."""
+"""The tally of evidence for the Gibbs chains."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ def none_yet() -> NDArray[np.int32]:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """The evidence of all deployments, losses as factors (:eq:`loss-factor`); never changed."""
+    """Immutable evidence of all deployments, with a factor for each loss (:eq:`loss-factor`)."""
 
-    # Survived steps of robots of each type into each cell, with positive and with negative
-    # readings, shape (types, cells).
+    # Number of survived steps, of positive readings and of negative readings, by robot type and
+    # cell, shape (types, cells).
     survived: NDArray[np.int32]
     positive: NDArray[np.int32]
     negative: NDArray[np.int32]
-    # Robot types so far, with the values that set their sensor models apart.
+    # Robot types so far, reduced to the fields of the sensor model.
     robot_types: tuple[RobotType, ...] = (ORDINARY,)
     # Number of deployments.
     deployments: int = 0
-    # Steps and robot type of each lost path without its survived steps, shape (losses,). Located
-    # losses are not among them.
+    # Number of steps in which the robot may have been lost, and robot type, of each loss that is
+    # not located, shape (losses,).
     steps: NDArray[np.int32] = field(default_factory=none_yet)
     robot_type: NDArray[np.int32] = field(default_factory=none_yet)
-    # Cells of these paths and their visits, in the order of paths, shape (entries,).
+    # Each cell of these steps, the index of its loss, and the number of visits, shape (entries,).
     cell: NDArray[np.int32] = field(default_factory=none_yet)
     path: NDArray[np.int32] = field(default_factory=none_yet)
     visits: NDArray[np.int32] = field(default_factory=none_yet)
-    # The same of located losses, shape (located losses,).
+    # Number of steps and robot type of each located loss, shape (located losses,).
     located_steps: NDArray[np.int32] = field(default_factory=none_yet)
     located_type: NDArray[np.int32] = field(default_factory=none_yet)
-    # The cells of their steps, one loss after another, shape (steps,).
+    # Cells of the steps of located losses, one loss after another, shape (steps,).
     step_cell: NDArray[np.int32] = field(default_factory=none_yet)
     # Likelihood of a loss in each step, shape (steps,).
     lost_at: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
@@ -104,19 +104,19 @@ class Tally:
 
     @property
     def visited(self) -> NDArray[np.bool_]:
-        """Return the cells that some robot was sent into, shape (cells,)."""
+        """Return a mask of the cells that a robot was sent into, shape (cells,)."""
         visited: NDArray[np.bool_] = np.any(self.survived > 0, axis=0)
         visited[self.cell] = visited[self.step_cell] = True
         return visited
 
     @property
     def read(self) -> NDArray[np.bool_]:
-        """Return the cells with readings, shape (cells,)."""
+        """Return a mask of the cells with readings, shape (cells,)."""
         read: NDArray[np.bool_] = np.any(self.positive + self.negative > 0, axis=0)
         return read
 
     def within(self, cells: NDArray[np.intp]) -> Tally:
-        """Return the tally of some cells in ascending order, all visited ones among them."""
+        """Return the tally restricted to `cells`, ascending and including all visited cells."""
         return replace(
             self,
             survived=self.survived[:, cells],
@@ -128,14 +128,14 @@ class Tally:
 
     @property
     def first_step(self) -> NDArray[np.int32]:
-        """Return where the steps of each located loss start, and the end."""
+        """Return the index of the first step of each located loss, and of the end of the last."""
         return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
     def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:
         """Index lost paths by cells of possible hazards, and undecided cells by lost path."""
         held = np.flatnonzero(possible[self.cell])
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
-        # Hazards may be swapped along every lost path; those of located losses come last.
+        # Hazards may be swapped along every lost path; paths of located losses come last.
         loss, cell, *_ = self._located_visits()
         path = np.append(self.path, loss + self.steps.size)
         cell = np.append(self.cell, cell)
@@ -165,7 +165,7 @@ class Tally:
         )
 
     def _located_visits(self) -> tuple[NDArray[np.int32], ...]:
-        """Return each located loss with each of its cells, and the first and last step into it."""
+        """Return pairs of a located loss and a cell, with the first and last step into it."""
         loss = np.repeat(np.arange(self.located_steps.size), self.located_steps)
         order = np.lexsort((self.step_cell, loss))
         loss, cell = loss[order], self.step_cell[order]
@@ -180,12 +180,12 @@ class Tally:
 def add_steps(
     counts: NDArray[np.int32], robot_type: int, steps: NDArray[np.intp]
 ) -> NDArray[np.int32]:
-    """Return the counts of steps into each cell, with some more of one type."""
+    """Add the steps into each cell by a robot of one type to the counts."""
     more = counts.copy()
     more[robot_type] += np.bincount(steps, minlength=counts.shape[1]).astype(np.int32)
     return more
 
 
 def group_starts(group: NDArray[np.int32], groups: int) -> NDArray[np.int32]:
-    """Return where each group of sorted entries starts, and the end, shape (groups + 1,)."""
+    """Return the start of each group of sorted entries, and the end, shape (groups + 1,)."""
     return np.append(0, np.cumsum(np.bincount(group, minlength=groups))).astype(np.int32)

@@ -2,9 +2,9 @@
 """
 A bound on the value of every path, by a Lagrangian dual with cuts.
 
-The steps are those of docs/mathematics.md: the value of a path, :eq:`bound-value`, is at most a
+The derivation is in docs/mathematics: the value of a path, :eq:`bound-value`, is at most a
 function of three sums over its cells, :eq:`bound-path`; Lagrangian multipliers cut off sums that
-no closed walk has, :eq:`bound-cut`; the function is maximised over what the cuts leave,
+no closed walk has, :eq:`bound-cut`; the function is maximised over the remaining sums,
 :eq:`bound-maximum`.
 """
 
@@ -31,20 +31,20 @@ from kbnitp_ros.core.planning.objective import new_information, Objective, possi
 from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 
-# Maximum numbers of cuts beyond one for each number of steps, and of cuts in a row that gain less
-# than the tolerance.
+# Maximum number of cuts, in addition to one for each number of steps, and maximum number of
+# successive cuts that lower the bound by less than the tolerance.
 MAX_CUTS = 60
 MAX_STALLED = 6
 
-# Tolerance of the bound: a share of the value, and nats.
+# Tolerance of the bound: relative to the value, and at least this many nats.
 TOLERANCE = 2e-4
 MIN_TOLERANCE = 1e-6
 
-# Margins for rounding: nats, and a share of the loss cost.
+# Margins for rounding: absolute in nats, and relative to the loss cost.
 ROUNDING = 1e-9
 ROUNDING_OF_COST = 1e-13
 
-# Paths with a lower survival have no gain in floating point.
+# Below this survival a path's information rounds to 0.
 MIN_SURVIVAL = 1e-100
 
 
@@ -58,14 +58,14 @@ class Cuts:
     point: tuple[float, float, float]
     # Multipliers of the last cut, shape (cells + 2,).
     multipliers: Floats
-    # As in `Region`, shape (cuts, 3).
+    # D, lambda and mu of each cut, as in `Region`, shape (cuts, 3).
     rows: Floats = field(default_factory=lambda: np.empty((0, 3)))
     # Upper bound on the value of each path, nats.
     bound: float = inf
 
 
 def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: Places) -> float:
-    """Return a bound on the value of every path, nats, from a good path, shape (steps + 1,)."""
+    """Return an upper bound on the value of any path, nats; the search starts at `path`."""
     loss_cost, value = objective.loss_cost, Candidate.along(path, objective).value
     tolerance = max(MIN_TOLERANCE, TOLERANCE * abs(value))
     slack = ROUNDING + ROUNDING_OF_COST * loss_cost
@@ -82,12 +82,12 @@ def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: 
     lengths = [Cuts(steps, start, none.copy()) for steps in range(1, max_steps + 1)]
 
     def cut(paths: Cuts) -> None:
-        """Add the lowest cut at the point, and bound the rest."""
+        """Add the lowest cut at the point, and bound the value over the remaining sums."""
         steps, (survival, ratio, total) = paths.steps, paths.point
         longest_stay = (steps - 2 * grid.steps_to_base[reach.cells] + 1).clip(min=0)
         longest_stay[0] = steps
         walks = Walks(reach.neighbors, reach.within, added, np.minimum(survivable, longest_stay))
-        # Comparisons of survivals are rounded.
+        # Allow for rounding when survivals are compared.
         least = options.minimum_survival * (1.0 - 1e-12)
         region = Region(exp(steps * log_safe), least, loss_cost, paths.rows)
         if region.safest < least:
@@ -121,14 +121,14 @@ def upper_bound(grid: Grid, objective: Objective, options: SearchOptions, path: 
 
 
 def inside(survival: float) -> float:
-    """Return a survival away from 0 and 1, where the entropy has infinite slopes."""
+    """Clip a survival away from 0 and 1, where the slope of the entropy is infinite."""
     return min(max(survival, 1e-9), 1.0 - 1e-9)
 
 
 def visit_sums(
     belief: Belief, model: SensorModel, cells: Places, max_visits: int
 ) -> tuple[Floats, Places]:
-    """Return the sums W, r and r2 of visits, and the most visits survived (:eq:`bound-terms`)."""
+    """Return W, r and r2 by number of visits, and the most survivable (:eq:`bound-terms`)."""
     visits = np.arange(max_visits + 1)
     hazard = belief.hazard[cells, None]
     log_mean = log_predicted_survival(hazard, visits, model.log_survival)
@@ -146,15 +146,15 @@ def visit_sums(
 
 
 def check_bound(reach: Reach, options: SearchOptions, robots: int) -> None:
-    """Check that a bound is possible, and within `MAX_MEMORY`."""
+    """Check that a bound can be computed, within `MAX_MEMORY`."""
     if robots > 1:
         raise ValueError(
-            f'there are {robots} robots, and a bound is for one that goes alone: send one at a '
-            'time, or plan without a bound'
+            f'there are {robots} robots, but only plans of a single robot have a bound: send one '
+            'at a time, or plan without a bound'
         )
     if options.objective != 'information':
         raise ValueError(
-            f'objective is {options.objective}, for which there is no bound: choose the objective '
+            f'objective is {options.objective}, which has no bound: choose the objective '
             'information, or plan without a bound'
         )
     number, cells = 8, reach.cells.size

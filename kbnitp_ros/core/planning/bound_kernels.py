@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Loops of the bound: a Lagrangian dual cuts off sums that no closed walk has, boxes bound the rest.
+Loops of the bound: a Lagrangian dual cuts off sums that no closed walk has; boxes bound the value.
 
-Cells go by their rank in `Reach`: the base has rank 0, and those within so many steps of it are
-the first so many. The multipliers of equation :eq:`bound-cut` are one array of shape (cells + 2,):
-the price of a visit to each cell, then lambda and mu. A point is a survival P = exp(-r) and the
-ratio r2 / r, which is from 1 to 2.
+Cells are numbered by rank in `Reach`: the base has rank 0, and the cells within t steps of it come
+first, for every t. The multipliers of equation :eq:`bound-cut` are one array of shape (cells +
+2,): the price of a visit to each cell, then lambda and mu. A point is a survival P = exp(-r) and
+the ratio r2 / r, in [1, 2].
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.planning.label_kernels import surprisal
 import numpy as np
 
-# Maximum number of boxes halved: the bound holds, and is less tight after these.
+# Maximum number of boxes halved; at the limit the bound is valid but less tight.
 MAX_BOXES = 20_000
 
 
@@ -26,7 +26,7 @@ class Walks(NamedTuple):
 
     # Ranks of the cells one step away, -1 for none, shape (cells, 9).
     neighbors: Any
-    # Number of cells within t steps of the base, t up to half of all, shape (max_steps + 1,).
+    # Number of cells within t steps of the base, by t up to max_steps / 2, shape (max_steps + 1,).
     within: Any
     # W, r and r2 by number of visits, shape (cells, visits + 1, 3).
     added: Any
@@ -38,7 +38,7 @@ class Walks(NamedTuple):
 def best_walk(
     walks: Walks, steps: int, multipliers: Any, value: Any, origin: Any, gradient: Any
 ) -> float:
-    """Return the highest price of a closed walk, and its visits (:eq:`bound-cut`)."""
+    """Return the highest price of a closed walk, and write its visits (:eq:`bound-cut`)."""
     before = 1
     value[0, 0] = 0.0
     for t in range(1, steps + 1):
@@ -64,7 +64,7 @@ def best_walk(
 
 @compiled
 def best_visits(walks: Walks, multipliers: Any, gradient: Any) -> float:
-    """Return the second maximum of :eq:`bound-cut`; subtract its visits from the gradient."""
+    """Return the second maximum in :eq:`bound-cut`; subtract its visits from the gradient."""
     total, cells = 0.0, walks.most.size
     for cell in range(cells):
         best, count = -inf, 0
@@ -133,12 +133,12 @@ def minimise(
 
 
 class Region(NamedTuple):
-    """Limits on the sums of paths with one number of steps (:eq:`bound-cut`)."""
+    """Limits on the sums W, r and r2 of paths with one number of steps (:eq:`bound-cut`)."""
 
-    # Highest survival of these paths, q = s0^steps, and the lowest allowed.
+    # Highest possible survival of these paths, q = s0^steps, and lowest allowed survival.
     safest: float
     least: float
-    # Nats.
+    # Cost of a lost robot, nats.
     loss_cost: float
     # D, lambda and mu of equation :eq:`bound-cut`, shape (cuts, 3).
     cuts: Any
@@ -152,7 +152,7 @@ def power(p: float, exponent: float) -> float:
 
 @compiled
 def greatest_sum(region: Region, survival: float, ratio: float) -> float:
-    """Return the largest sum of W at a point that the cuts allow."""
+    """Return the largest sum of W that the cuts allow at a point."""
     r, least = -log(survival), inf
     for k in range(region.cuts.shape[0]):
         slope = region.cuts[k, 1] + region.cuts[k, 2] * ratio
@@ -173,7 +173,7 @@ def touching_point(region: Region, survival: float, square: float) -> float:
 def parabola(q: float, p0: float) -> Any:
     """Return the coefficients of 1, p and p^2 of equation :eq:`bound-parabola`."""
     if p0 == 0.0 and q < 0.01:
-        # The series of the curvature.
+        # Series of the curvature for small q.
         return 0.0, -1.0, 0.5 + q * (1.0 / 6.0 + q * (1.0 / 12.0 + q * (1.0 / 20.0 + q / 29.0)))
     at, slope = -surprisal(1.0 - p0), -1.0 - log(1.0 - p0)
     curvature = -surprisal(1.0 - q) - at - slope * (q - p0)
@@ -199,7 +199,7 @@ def value_at(region: Region, survival: float, ratio: float) -> float:
 
 @compiled
 def next_cut(region: Region, survival: float, ratio: float, total: float, value: float) -> Any:
-    """Return lambda and mu of equation :eq:`bound-slopes`, and the sum of W that has a value."""
+    """Return lambda and mu of :eq:`bound-slopes`, and the sum of W at which `value` is reached."""
     square = power(survival, ratio)
     c0, c1, c2 = parabola(region.safest, touching_point(region, survival, square))
     of_r = log((1.0 - survival) / survival) + total + c1 + region.loss_cost

@@ -39,8 +39,8 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
 
     Equation :eq:`information`.
 
-    The paper's objective I(X; Y | Theta) + I(Z; Theta) equals the whole I(Z, X; Theta, Y), since
-    the readings tell of Z nothing that X does not. It is computed exactly as
+    The paper's objective I(X; Y | Theta) + I(Z; Theta) equals I(Z, X; Theta, Y), since given X the
+    readings are independent of Z. It is computed exactly as
 
         h(P0) - E_z[h(P(survive | z))] + P0 * sum_i I(X_i; Y_i^(n_i) | survived n_i visits)
 
@@ -56,7 +56,7 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
     Returns
     -------
     float
-        Nats, at least 0 but for rounding.
+        Nats, at least 0 except for rounding.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def team_information(
 
     Equation :eq:`team-information`.
 
-    By the chain rule it is the sum of the information that each path adds to those before it, as
+    By the chain rule it is the sum of the information that each path adds to the earlier paths,
     approximated by `added_information`. For a single path it equals `path_information`.
 
     Parameters
@@ -90,8 +90,7 @@ def team_information(
     paths : sequence of array_like of int, each of shape (steps + 1,)
         The cells of each robot's path in order.
     outcomes : JointOutcomes, optional
-        Joint outcomes of robots that have left before, whose information is excluded; by default
-        none.
+        Joint outcomes of robots sent before, whose information is excluded; by default none.
     robot_types : sequence of RobotType
         Type of each robot; empty if all are alike.
 
@@ -103,7 +102,8 @@ def team_information(
     Raises
     ------
     ValueError
-        If a path has no step or leaves the belief's cells, or there is not one type for each.
+        If a path has no step or leaves the belief's cells, or the numbers of types and paths
+        differ.
 
     """
     outcomes = nobody_deployed(belief) if outcomes is None else outcomes
@@ -142,7 +142,7 @@ def information_and_survival(
     alpha: float = SHANNON,
     interest: NDArray[np.float64] | None = None,
 ) -> tuple[float, NDArray[np.float64]]:
-    """Return the information added, and the chance of a return in each outcome, (outcomes,)."""
+    """Return the information added, and the chance of a return given each joint outcome."""
     visits = Visits.of(path)
     joint, earlier = outcomes.of_cells(visits.cells)
     hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
@@ -173,10 +173,10 @@ def behavioral_information(
     interest: NDArray[np.float64] | None = None,
 ) -> float:
     """
-    Return the information of a path by behavioral entropies in place of Shannon's.
+    Return the information of a path with behavioral entropies instead of Shannon's.
 
-    Equation :eq:`behavioral-information`: the information of the robot's return or loss about the
-    hazards, and the expected fall of the targets' entropies by the readings of one that returns.
+    Equation :eq:`behavioral-information`: the information that a return or loss gives about the
+    hazards, plus the entropy of targets that the readings of a returned robot should remove.
 
     Parameters
     ----------
@@ -188,15 +188,15 @@ def behavioral_information(
     Returns
     -------
     float
-        Nats, at least 0 but for rounding if alpha is at most 1. Above 1 the weights make likely
-        outcomes less certain, so it may be negative.
+        Nats; if alpha is at most 1, at least 0 except for rounding. With alpha above 1 it may be
+        negative, since the weights make likely outcomes less certain.
 
     """
     outcomes = nobody_deployed(belief) if outcomes is None else outcomes
     return added_information(belief, model, path, outcomes, alpha, interest)
 
 
-# Values closer than this many decimals (nats) are ties, so rounding never decides.
+# Decimals of compared values, nats: closer values are ties, so rounding errors never decide.
 DECIMALS = 9
 
 
@@ -205,7 +205,7 @@ class Candidate(NamedTuple):
 
     # The objective value, nats, rounded.
     value: float
-    # The base first and last, shape (steps + 1,).
+    # Cells, the base first and last, shape (steps + 1,).
     path: NDArray[np.intp]
 
     @classmethod
@@ -219,5 +219,5 @@ class Candidate(NamedTuple):
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
 
     def survival(self, objective: Objective) -> float:
-        """Return the chance of a return, by the belief of its objective."""
+        """Return the chance that a robot returns, under the belief of the objective."""
         return float(np.exp(path_log_survival(objective.belief, objective.model, self.path)))

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 
 class Readings(NamedTuple):
-    """The possible readings of a cell, in addition to earlier ones."""
+    """Readings of a cell, by state: the number of readings by each camera so far."""
 
     # P(n visits survived | Z = z), indexed [n, z], shape (most visits + 1, 2).
     survival: NDArray[np.float64]
-    # The state after n more readings by the robot, shape (earlier states, most visits + 1).
+    # State after n more readings by the robot, shape (earlier states, most visits + 1).
     after: NDArray[np.intp]
     # Number of outcomes of each state, shape (states,).
     outcomes: NDArray[np.intp]
@@ -36,7 +36,7 @@ def new_readings(
     beta: float,
     information: NDArray[np.float64],
 ) -> None:
-    """Compute what readings add (:eq:`reading-information`, :eq:`behavioral-information`)."""
+    """Compute readings' information (:eq:`reading-information`, :eq:`behavioral-information`)."""
     survival = readings.survival
     for cell in range(joint.shape[0]):
         for n in range(1, survival.shape[0]):
@@ -60,7 +60,7 @@ def new_readings(
 
 @inlined
 def reading_information(target: float, state: int, readings: Readings) -> float:
-    """Return I(X; Y) of a state for P(X = 1) = `target`, nats (:eq:`reading-information`)."""
+    """Return I(X; Y) of a state's readings for P(X = 1) = `target` (:eq:`reading-information`)."""
     entropy: float = 0.0
     for outcome in range(readings.outcomes[state]):
         p = (1.0 - target) * readings.likelihood[state, outcome, 0]
@@ -75,11 +75,11 @@ def reading_information(target: float, state: int, readings: Readings) -> float:
 def exposed(
     steps: NDArray[np.intp], hazard: NDArray[np.float64], log_safe: float, log_deadly: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return P(c exposures) and the log survival of c, c up to all steps (:eq:`exposures`)."""
+    """Return P(c exposures) and the log survival of c exposures, by c (:eq:`exposures`)."""
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
-    # Probability of each number of exposures in the cells so far.
+    # Probability of each number of exposures in the cells processed so far.
     chance = np.zeros(steps.size + 1)
     chance[0] = 1.0
     most = 0
@@ -115,7 +115,7 @@ def left_open(chance: NDArray[np.float64], log_survival: NDArray[np.float64]) ->
 
 @compiled
 def coin(p: float, q: float, alpha: float, beta: float) -> float:
-    """Return the behavioral entropy of a coin of p, and q = 1 - p (:eq:`behavioral-entropy`)."""
+    """Return the behavioral entropy of p and q = 1 - p (:eq:`behavioral-entropy`)."""
     entropy = 0.0
     if p > 0.0 and p < 1.0:
         weighted = beta * (-log(p)) ** alpha
@@ -128,7 +128,7 @@ def coin(p: float, q: float, alpha: float, beta: float) -> float:
 
 @inlined
 def fall(target: float, state: int, readings: Readings, alpha: float, beta: float) -> float:
-    """Return the expected fall of the entropy by the readings of a state."""
+    """Return the entropy that a state's readings are expected to remove."""
     fallen = coin(target, 1.0 - target, alpha, beta)
     for outcome in range(readings.outcomes[state]):
         without = (1.0 - target) * readings.likelihood[state, outcome, 0]
@@ -143,7 +143,7 @@ def fall(target: float, state: int, readings: Readings, alpha: float, beta: floa
 def outcome_left_open(
     chance: NDArray[np.float64], log_survival: NDArray[np.float64], alpha: float, beta: float
 ) -> float:
-    """Return the entropy of a return given the hazards (:eq:`behavioral-information`)."""
+    """Return the expected entropy of the outcome given hazards (:eq:`behavioral-information`)."""
     entropy = 0.0
     for c in range(chance.size):
         entropy += chance[c] * coin(exp(log_survival[c]), -expm1(log_survival[c]), alpha, beta)

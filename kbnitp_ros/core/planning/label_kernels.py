@@ -2,9 +2,9 @@
 r"""
 Kernels of the label search: the best partial paths to each cell are extended, step by step.
 
-Cells are numbered by rank, in the order of their distance from the base, which has rank 0. After
-any number of steps a label, a path from the base, ends in one of the first ranks. It carries
-numbers that a visit multiplies and numbers that it adds to:
+Cells are numbered by rank: by their distance from the base, which has rank 0. A label is a path
+from the base; the cells that it can end in after a number of steps have the first ranks. A label
+carries products and sums, which each visit extends by a factor or a term:
 
 .. math::
 
@@ -12,8 +12,8 @@ numbers that a visit multiplies and numbers that it adds to:
     \frac{E[p \ln p]}{E[p]}, \; J_\omega - \ln P_\omega,
 
 with the chance p to survive the path given the hazards, :math:`a_0 = 1`, and for each joint
-outcome :math:`\omega` of the robots before, the survival :math:`P_\omega` and the information of
-readings :math:`J_\omega`. Its value is that of equation :eq:`label-value`.
+outcome :math:`\omega` of robots sent before, the survival :math:`P_\omega` and the information of
+readings :math:`J_\omega`. The value of a label is equation :eq:`label-value`.
 """
 
 from __future__ import annotations
@@ -32,52 +32,50 @@ Places = NDArray[np.intp]
 class Reach(NamedTuple):
     """The cells from which a robot can still return."""
 
-    # By their distance from the base, which comes first, and then ascending; a cell's index is its
-    # rank; shape (n,).
+    # Cells by distance from the base, then by number; a cell's index is its rank; shape (n,).
     cells: Places
-    # Ranks of the cells one step away, -1 for none; columns j and 8 - j lead into opposite
-    # directions; shape (n, 9).
+    # Ranks of neighbours, -1 for none; columns j and 8 - j are opposite directions; shape (n, 9).
     neighbors: Places
     # Number of cells that a robot can be in after each number of steps, shape (max_steps + 1,).
     within: Places
-    # Start of each step's cells in arrays by step and cell, and their length, shape (max_steps +
+    # Index of each step's first cell in arrays by step and cell; last, their size; (max_steps +
     # 2,).
     start: Places
-    # Metres of a step by each column of `neighbors`, shape (9,); all 0 without a limit on length.
+    # Metres of a step to each column of `neighbors`, shape (9,); 0 if lengths are not limited.
     length: Floats
-    # Metres of the shortest way home from each cell, or 0 without a limit, shape (n,).
+    # Metres of the shortest path home from each cell, shape (n,); 0 if lengths are not limited.
     home: Floats
-    # Maximum metres of a path, or 0.
+    # Maximum length of a path, metres; 0 if not limited.
     longest: float
 
 
 class Gains(NamedTuple):
     """Factors and terms of the next visit, by cell and number of visits before."""
 
-    # Ratio of each moment E[p^a] after the visit to that before; then that of the survival in each
+    # Ratios, after to before the visit, of the moments E[p^a], then of the survival in each
     # outcome.
     factor: Floats
-    # Change of E[p ln p] / E[p]; then of the information of readings less the log survival, in
-    # each outcome; nats, shape (cells, max_visits, 1 + outcomes).
+    # Change of E[p ln p] / E[p]; then, for each outcome, change of the information of readings
+    # minus log survival; nats, shape (cells, max_visits, 1 + outcomes).
     term: Floats
 
 
 class LabelProblem(NamedTuple):
-    """The cells, and the weights that give the value of labels."""
+    """A label search: the cells, the gains of visits, and the weights in the value of a label."""
 
     # The cells and their neighbours.
     reach: Reach
-    # Marks that a visit adds to a label's: their sums identify the visits, shape (cells,).
+    # Random hash of each cell, shape (cells,): the sum over visits identifies the visits.
     marks: NDArray[np.int64]
     # Gains of visits.
     gains: Gains
     # Weight of each moment, shape (powers,).
     weight: Floats
-    # Probability of each joint outcome of the robots before, shape (outcomes,).
+    # Probability of each joint outcome of the robots sent before, shape (outcomes,).
     chance: Floats
-    # Nats.
+    # Cost of a lost robot, nats.
     loss_cost: float
-    # Units in a nat; values are compared in these, so rounding never decides.
+    # Units in a nat: values are rounded to units, so that rounding errors never decide.
     units: float
     # Upper bound of the information of readings in the remaining steps, nats, shape (max_steps +
     # 1,).
@@ -85,24 +83,24 @@ class LabelProblem(NamedTuple):
 
 
 class Products(NamedTuple):
-    """Factors and terms of labels."""
+    """Products and sums of labels."""
 
-    # The moments, then the survival in each outcome, shape (rows, powers + outcomes).
+    # Moments, then survivals by outcome: products of `Gains.factor`, (rows, powers + outcomes).
     factor: Floats
-    # The sums of `Gains.term`, shape (rows, 1 + outcomes).
+    # Sums of `Gains.term`, shape (rows, 1 + outcomes).
     term: Floats
 
 
 class Labels(NamedTuple):
-    """The labels of one step; those at a cell take the first `kept` of its `width` rows."""
+    """The labels of one step. Each cell has `width` rows, and labels in the first `kept`."""
 
-    # Running products of each row.
+    # Products and sums of the label in each row.
     products: Products
-    # Sum of the marks of a label's visits, equal for equal visits, shape (rows,).
+    # Sum of the cells' hashes over a label's visits, shape (rows,).
     mark: NDArray[np.int64]
-    # Metres, as in `Reach.length`, shape (rows,).
+    # Length of each label, metres, as in `Reach.length`, shape (rows,).
     length: Floats
-    # Visits of the cells around, shape (rows, 9).
+    # Number of visits of each label to the neighbours of its cell, shape (rows, 9).
     seen: NDArray[np.int32]
     # Number of labels of each cell, shape (cells,).
     kept: NDArray[np.int64]
@@ -111,25 +109,25 @@ class Labels(NamedTuple):
 class Ranking(NamedTuple):
     """The best extensions of labels to a cell, the best first."""
 
-    # In units, -inf for none, shape (places,).
+    # Value in units, -inf for an empty place, shape (places,).
     score: Floats
-    # Mark of the label, shape (places,).
+    # Hash of the label's visits, shape (places,).
     mark: NDArray[np.int64]
-    # Metres of the label, shape (places,); empty without a limit on length.
+    # Length of the label, metres, shape (places,); empty if lengths are not limited.
     length: Floats
-    # 16 * slot + column of `Reach.neighbors` of the extended label, shape (places,).
+    # 16 * slot of the extended label + column of its cell in `Reach.neighbors`, shape (places,).
     origin: NDArray[np.int64]
 
 
 class Completions(NamedTuple):
     """The best completion of at most `step` steps from each cell."""
 
-    # By step and cell: the moments times their weights, E[p], P0, the terms of both, and the
-    # length; shape (sum of within, powers + 5).
+    # By step and cell: the moments times their weights, E[p], P0, the terms of E[p] and of P0, and
+    # the length; shape (sum of within, powers + 5).
     moments: Floats
     # Value of the best completion from each cell, in units, shape (cells,).
     value: Floats
-    # The completion short enough for a label, where lengths are limited, shape (powers + 5,).
+    # Completion that is short enough for a label, if lengths are limited, shape (powers + 5,).
     room: Floats
 
 
@@ -141,7 +139,7 @@ def surprisal(p: float) -> float:
 
 @inlined
 def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: float) -> float:
-    """Return a value without hazards' entropy (:eq:`label-value`, :eq:`loss-surprisal`)."""
+    """Return a value except for the hazards' entropy (:eq:`label-value`, :eq:`loss-surprisal`)."""
     value = brought + surprisal(lost) - loss_cost * lost
     if lost > 0.0:
         value -= 0.5 * (lost_square - lost * lost) / lost
@@ -152,7 +150,7 @@ def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: f
 def hoped_value(
     brought: float, lost: float, likeliest: float, loss_cost: float, unread: float
 ) -> float:
-    """Return a bound on the value of each path that starts with a label (:eq:`hopeless`)."""
+    """Return an upper bound on the value of paths that start with a label (:eq:`hopeless`)."""
     if likeliest > 0.5:
         return inf
     return brought + surprisal(lost) - loss_cost * lost + (1.0 - lost) * unread
@@ -160,7 +158,7 @@ def hoped_value(
 
 @compiled
 def label_value(products: Products, row: int, problem: LabelProblem) -> float:
-    """Return a value, in units (:eq:`label-value`, :eq:`entropy-powers`, :eq:`moment-log`)."""
+    """Return the value of a label (:eq:`label-value`, :eq:`entropy-powers`, :eq:`moment-log`)."""
     factor, term = products.factor, products.term
     weight, chance = problem.weight, problem.chance
     left_open = -factor[row, 0] * term[row, 0]
@@ -181,7 +179,7 @@ def label_value(products: Products, row: int, problem: LabelProblem) -> float:
 def visit(
     products: Products, row: int, gains: Gains, rank: int, before: int, to: Products, to_row: int
 ) -> None:
-    """Write a label after one more visit to a cell (:eq:`moment-power`, :eq:`moment-log`)."""
+    """Write a label extended by a visit to a cell (:eq:`moment-power`, :eq:`moment-log`)."""
     for k in range(products.factor.shape[1]):
         to.factor[to_row, k] = products.factor[row, k] * gains.factor[rank, before, k]
     for k in range(products.term.shape[1]):
@@ -218,7 +216,7 @@ def new_ranking(places: int, is_limited: bool) -> Ranking:
 
 @inlined
 def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
-    """Insert a candidate into a ranking, unless its mark is there."""
+    """Insert a candidate into a ranking, unless it has an entry with the same score and hash."""
     scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
     low, high = 0, scores.size
     while low < high:
@@ -251,7 +249,7 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
 def copy_fitting(
     length: float, rank: int, left: int, reach: Reach, completions: Completions
 ) -> bool:
-    """Copy the longest completion of `left` steps or fewer within a length, if there is one."""
+    """Copy the completion of the most steps, up to `left`, within a length; False if none fits."""
     while left >= 0 and rank < reach.within[left]:
         place = reach.start[left] + rank
         if completions.moments[place, -1] <= length:
@@ -334,12 +332,13 @@ def find_best(
             spread = term[row, 0] + gain_term[rank, before, 0]
 
             left_open -= mean * spread
-            # The tangent of -p ln p rules most out without a logarithm; NaN and inf are computed.
+            # A tangent of -p ln p excludes most labels without a logarithm; NaN and inf exclude
+            # none.
             above = brought + lost * tangent + touches - loss_cost * lost - left_open
             if not above * units < score[-1] - 1.0:
                 value = averaged_value(brought, lost, lost_square, loss_cost)
                 value = floor((value - left_open) * units + 0.5)
-                # A duplicate of the last may be shorter.
+                # A duplicate of the last entry may be shorter.
                 if value > score[-1] or (is_limited and value == score[-1]):
                     insert(value, next_mark, length, 16 * slot + column, by_value)
                     touches = lost
@@ -369,7 +368,7 @@ def merge(
     found: NDArray[np.int64],
     found_mark: NDArray[np.int64],
 ) -> int:
-    """Merge two rankings without duplicates: write origins and marks, return their number."""
+    """Merge two rankings without duplicates: write origins and hashes, return their number."""
     kept = 0
     for slot in range(by_value.score.size):
         if by_value.score[slot] > -inf:
@@ -392,7 +391,7 @@ def merge(
 def write_completion(
     labels: Labels, row: int, length: float, problem: LabelProblem, completion: Floats
 ) -> None:
-    """Write how `find_best` may complete a label: by its path, by one step, and its length."""
+    """Write the reverse of a label, with a last visit to the base, as a completion."""
     factor, term = labels.products.factor, labels.products.term
     gain_factor, gain_term = problem.gains.factor, problem.gains.term
     weight, chance = problem.weight, problem.chance
@@ -432,7 +431,7 @@ def write_completions(
         if via >= 0:
             write_completion(labels, via, length, problem, moments[start + rank])
         else:
-            # The best completion has fewer steps.
+            # Copy the best completion, which has fewer steps.
             moments[start + rank] = moments[reach.start[step - 1] + rank]
 
 
@@ -446,7 +445,7 @@ def follow(
     rank: int,
     slot: int,
 ) -> None:
-    """Trace a label back to its branch from the last one traced; count its visits."""
+    """Trace a label back to where it branches off the last label traced; update visit counts."""
     while step > 0 and (traced[step, 0] != slot or traced[step, 1] != rank):
         if traced[step, 0] >= 0:
             visits[traced[step, 1]] -= 1
@@ -468,19 +467,19 @@ def search(
     origins = np.full((reach.start[-1], width), -1, np.int32)
     values = np.full((max_steps + 1, width), -inf)
     labels, after = new_labels(within.max(), width, gains), new_labels(within.max(), width, gains)
-    # The label of a robot that stands at the base.
+    # Label of no steps, at the base.
     labels.products.factor[0], labels.products.term[0], labels.kept[0] = 1.0, 0.0, 1
     is_limited = reach.longest > 0.0
     by_value = new_ranking(width - by_heuristic_rows, is_limited)
     by_heuristic = new_ranking(width if by_heuristic_rows else 0, is_limited)
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
-    # Slot, -1 for none, and cell of the label traced last at each step, and its visits by cell.
+    # Slot (-1 for none) and cell, at each step, of the last label traced; and its visits by cell.
     traced, visits = np.full((max_steps + 1, 2), -1), np.zeros(cells, np.int64)
     best_value = np.zeros(cells)
     completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))
     writes_completions = moments.shape[0] > 0 and by_heuristic_rows == 0
     if writes_completions:
-        # At the base, without steps left.
+        # Completion of no steps, at the base.
         moments[0, :powers] = problem.weight
         moments[0, powers:] = 0.0
         moments[0, powers] = moments[0, powers + 1] = 1.0
@@ -515,7 +514,7 @@ def search(
 
 @compiled
 def moment_gains(hazard: Floats, power: Floats, p_log_p: Floats) -> tuple[Floats, Floats]:
-    """Return moments' factors and the change of spread (:eq:`moment-power`, :eq:`moment-log`)."""
+    """Return factors of moments, and terms of the first (:eq:`moment-power`, :eq:`moment-log`)."""
     max_visits = power.shape[1] - 1
     moments = np.empty((hazard.size, max_visits, power.shape[2]))
     spreads = np.empty((hazard.size, max_visits))
@@ -539,7 +538,7 @@ def moment_gains(hazard: Floats, power: Floats, p_log_p: Floats) -> tuple[Floats
 def trace_closed(
     reach: Reach, origins: NDArray[np.int32], steps: Places, slots: Places, paths: Places
 ) -> None:
-    """Write the paths of labels at the base: row k of `paths` has steps[k] + 1 ranks."""
+    """Write the paths of labels that end at the base: row k of `paths` has steps[k] + 1 ranks."""
     for k in range(steps.size):
         cell, slot = 0, slots[k]
         for step in range(steps[k], 0, -1):

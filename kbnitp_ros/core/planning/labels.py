@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-# A mission plans for one or a few bases all the time.
+# Cached, since a mission plans for the same few bases again and again.
 @lru_cache(maxsize=8)
 def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     """Return the reach of paths within `max_steps` and `max_distance`."""
@@ -49,7 +49,7 @@ def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     start = np.append(0, np.cumsum(within))
     neighbors = rank[grid.neighbor_table[cells]]
     if not max_distance:
-        # Without a limit, lengths are not counted.
+        # Without a limit all lengths are 0.
         lengths, home = np.zeros(9), np.zeros(cells.size)
         return Reach(cells, neighbors, within, start, lengths, home, 0.0)
     return Reach(
@@ -86,7 +86,7 @@ def visit_gains(objective: Objective, cells: NDArray[np.intp], max_visits: int) 
 
     alive = log_survival[..., 1:] > -np.inf
     with np.errstate(invalid='ignore'):
-        # Once nobody survives, nothing more can be lost.
+        # Once survival is impossible, a visit changes nothing.
         log_ratio = np.where(alive, np.diff(log_survival), 0.0)
     added = np.diff(read) * objective.interest[cells, None]
     survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
@@ -111,14 +111,14 @@ def _powers(
     log_power, _, _ = powers(safe, deadly, max_visits)
     exponents = EXPONENTS if is_shannon else BEHAVIORAL_EXPONENTS
     power = np.exp(times_log(exponents, log_power[..., None]))
-    # The first power is p itself.
+    # The first exponent is 1: power[..., 0] is s_z^n.
     return power, times_log(power[..., 0], log_power)
 
 
-# Number of closed paths ranked by exact value: twice `width`, or these if that is less.
+# Minimum number of closed paths ranked by exact value; otherwise twice `width`.
 MIN_RANKED = 8
 
-# Rounds of the local search: number of paths improved, and number of consecutive cells replaced.
+# Rounds of the local search: number of paths improved, maximum run of cells replaced.
 ROUNDS = ((16, 2), (4, 3))
 
 # Maximum bytes of a search.
@@ -128,7 +128,7 @@ MAX_MEMORY = 1 << 30
 def best_paths(
     grid: Grid, objective: Objective, options: SearchOptions, width: int
 ) -> list[Candidate]:
-    """Return the closed paths of the highest value that the search finds."""
+    """Search for closed paths of high value; return them best first."""
     labels = LabelSearch(grid, objective, options, width)
     values, paths, steps = labels.ranked(*labels.closed(max(2 * width, MIN_RANKED)))
     for count, between in ROUNDS if width > 1 else ():
@@ -155,7 +155,7 @@ class LabelSearch:
         outcomes = objective.outcomes.probability
         self.reach = find_reach(grid, max_steps, options.max_distance)
         earlier = objective.outcomes.states
-        # States of readings with the visits of one more robot.
+        # Number of states of readings after one more robot's visits.
         own = dict(objective.outcomes.most_readings).get(camera_rates(objective.model), 0) + 1
         further = earlier // own * (own + max_visits)
         weights = powers_weights(objective.alpha, outcomes)
@@ -170,18 +170,18 @@ class LabelSearch:
             outcomes,
             objective.loss_cost,
             10.0**DECIMALS,
-            # A search of width 1 drops no labels.
+            # Only a search of a width above 1 drops labels by this bound.
             unread_after(gains, powers, max_steps) if self._width > 1 else np.zeros(max_steps + 1),
         )
 
     def closed(self, count: int) -> tuple[Places, Places]:
-        """Return closed paths and their steps, the best and then the shortest first."""
+        """Search for closed paths; return paths and steps, the best and shortest first."""
         problem, rows = self.problem, self.reach.start[-1]
         completions = np.empty((rows if self._width > 1 else 0, problem.weight.size + 5))
         paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)
         if self._width == 1:
             return paths, steps
-        # For behavioral entropies there is no bound on the continuations of a label.
+        # The bound on continuations of a label does not apply to behavioral entropies.
         least = -inf
         if self._objective.alpha == SHANNON:
             least = self.exact(paths[:1], steps[:1])[0] * problem.units - 1.0
@@ -192,7 +192,7 @@ class LabelSearch:
     def _traced(
         self, origins: NDArray[np.int32], values: Floats, count: int
     ) -> tuple[Places, Places]:
-        """Return the paths of the best `count` labels at the base."""
+        """Return the paths of the best `count` labels that end at the base."""
         best = np.argsort(-values, axis=None, kind='stable')[:count]
         steps, slots = np.divmod(best[values.flat[best] > -inf], values.shape[1])
         paths = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
@@ -200,7 +200,7 @@ class LabelSearch:
         return paths, steps
 
     def ranked(self, paths: Places, steps: Places) -> tuple[Floats, Places, Places]:
-        """Return the values of closed paths and the paths, best first, no two of equal visits."""
+        """Return values, paths and steps, best first, with one path for equal visits."""
         is_visit = np.arange(paths.shape[1]) <= steps[:, None]
         is_visit[:, 0] = False
         marks = (self.problem.marks[paths] * is_visit).sum(axis=1).tolist()
@@ -227,7 +227,7 @@ class LabelSearch:
 
 
 def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
-    """Return a bound on the information of readings in the remaining steps (:eq:`unread`)."""
+    """Return an upper bound on readings' information in the remaining steps (:eq:`unread`)."""
     survival = gains.factor[..., powers:]
     with np.errstate(divide='ignore', invalid='ignore'):
         risk = -np.log(survival)
@@ -259,15 +259,14 @@ def check_memory(
     labels, cells = int(reach.start[-1]), reach.cells.size
     factors_and_terms = powers + 1 + 2 * outcomes
     estimate = (
-        # The origin of each label, and the completions if some labels are kept for their
-        # heuristic.
+        # The origin of each label, and the completions if labels are kept by a heuristic.
         labels * (4 * rows + (number * (powers + 5) if rows > 1 else 0))
-        # The labels of two steps, with their marks and the visits around.
+        # The labels of two steps, with their hashes and the visits to neighbours.
         + 2 * int(reach.within.max()) * rows * (number * (factors_and_terms + 2) + 4 * 9)
-        # The gains and the likelihoods of readings, while they are computed.
+        # The gains and the likelihoods of readings during their computation.
         + 3 * number * cells * visits * factors_and_terms
         + 10 * number * further**2
-        # The information of the robots before.
+        # The joint outcomes of robots sent before.
         + 2 * number * outcomes * cells * (earlier + 4)
     )
     if estimate > MAX_MEMORY:
@@ -280,7 +279,7 @@ def check_memory(
 
 @lru_cache(maxsize=8)
 def scattered(cells: int, bits: int) -> NDArray[np.int64]:
-    """Return a mark for each cell whose sums identify the visits (splitmix)."""
+    """Return a random hash for each cell, whose sums identify visits (splitmix)."""
     x = np.arange(1, cells + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -2,8 +2,7 @@
 """
 Kernels of the local search that improves closed paths, and of exact values.
 
-Everything but a gap in the path is kept, so the value of a label is that of the whole path with
-the label's cells in the gap.
+Only the gap in a path changes, so the value of a label is that of the path with its cells in it.
 """
 
 from __future__ import annotations
@@ -37,30 +36,31 @@ class Gap(NamedTuple):
     # The cells before and after it.
     start: int
     end: int
-    # The first and last cells removed, which need not be tried in their places, since a shorter
-    # gap keeps them; -1 for none.
+    # The first and last cells removed; -1 for none. They are not tried again in their places,
+    # since a shorter gap keeps them.
     old_first: int
     old_last: int
-    # Metres of the path without the gap.
+    # Length of the path without the gap, metres.
     length: float
 
 
 class GapLabels(NamedTuple):
-    """Work space: the rest of a path, and labels with cells in the gap, by row."""
+    """Work space: the path outside the gap in row 0, and labels with cells in the gap."""
 
-    # Visits by the rest, shape (cells,).
+    # Visits of the path outside the gap, and of the cells tried in it, shape (cells,).
     visits: Places
-    # Metres from each cell to the end of the gap, inf if that is not one step, shape (cells,).
+    # Metres of the step from each cell to the end of the gap, inf if it is no neighbour, shape
+    # (cells,).
     closing: Floats
-    # Running products of labels; row 0 is the label of the rest.
+    # Products and sums of labels; row 0 is the label of the path outside the gap.
     products: Products
-    # Metres of the rest and of each label, shape (rows,).
+    # Length of the path outside the gap, and of each label, metres, shape (rows,).
     length: Floats
     # Last cell of each label, and the next column of `Reach.neighbors` to extend it to, shape
     # (rows,).
     cell: Places
     column: Places
-    # The best cells, shape (rows,).
+    # The best cells for the gap, shape (rows,).
     best: Places
 
 
@@ -68,7 +68,7 @@ class GapLabels(NamedTuple):
 def value_after(
     products: Products, row: int, problem: LabelProblem, rank: int, before: int
 ) -> float:
-    """Return `label_value` after `visit`, without writing that label."""
+    """Return the `label_value` after a `visit`, without writing the label."""
     factor, term, gains = products.factor, products.term, problem.gains
     weight, chance = problem.weight, problem.chance
     powers = weight.size
@@ -92,7 +92,7 @@ def value_after(
 def visit_all(
     path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products
 ) -> None:
-    """Visit the cells of a stretch of a path, in row 0 of `to` and in the counts."""
+    """Extend the label in row 0 of `to`, and the counts, by the cells of a stretch of a path."""
     for step in range(first, last + 1):
         cell = path[step]
         visit(to, 0, gains, cell, visits[cell], to, 0)
@@ -116,7 +116,7 @@ def exact_values(
     log_safe: float,
     log_deadly: float,
 ) -> Floats:
-    """Return the values of closed paths, nats, without moments (:eq:`objective-value`)."""
+    """Return the exact values of closed paths, nats (:eq:`objective-value`)."""
     chance, powers = problem.chance, problem.weight.size
     values = np.empty(steps.size)
     products, visits = new_products(1, problem.gains), np.empty(hazard.size, np.int64)
@@ -135,7 +135,7 @@ def exact_values(
 
 @compiled
 def length_to(reach: Reach, cell: int, other: int) -> float:
-    """Return the length of the step from one cell to another, metres; inf if there is none."""
+    """Return the length of the step between two cells, metres; inf if not neighbours."""
     length = inf
     for column in range(9):
         if reach.neighbors[cell, column] == other:
@@ -153,7 +153,7 @@ def measure(path: Places, reach: Reach, walked: Floats) -> None:
 
 @inlined
 def fill(problem: LabelProblem, gap: Gap, room: GapLabels, least: float) -> tuple[float, int]:
-    """Find the best cells for a gap by depth-first search."""
+    """Find the best cells for a gap by depth-first search; return value and number of cells."""
     reach, gains = problem.reach, problem.gains
     visits, closing, products = room.visits, room.closing, room.products
     length, cell, column, best = room.length, room.cell, room.column, room.best
@@ -188,7 +188,7 @@ def fill(problem: LabelProblem, gap: Gap, room: GapLabels, least: float) -> tupl
 
 @compiled
 def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
-    """Replace runs of cells of a closed path as long as that improves it."""
+    """Replace runs of cells of a closed path until no replacement improves it."""
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between
     room = GapLabels(
@@ -200,14 +200,14 @@ def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) 
         np.empty(rows, np.int64),
         np.empty(rows, np.int64),
     )
-    # Metres up to each index.
+    # Length of the path up to each index, metres.
     walked = np.zeros(path.size)
     measure(path[: steps + 1], reach, walked)
     take(path[: steps + 1], gains, room.visits, room.products)
     best_value = label_value(room.products, 0, problem)
-    # The label of the first steps, `reached` of them.
+    # The label of the first `reached` steps.
     before, visits_before, reached = new_products(1, gains), np.zeros_like(room.visits), path.size
-    # Number of indices since the last replacement, up to all.
+    # Start of the gap, and number of starts tried since the last replacement.
     first, unchanged = 0, 0
     while unchanged < steps:
         if reached > first:

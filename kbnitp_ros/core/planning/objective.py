@@ -17,7 +17,7 @@ from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# The first is 1: its moment is the predicted survival itself.
+# The first exponent is 1: its moment is the predicted survival.
 EXPONENTS = np.array([1.0, 2.026, 3.832, 9.407, 28.14, 101.5, 482.6, 4111.0])
 WEIGHTS = np.array(
     [
@@ -32,12 +32,12 @@ WEIGHTS = np.array(
     ]
 )
 
-# Maximum error of the sum of powers, nats.
+# Maximum error of the entropy by this sum of powers, nats.
 ERROR = 1.95e-5
 
 
-# Maximum number of different cameras planned for together, and of combinations of their readings
-# of a cell. Readings by a camera beyond these are not counted, which loses next to nothing.
+# Maximum number of different cameras in one plan, and of combinations of numbers of readings of a
+# cell. Further readings by a camera are not counted, which changes plans very little.
 MAX_CAMERAS = 6
 MAX_WAYS = 1024
 
@@ -51,12 +51,12 @@ def camera_rates(model: SensorModel) -> Camera:
     return model.true_positive, model.false_positive
 
 
-# Maximum readings of a cell by each camera.
+# Maximum number of readings of a cell, by camera.
 Most = tuple[tuple[Camera, int], ...]
 
 
 def most_counted(cameras: int) -> int | None:
-    """Return how many readings of a cell by each camera are counted; None for all."""
+    """Return the maximum number of readings counted for a cell and camera; None for all."""
     return None if cameras < 2 else int(MAX_WAYS ** (1.0 / cameras)) - 1
 
 
@@ -64,14 +64,14 @@ def check_cameras(cameras: int) -> None:
     """Check that there are at most `MAX_CAMERAS` different cameras."""
     if cameras > MAX_CAMERAS:
         raise ValueError(
-            f'the robots have {cameras} different cameras: paths can be planned for at most '
-            f'{MAX_CAMERAS}, by true_positive and false_positive, at a time'
+            f'the robots have {cameras} different cameras (pairs of true_positive and '
+            f'false_positive): paths can be planned for at most {MAX_CAMERAS} at a time'
         )
 
 
 @lru_cache(maxsize=8)
 def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Readings:
-    """Return the possible outcomes of up to `visits` readings and those of others before."""
+    """Return the possible readings of up to `visits` visits, and of `earlier` robots."""
     own = camera_rates(model)
     most = dict(earlier)
     before = tuple(count + 1 for count in most.values())
@@ -106,7 +106,7 @@ def new_information(
     earlier: NDArray[np.float64],
     alpha: float = SHANNON,
 ) -> NDArray[np.float64]:
-    """Return the information of 1, 2, ... visits given earlier readings, (..., visits)."""
+    """Return the information of readings in 1, 2, ... visits, given earlier readings."""
     found = np.empty((*joint.shape[:-2], len(readings.survival) - 1))
     new_readings(
         readings,
@@ -131,7 +131,7 @@ def positives(camera: Camera, most: int) -> NDArray[np.float64]:
     return likelihood * (k <= m)[..., None]
 
 
-# Maximum number of joint outcomes tracked, each robot doubling them; the least probable are
+# Maximum number of joint outcomes tracked; each robot doubles it, and the least probable are
 # merged.
 MAX_OUTCOMES = 16
 
@@ -141,26 +141,26 @@ NEGLIGIBLE = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class JointOutcomes:
-    """The joint outcomes of the robots sent before: each returned or was lost."""
+    """The joint outcomes, returned or lost, of the robots sent before."""
 
-    # The belief before any of them was sent, which still holds in other cells.
+    # The belief before the robots were sent, still valid in cells that they do not visit.
     belief: Belief
     # Probability of each outcome, shape (outcomes,).
     probability: NDArray[np.float64]
-    # The cells that they visit, ascending, shape (n,).
+    # The cells that the robots visit, ascending, shape (n,).
     cells: NDArray[np.intp]
-    # P(Z = z, X = x) of these cells given the outcome, but not the readings; shape (outcomes, n,
+    # P(Z = z, X = x) of these cells given the outcome, without the readings; shape (outcomes, n,
     # 2, 2).
     joint: NDArray[np.float64]
-    # P(number of readings of the cell by each camera), with an axis for each from 0 up: certain
-    # but for merged outcomes.
+    # P(numbers of readings of a cell) in each outcome, with an axis for each camera, from 0
+    # readings up; 0 or 1 except in merged outcomes.
     readings: NDArray[np.float64]
     # The cameras of the robots.
     cameras: tuple[Camera, ...] = ()
 
     @property
     def most_readings(self) -> Most:
-        """Return the maximum readings of a cell by each camera."""
+        """Return the maximum number of readings of a cell by each camera."""
         return tuple(zip(self.cameras, (count - 1 for count in self.readings.shape[2:])))
 
     @property
@@ -169,7 +169,7 @@ class JointOutcomes:
         return prod(self.readings.shape[2:])
 
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the joints and the readings of any cells."""
+        """Return the joints and the numbers of readings of any cells, given each outcome."""
         outcomes = self.probability.size
         joint = self.belief.joint[cells][None].repeat(outcomes, 0)
         readings = np.zeros((outcomes, cells.size, self.states))
@@ -182,7 +182,7 @@ class JointOutcomes:
         return joint, readings
 
     def find_places(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the positions of common cells, in `cells`, shape (k,), and in its own."""
+        """Return the indices in `cells` and in `self.cells` of their common cells, each (k,)."""
         there = np.searchsorted(self.cells, cells)
         here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
         return here, there[here]
@@ -217,7 +217,7 @@ def after_deployment(
     hazard = joint[:, at, 1].sum(axis=-1).clip(max=1.0)
     log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival).sum(axis=1)
 
-    # The loss and then the return of each outcome, without nearly impossible ones.
+    # Split each outcome into loss and return; drop nearly impossible outcomes.
     chance = np.stack([-np.expm1(log_survival), np.exp(log_survival)], axis=1)
     probability = (outcomes.probability[:, None] * chance).ravel()
     order = np.argsort(-probability, kind='stable')
@@ -244,7 +244,7 @@ def after_deployment(
 
 
 def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
-    """Return readings of several cameras, with counts of `most` or more summed into one."""
+    """Sum the probabilities of `most` or more readings by a camera into one count."""
     if most is None:
         return readings
     for axis in range(2, readings.ndim):
@@ -256,7 +256,7 @@ def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.floa
 
 
 def _merged(outcomes: JointOutcomes) -> JointOutcomes:
-    """Return at most `MAX_OUTCOMES`, averaging the last ones (:eq:`merged-outcomes`)."""
+    """Merge the least probable outcomes into at most `MAX_OUTCOMES` (:eq:`merged-outcomes`)."""
     if outcomes.probability.size <= MAX_OUTCOMES:
         return outcomes
     alone = MAX_OUTCOMES - 1
@@ -269,8 +269,8 @@ def _merged(outcomes: JointOutcomes) -> JointOutcomes:
     return replace(outcomes, probability=probability, joint=joint, readings=readings)
 
 
-# Exponents of the powers of a survival whose sum approximates the entropy of an outcome while
-# labels are compared. The first moment is the predicted survival, as for Shannon's.
+# Exponents of powers of the survival; the label search approximates behavioral entropies by sums
+# of them. The first is 1: its moment is the predicted survival.
 BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 
 
@@ -283,12 +283,12 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
 
 
 def count_powers(alpha: float, outcomes: int) -> int:
-    """Return the number of powers in the labels of a search, by its joint outcomes."""
+    """Return the number of powers in a label, for a number of joint outcomes."""
     return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
 
 
 def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weights of a label's powers in the entropy of its outcome."""
+    """Return the weights of a label's powers in the entropy of the outcome."""
     if alpha == SHANNON:
         return WEIGHTS
     entropy, rest = fit_weights(alpha)
@@ -298,8 +298,8 @@ def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.floa
 @lru_cache(maxsize=16)
 def fit_weights(alpha: float) -> NDArray[np.float64]:
     """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
-    # The first exponents fit h(p), the others h(p) + (1 - p) ln(1 - p), which a label search does
-    # not add by itself.
+    # The first weights fit h(p), the second h(p) + (1 - p) ln(1 - p), since the label search adds
+    # the surprisal of a loss itself.
     ends = np.geomspace(1e-8, 1e-2, 300)
     survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
     powers = survival[:, None] ** BEHAVIORAL_EXPONENTS
@@ -311,36 +311,36 @@ def fit_weights(alpha: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """The expected information of a path, less the cost of expected losses."""
+    """The expected information of a path minus the cost of expected losses."""
 
     # The belief before the round.
     belief: Belief
     # The believed sensor model of the robot.
     model: SensorModel
-    # The cost of its loss, nats, at least 0.
+    # The cost of a loss of the robot, nats, at least 0.
     loss_cost: float
     # Weight of the information of readings in each cell, in [0, 1], shape (cells,).
     interest: NDArray[np.float64]
-    # Joint outcomes of the robots of the same round whose paths are known.
+    # Joint outcomes of earlier robots: in flight, or planned earlier in the round.
     outcomes: JointOutcomes
-    # Prelec weight of probabilities: 1 for Shannon's entropy; otherwise `behavioral_information`
-    # replaces the information.
+    # Alpha of the Prelec weight: 1 for Shannon's entropy; otherwise `behavioral_information` is
+    # used.
     alpha: float = SHANNON
 
     @classmethod
     def alone(
         cls, grid: Grid, belief: Belief, model: SensorModel, options: SearchOptions
     ) -> Objective:
-        """Return the objective of a robot that goes alone."""
+        """Return the objective of a single robot, with no robot sent before."""
         if belief.cells != grid.cells:
             raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
         interest, nobody = np.ones(belief.cells), nobody_deployed(belief)
         return cls(belief, model, options.loss_cost, interest, nobody, options.alpha)
 
     def after(self, path: NDArray[np.intp]) -> JointOutcomes:
-        """Return the joint outcomes after this robot takes `path` as well."""
+        """Return the joint outcomes after this robot is sent along `path`."""
         return after_deployment(self.outcomes, self.model, path)
 
     def given(self, outcomes: JointOutcomes) -> Objective:
-        """Return the objective of the robot after others have left."""
+        """Return the objective given the joint outcomes of robots sent before."""
         return replace(self, outcomes=outcomes)

@@ -17,7 +17,7 @@ from kbnitp_ros.plugins import Registry, takes
 OBJECTIVES = ('information', 'behavioral', 'information_per_loss')
 
 
-# The package's own are in planners.py.
+# The package's planners are in planners.py.
 PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     'planner',
     partial(takes, arguments=('finder', 'objective')),
@@ -25,13 +25,13 @@ PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     gone={'exact': 'it is gone: use beam, and bound for how much better a path may be'},
 )
 
-# The alpha of Shannon's entropy, and the range for behavioral entropies.
+# Alpha of Shannon's entropy, and range of alpha of behavioral entropies.
 SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
 
 
 def prelec_beta(alpha: float) -> float:
-    """Return the beta of a Prelec weight that keeps 1/2 (:eq:`behavioral-entropy`)."""
+    """Return the beta with which a Prelec weight maps 1/2 to 1/2 (:eq:`behavioral-entropy`)."""
     return float(log(2.0) ** (1.0 - alpha))
 
 
@@ -45,10 +45,10 @@ class SearchOptions:
     planner : str or callable
         One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns a list of
         `Candidate`, the best first. 'relaxed' keeps the best label of each cell and step; 'beam'
-        keeps a quarter of `width`, and improves the best paths by local search. The others seek no
-        information and serve as baselines: 'random' draws a closed walk, 'coverage' ploughs the
-        field where earlier paths left off, and 'shortest_unvisited' goes to the nearest cell that
-        was visited least, and on to the next.
+        keeps `width` / 4 labels, and improves the best paths by local search. Baselines, which
+        seek no information: 'random' draws a closed walk, 'coverage' sweeps the field row by row,
+        starting where earlier paths ended, and 'shortest_unvisited' goes from one least visited
+        cell to the nearest other.
     max_steps : int
         Maximum steps of a path, at least 1.
     width : int
@@ -57,23 +57,23 @@ class SearchOptions:
         Maximum visits of a path to a cell, at least 1.
     objective : str
         'information'; 'behavioral', for `behavioral_information`; or 'information_per_loss', for
-        the most information for each robot that is expected to be lost.
+        the ratio of information to the expected number of lost robots.
     alpha : float
-        Parameter of the Prelec weight of the behavioral objective, from 0.2 to 5; 1 gives the
-        information.
+        Parameter of the Prelec weight of the behavioral objective, from 0.2 to 5; 1 gives
+        Shannon's information.
     loss_cost : float
         The cost of a lost robot, nats of information, at least 0.
     minimum_survival : float
         Minimum chance in [0, 1] that a robot survives its path.
     max_distance : float
         Maximum length of a path, metres, at least 0; 0 for no limit. A diagonal step is sqrt(2)
-        times as long as a straight one, and a stay has no length. Baselines refuse it.
+        times as long as a straight step, and a stay has no length. Baselines do not support it.
 
     Raises
     ------
     ValueError
-        If the planner or the objective is unknown, the objective has no alpha, or a number is out
-        of range.
+        If the planner or the objective is unknown, an alpha is given for another objective, or a
+        number is out of range.
 
     """
 
@@ -115,6 +115,6 @@ class SearchOptions:
         object.__setattr__(self, 'alpha', float(self.alpha))
 
     def of_type(self, robot_type: RobotType) -> SearchOptions:
-        """Return the options of a robot type, with its own values."""
+        """Return the options with the values that a robot type sets."""
         own = {name: own for name, own in robot_type.own.items() if name in vars(self)}
         return replace(self, **own) if own else self

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The planners: how each looks for the path of the next deployment.
+The planners, which search for the path of the next deployment.
 
 A planner takes a `PathFinder` and an `Objective` and returns closed paths, the best first. A new
-one is one file and one line here, or an entry point of another package; a label search has another
-line among `LABELS`.
+planner takes one file and one line here, or an entry point of another package; a label search also
+takes a line in `LABELS`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
-    """Return a closed path through the least visited cells, in an order or the nearest first."""
+    """Return a closed path through the least visited cells, by `order` or nearest first."""
     grid, visited = finder.grid, finder.visited
     max_steps, max_visits = finder.options.max_steps, finder.options.max_visits
     wanted: NDArray[np.bool_] = grid.in_reach(max_steps)
@@ -67,14 +67,14 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
 def is_open(
     grid: Grid, entered: NDArray[np.intp], max_visits: int, *, home: bool = False
 ) -> NDArray[np.bool_]:
-    """Return the cells that may be entered once more; the base only on the way home."""
+    """Return a mask of cells that may be entered once more; the base only on the way home."""
     result: NDArray[np.bool_] = grid.free & (entered < max_visits)
     result[grid.base] = home
     return result
 
 
 def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
-    """Return a shortest way, without its start, from the steps from each cell to its end."""
+    """Return a shortest path to `target`, without its start, given the steps from the start."""
     cells = [target]
     while steps[cells[-1]] > 1:
         around = grid.neighbors(cells[-1])
@@ -85,7 +85,7 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
 # Maximum number of restarts of a random walk that gets stuck.
 ATTEMPTS = 100
 
-# Maximum bytes for counting the ways home.
+# Maximum bytes for counting the walks home.
 MAX_MEMORY = 1 << 30
 
 
@@ -101,7 +101,7 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
 
 
 def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
-    """Return the numbers of walks home in 0, 1, ... steps, over the largest (:eq:`walks`)."""
+    """Return the number of walks home in 0, 1, ... steps, over the largest (:eq:`walks`)."""
     ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
     ways[0][0] = 1.0
     for _ in range(reach.within.size - 2):
@@ -116,7 +116,7 @@ def one_walk(
     max_visits: int,
     rng: np.random.Generator,
 ) -> list[int]:
-    """Draw a walk in `Reach.cells`, by the numbers of `ways` home; it ends early at a dead end."""
+    """Draw a walk by ranks, weighted by the number of `ways` home; a dead end ends it early."""
     walk, entered = [0], np.zeros(len(neighbors), dtype=np.intp)
     for left in reversed(ways):
         onward = neighbors[walk[-1]]
@@ -131,7 +131,7 @@ def one_walk(
 
 
 def check_walk_memory(reach: Reach) -> None:
-    """Check that the ways home fit in memory."""
+    """Check that the counts of walks home fit in memory."""
     estimate = 8 * reach.within.size * reach.cells.size
     if estimate > MAX_MEMORY:
         raise ValueError(
@@ -145,7 +145,7 @@ A_LIST = 'a list of Candidate.along(path, objective)'
 
 
 class NoPathError(ValueError):
-    """No path was found with the required survival."""
+    """Error raised if no path with the required survival is found."""
 
 
 @typed_fields
@@ -159,15 +159,15 @@ class PathFinder(Value):
     grid : Grid
         The field.
     options : SearchOptions
-        The planner, the limits of its paths, and what they are sought for.
+        The planner, the limits of its paths, and the objective.
     visited : ndarray of int, shape (cells,)
-        How often the paths of earlier deployments entered each cell; never unless given.
+        Number of visits to each cell by the paths of earlier deployments; 0 by default.
 
     Raises
     ------
     ValueError
-        If the planner does not seek the objective or keep the distance, or `visited` fits another
-        grid.
+        If the planner does not support the objective or the limit of distance, or `visited` does
+        not fit the grid.
 
     """
 
@@ -199,11 +199,11 @@ class PathFinder(Value):
         object.__setattr__(self, 'visited', given.astype(np.intp))
 
     def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
-        """Return the finder after robots have left on these paths, each of shape (steps + 1,)."""
+        """Return the finder with the visits of these paths added, each of shape (steps + 1,)."""
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
 
     def candidates(self, objective: Objective) -> list[Candidate]:
-        """Return closed paths by value, the best first; raise NoPathError if there is none."""
+        """Return closed paths, the best first; raise NoPathError if none has enough survival."""
         planner = self.options.planner
         with PLANNERS.blamed(planner):
             candidates = PLANNERS.find(planner)(self, objective)
@@ -273,13 +273,13 @@ class PathFinder(Value):
 
 
 def check_distance(grid: Grid, options: SearchOptions) -> None:
-    """Check that a robot can leave the base and come back within the distance."""
+    """Check that the limit of distance allows a step from the base and back."""
     if not options.max_distance:
         return
     within_steps = grid.in_reach(options.max_steps)
     within_both = grid.in_reach(options.max_steps, options.max_distance)
     if within_steps.sum() > 1 and within_both.sum() == 1:
-        # In millimetres, rounded up.
+        # Rounded up to millimetres.
         least = ceil(2e3 * np.sort(grid.distance_to_base[within_steps])[1] - 1e-6) / 1e3
         raise ValueError(
             f'max_distance is {options.max_distance:.6g} m, which allows no step from the base '
@@ -289,23 +289,23 @@ def check_distance(grid: Grid, options: SearchOptions) -> None:
 
 
 def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
-    """Return the visits of each cell by paths, each of shape (steps + 1,); shape (cells,)."""
+    """Count the visits to each cell, (cells,), by paths, each of shape (steps + 1,)."""
     entered = [path[1:] for path in paths] or [np.empty(0, dtype=np.intp)]
     return np.bincount(np.concatenate(entered), minlength=grid.cells)
 
 
 def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Keep the single best label of each cell and step: the paper's planner."""
+    """Search with the single best label of each cell and step: the paper's planner."""
     return best_paths(finder.grid, objective, finder.options, 1)
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Keep a quarter of `width` labels of each cell and step, and improve the best paths."""
+    """Search with `width` / 4 labels of each cell and step, and improve the best paths."""
     return best_paths(finder.grid, objective, finder.options, finder.options.width)
 
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Draw a closed walk, the same for the same belief and earlier visits."""
+    """Draw a closed walk; equal beliefs and earlier visits give equal walks."""
     reach = find_reach(finder.grid, finder.options.max_steps, finder.options.max_distance)
     check_walk_memory(reach)
     known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
@@ -314,16 +314,16 @@ def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def coverage(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Plough the field from where earlier paths left off."""
+    """Sweep the field row by row, starting where earlier paths ended."""
     grid = finder.grid
     row, col = np.divmod(np.arange(grid.cells), grid.width)
-    # Row after row, every second one backwards.
+    # Row after row, every second row backwards.
     order = row * grid.width + np.where(row % 2, grid.width - 1 - col, col)
     return [Candidate.along(tour(finder, order), objective)]
 
 
 def shortest_unvisited(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Go to the nearest of the least visited cells, and on to the next."""
+    """Go from one least visited cell to the nearest other."""
     return [Candidate.along(tour(finder), objective)]
 
 
@@ -341,7 +341,7 @@ PLANNERS.fill(
 BASELINES = ('random', 'coverage', 'shortest_unvisited')
 
 
-# The width of the label searches among them.
+# Width of the planners that are label searches.
 LABELS: dict[object, Callable[[SearchOptions], int]] = {
     'relaxed': lambda _: 1,
     'beam': lambda options: options.width,

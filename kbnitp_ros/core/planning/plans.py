@@ -48,8 +48,8 @@ class Plan(Value):
     survival : float
         Predicted chance that the robot returns, in [0, 1].
     upper_bound : float or None
-        No path that the search may return has a higher information - loss_cost * (1 - survival),
-        nats; None unless a bound was asked for.
+        Upper bound on information - loss_cost * (1 - survival) of every path that the search may
+        return, nats; None if not requested.
     gap : float or None
         Difference between `upper_bound` and the value of the plan, nats, at least 0.
     gain : float or None
@@ -113,14 +113,14 @@ def plan(
     Returns
     -------
     Plan
-        The same belief, with the same visits, gives the same plan.
+        Equal beliefs and visits give equal plans.
 
     Raises
     ------
     ValueError
-        If the planner or the objective is unknown, the planner does not seek the objective or keep
-        the distance, a number is out of range, the distance allows no step, or the belief has
-        another number of cells than the grid; if there is no bound for the objective or the
+        If the planner or the objective is unknown, the planner does not support the objective or
+        the limit of distance, a number is out of range, the distance allows no step, or belief and
+        grid have different numbers of cells; if no bound is available for the objective or the
         planner, or it takes more memory than is allowed.
 
     """
@@ -137,7 +137,7 @@ def plan(
 
 
 def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
-    """Return the plan of a robot that goes alone, with a bound if requested."""
+    """Return the plan of a single robot, with a bound if requested."""
     path = finder.candidates(objective)[0].path
     found = Plan.along(path, objective.belief, objective.model)
     if not bound:
@@ -148,7 +148,7 @@ def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
 
 
 def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
-    """Check that plans can have a bound."""
+    """Check that a bound is supported for these options."""
     if options.planner in BASELINES:
         raise ValueError(
             f'planner is {options.planner}, which seeks no information, so its plans have no '
@@ -159,18 +159,18 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
 
 @dataclass(frozen=True, eq=False)
 class TeamMember:
-    """A robot to plan for; equal types share one."""
+    """A robot to plan for; robots of equal type share one instance."""
 
-    # Finder of its paths, with its limits and from its own base.
+    # Finder of the robot's paths, with the limits and the base of its type.
     finder: PathFinder
-    # Objective of its path, given the robots that left before the round.
+    # Objective of the robot's path, given the robots sent before the round.
     objective: Objective
 
     @classmethod
     def of(
         cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
     ) -> TeamMember:
-        """Return a robot of a type that goes alone, given the common model."""
+        """Return a robot of a type, with no robot sent before, given the common model."""
         grid, options = finder.grid.at(robot_type.base), finder.options.of_type(robot_type)
         own = finder
         if grid is not finder.grid or options is not finder.options:
@@ -178,12 +178,12 @@ class TeamMember:
         return cls(own, Objective.alone(grid, belief, robot_type.model(model), options))
 
     def given(self, outcomes: JointOutcomes) -> TeamMember:
-        """Return the robot after others have left."""
+        """Return the robot given the joint outcomes of robots sent before."""
         return replace(self, objective=self.objective.given(outcomes))
 
 
 def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return the same path for all of a type: the same belief gives the same plan."""
+    """Return the path that each robot would take alone, the same for robots of equal type."""
     nobody = nobody_deployed(robots[0].objective.belief)
     paths = {
         robot: robot.finder.candidates(robot.objective.given(nobody))[0].path
@@ -193,7 +193,7 @@ def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
 
 
 def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return paths, each planned given that those before it are taken, returned or lost."""
+    """Return paths, each planned given the joint outcomes of the paths before it."""
     first, *others = robots
     objective = first.objective
     paths = [first.finder.candidates(objective)[0].path]
@@ -203,12 +203,12 @@ def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     return paths
 
 
-# Weight of the readings of a robot in the regions of others.
+# Weight of a robot's readings outside its own region.
 ELSEWHERE = 0.1
 
 
 def divided(robots: Sequence[TeamMember]) -> NDArray[np.intp]:
-    """Return the robot of each cell, -1 for none, in regions of about equal entropy."""
+    """Divide the field into regions of about equal entropy; return each cell's robot or -1."""
     belief = robots[0].objective.belief
     in_reach = {
         robot: robot.finder.grid.in_reach(
@@ -223,7 +223,7 @@ def divided(robots: Sequence[TeamMember]) -> NDArray[np.intp]:
 
 
 def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
-    """Return paths that seek information in their own regions."""
+    """Return paths, each planned for information in its robot's region."""
     owner, paths = divided(robots), []
     for number, robot in enumerate(robots):
         interest = np.where(owner == number, 1.0, ELSEWHERE)
@@ -277,16 +277,16 @@ class Team:
         Number of robots, at least 1.
     allocation : str
         One of `ALLOCATIONS`. 'independent': every robot takes the path it would take alone.
-        'voronoi': the field is divided into regions of about equal entropy, one a robot.
-        'greedy': robot after robot, for what each adds to what those before it are expected to
-        bring, returned or lost.
+        'voronoi': the field is divided into regions of about equal entropy, one for each robot.
+        'greedy': robot after robot, each for the information it adds to the expected outcomes of
+        earlier robots.
     types : sequence of RobotType
         The type of each robot; empty if all are alike.
 
     Raises
     ------
     ValueError
-        If there is no robot, or not one type for each.
+        If there is no robot, or the number of types differs.
 
     """
 
@@ -299,7 +299,7 @@ class Team:
         object.__setattr__(self, 'types', of_each(self.agents, self.types))
 
     def first(self, robots: int) -> Team:
-        """Return the team of the first `robots` robots, at most all."""
+        """Return the team of the first `robots` robots, or the whole team if it is smaller."""
         if robots >= self.agents:
             return self
         types = self.types[:robots]
@@ -333,25 +333,25 @@ def plan_team(
     options : SearchOptions
         Search options of the common robot type.
     in_flight : sequence of (array_like of int, RobotType)
-        The path, shape (steps + 1,), and the type of each robot that has left before and has not
-        reported. All allocations but 'independent' plan for what is added to them.
+        The path, shape (steps + 1,), and the type of each robot in flight. All allocations but
+        'independent' plan for the information added to their outcomes.
     keepout : sequence of int
-        Cells that none of the robots enters, besides those that are blocked.
+        Cells that no robot may enter, in addition to blocked cells.
     bound : bool
-        As of `plan`, for one robot while none is in flight.
+        As of `plan`; only for one robot while none is in flight.
 
     Returns
     -------
     list of Plan
-        One a robot, in their order: each says what is expected of that robot alone. The same
-        belief gives the same plans. A single robot's is that of `plan`.
+        One plan for each robot, in their order, with the expected results of that robot alone.
+        Equal beliefs give equal plans. A single robot gets the plan of `plan`.
 
     Raises
     ------
     ValueError
-        As of `plan`; if the allocation is unknown, there are more robots than free cells, a robot
-        in flight could not have left that way, a base is none of the grid's, or the robots have
-        too many different cameras.
+        As of `plan`; if the allocation is unknown, there are more robots than free cells, a path
+        in flight is invalid, a base is not one of the grid's, or the robots have too many
+        different cameras.
 
     """
     ALLOCATIONS.find(team.allocation)
@@ -397,7 +397,7 @@ def plan_team(
     return most_per_loss(options, find, information)
 
 
-# One search each; three or four change the plans.
+# Maximum number of searches at successive loss costs; usually three or four change the plans.
 MAX_SEARCHES = 10
 
 
@@ -412,7 +412,7 @@ def most_per_loss(
         lost = sum(1.0 - plan.survival for plan in best)
         if lost <= 0.0:
             break
-        # Dinkelbach: at this cost the plans found have value 0, and only better ones more.
+        # Dinkelbach: at this cost the best plans have value 0, and only better plans exceed 0.
         cost = information(best) / lost
         plans = find(replace(options, objective='information', loss_cost=cost))
         if information(plans) <= cost * sum(1.0 - plan.survival for plan in plans):
@@ -423,7 +423,7 @@ def most_per_loss(
 
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
     """Check that the search for a team fits in the allowed memory."""
-    # The model does not matter to robots without a camera of their own.
+    # Robot types that set no rates of the camera share the common camera.
     cameras = {(each.true_positive, each.false_positive) for each in types}
     for base, options in dict.fromkeys(
         (each.base, finder.options.of_type(each)) for each in types
@@ -439,4 +439,4 @@ def team_size(grid: Grid, agents: int) -> int:
     try:
         return whole_number('agents', agents, 1, free)
     except ValueError as error:
-        raise ValueError(f'{error}, one for each free cell at most') from error
+        raise ValueError(f'{error}, at most one for each free cell') from error

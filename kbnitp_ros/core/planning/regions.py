@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regions of the field, and cells that a team keeps off."""
+"""Regions of the field, and cells that a team must avoid."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def keepout_cells(
     rounds: Sequence[Sequence[ArrayLike]],
     max_distance: float = 0.0,
 ) -> NDArray[np.intp]:
-    """Return the cells that the next round avoids, given the refused rounds of plans."""
+    """Return the cells that the next round must avoid, given the operator's refused rounds."""
 
     def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the number of cells in reach of each base and, last, of any."""
+        """Return the number of cells in reach of each base and, last, of at least one base."""
         open_grid = without(grid, cells)
         in_reach = [
             open_grid.at(base).in_reach(max_steps, max_distance) for base in dict.fromkeys(bases)
@@ -71,11 +71,11 @@ def keepout_cells(
     return kept
 
 
-# Further sweeps over the regions change next to nothing.
+# Maximum number of sweeps over the regions; further sweeps hardly change them.
 SWEEPS = 50
 
 # Rotation of the sites about their base, radians: no border then runs along a row or a diagonal,
-# and cells cross it one by one.
+# so cells change their region one by one.
 TURN = 0.05
 
 
@@ -120,7 +120,7 @@ def divide(
 def _sector_centres(
     place: NDArray[np.complex128], mass: NDArray[np.float64], parts: int
 ) -> NDArray[np.complex128]:
-    """Return the centres of mass of sectors around 0 of about equal mass; 0 for empty ones."""
+    """Return the centres of sectors around 0 of about equal mass; 0 for empty sectors."""
     order = np.argsort(np.angle(place), kind='stable')
     middle = np.cumsum(mass[order]) - mass[order] / 2.0
     sector = np.empty(len(mass), dtype=np.intp)
@@ -132,7 +132,7 @@ def _sector_centres(
 
 
 def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
-    """Return a weight: about `share` of the mass has margins below it."""
+    """Return the weight below which about `share` of the mass has its margin."""
     share -= float(mass[margin == -np.inf].sum())
     is_open = np.isfinite(margin)
     margin, mass = margin[is_open], mass[is_open]
@@ -148,7 +148,7 @@ def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.floa
 def _regions(
     power: NDArray[np.float64], mass: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], float]:
-    """Return the region of each place, and the excess of the fullest over the mean, relative."""
+    """Return the region of each place, and the fullest region's relative excess over the mean."""
     owner: NDArray[np.intp] = power.argmin(axis=1)
     held = np.bincount(owner, mass, power.shape[1]).astype(np.float64)
     mean = held.mean()

@@ -209,7 +209,7 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
         (lambda: Dynamics('changing', vanish=(0.0, 0.1)), 'it must satisfy 0 < low < high'),
         (lambda: Dynamics('moving', move=(0.5, 1.5)), 'move is 1.5'),
         (lambda: Dynamics('changing', appear=(0.1, 0.2)), 'appear is .* it must be a number'),
-        (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing ones have it'),
+        (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing hazards use it'),
         (
             lambda: Estimator(PRIOR, MODEL, 'relaxed_bnitp', dynamics=Dynamics('learn')),
             'relaxed_bnitp does not take hazards that are of an unknown kind: use relaxed_itp',

@@ -120,7 +120,7 @@ def test_the_return_with_more_readings_counts_in_any_order(first, second):
     assert ledger.record_report(A, RETURNS[first])
     before = state(ledger)
     if first > second:
-        with pytest.raises(ValueError, match='reports of .*scout_1.*differ: that with more'):
+        with pytest.raises(ValueError, match='reports of .*scout_1.*differ: the one with more'):
             ledger.record_report(A, RETURNS[second])
         assert state(ledger) == before
     else:
@@ -238,7 +238,7 @@ def test_pending_reports_are_bounded_by_bytes_and_bad_stamps_dropped_first(ledge
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert refusals
-    assert all('at most 50 MB of them are kept' in refusal for refusal in refusals)
+    assert all('at most 50 MB are kept' in refusal for refusal in refusals)
     assert peak < 60e6
     # The report of a robot in flight is never dropped for them.
     assert ledger.record_path(real, PATH)

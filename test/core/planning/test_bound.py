@@ -151,10 +151,10 @@ def test_options_without_a_bound_are_refused(options, message):
 def test_teams_have_no_bound():
     grid, model = Grid(3, 3), SensorModel(0.5)
     belief, options = Belief.prior(grid, 0.3, 0.4, 0.8), SearchOptions('beam', 4)
-    with pytest.raises(ValueError, match='there are 2 robots, and a bound'):
+    with pytest.raises(ValueError, match='there are 2 robots, but only plans of a single'):
         plan_team(grid, belief, model, Team(2), options, bound=True)
     out = [([0, 1, 0], ORDINARY)]
-    with pytest.raises(ValueError, match='there are 2 robots, and a bound'):
+    with pytest.raises(ValueError, match='there are 2 robots, but only plans of a single'):
         plan_team(grid, belief, model, Team(1), options, in_flight=out, bound=True)
     alone = plan_team(grid, belief, model, Team(1), options, bound=True)
     assert alone[0].gap is not None

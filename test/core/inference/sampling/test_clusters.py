@@ -200,7 +200,7 @@ def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
 @for_each('changed, message', [
     ({'method': 'kappa_bnitp'}, 'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
     ({'dynamics': Dynamics('used_up')}, 'does not take hazards that are used_up'),
-    ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, and the prior has 12'),
+    ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, but the prior has 12'),
     (
         {'belief': Belief.from_maps(np.linspace(0.0, 0.5, 12), [0.4] * 12, [0.4] * 12)},
         'prior hazards differ between cells',

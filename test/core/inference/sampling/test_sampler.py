@@ -384,10 +384,10 @@ def test_a_bad_beta_distribution_is_refused(arguments):
 
 
 @for_each('unknowns, maps, sensors, message', [
-    ({'hazard_density': (0, 1)}, (0.0, 0.5, 0.5), {}, 'hazard_density.*open in no cell'),
-    ({'kappa': (0, 1)}, (0.5, 0.7, 1.0), {}, 'kappa.*open in no cell'),
-    ({'kappa': (0, 1)}, (0.0, 0.5, 0.5), {}, 'kappa.*open in no cell'),
-    ({'target_background': (0, 1)}, (0.5, 0.4, 0.8), {}, 'target_background.*open in no cell'),
+    ({'hazard_density': (0, 1)}, (0.0, 0.5, 0.5), {}, 'hazard_density.*decides every cell'),
+    ({'kappa': (0, 1)}, (0.5, 0.7, 1.0), {}, 'kappa.*decides every cell'),
+    ({'kappa': (0, 1)}, (0.0, 0.5, 0.5), {}, 'kappa.*decides every cell'),
+    ({'target_background': (0, 1)}, (0.5, 0.4, 0.8), {}, 'target_background.*decides every cell'),
     ({'lethality': (0, 1)}, (0.5, 0.5, 0.5), {'false_negative': 1.0}, 'lethality.*strike'),
 ])  # fmt: skip
 def test_a_number_without_effect_is_refused(unknowns, maps, sensors, message):
