@@ -51,7 +51,7 @@ NAME = 'benchmark'
 HEADS = (
     'planner',
     'method',
-    'worth / bound',
+    'value / bound',
     'least',
     'ms a plan',
     'log loss',
@@ -60,12 +60,12 @@ HEADS = (
     'ms an update',
 )
 
-# The method for all planners, and the planner for all methods; the pair is in both tables.
+# The method with which planners are compared, and the planner with which methods are compared.
 PLANNER, METHOD = 'beam', 'kappa_bnitp'
 
 
-# A belief of a mission, the believed sensor model, and a proven upper bound of the value of any
-# path, nats.
+# A belief of a mission, the believed sensor model, and a proven upper bound on the information of
+# any path, nats.
 FrozenBelief = tuple[Belief, SensorModel, float]
 
 
@@ -77,7 +77,7 @@ class Entry(NamedTuple):
     results: Results
 
     def final(self, *measures: str) -> Mean:
-        """Return the sum of measures after the last robot."""
+        """Return the mean sum of measures after the last robot."""
         return bootstrap_mean(self.series(*measures)[:, -1])
 
     def series(self, *measures: str) -> NDArray[np.float64]:
@@ -88,7 +88,7 @@ class Entry(NamedTuple):
 
 
 def frozen() -> list[FrozenBelief]:
-    """Return the beliefs of this version."""
+    """Return the frozen beliefs of this version of the benchmark."""
     with np.load(share('scenarios') / f'{NAME}_{VERSION}.npz', allow_pickle=False) as file:
         return [
             (Belief(joint), SensorModel(lethality), float(bound))
@@ -97,7 +97,7 @@ def frozen() -> list[FrozenBelief]:
 
 
 def entered() -> tuple[list[str], list[str]]:
-    """Return the planners and methods to benchmark, with those of all other packages."""
+    """Return the planners and methods to benchmark, including entry points of other packages."""
     planners = ['random', 'coverage', 'shortest_unvisited', PLANNER]
     return [*planners, *PLANNERS.added], [*METHODS.own, *METHODS.added]
 
@@ -105,7 +105,7 @@ def entered() -> tuple[list[str], list[str]]:
 def plan_worths(
     planner: str, field: Grid, steps: int, beliefs: Sequence[FrozenBelief]
 ) -> NDArray[np.float64]:
-    """Return worth / bound of the plans of a planner, and their seconds, shape (2, beliefs)."""
+    """Return information / bound and processor seconds of a planner's plans, (2, beliefs)."""
 
     def planned(belief: Belief, model: SensorModel, bound: float) -> tuple[float, float]:
         begun = process_time()
@@ -118,7 +118,7 @@ def plan_worths(
 
 
 def time_method(method: str, scenario: Scenario) -> float:
-    """Return the seconds of a method for a deployment, averaged over a mission."""
+    """Return the mean processor seconds of a method for a deployment of a mission."""
     field, truth = scenario.field(), scenario.truth(scenario.lethalities[0], 0)
     prior, model = scenario.belief(truth), scenario.model(truth)
     world = World.random(field, 0, **{name: truth[name] for name in vars(scenario.world)})
@@ -137,7 +137,7 @@ def time_method(method: str, scenario: Scenario) -> float:
 def missions(
     planners: Iterable[str], methods: Iterable[str], workers: int | None, **changes: int
 ) -> Iterator[Entry]:
-    """Run the missions of every planner by one method, and of every method by one planner."""
+    """Run the missions of every planner with one method, and of every method with one planner."""
     others = [each for each in methods if each != METHOD]
     by_planner = compare(NAME, planners=[*planners], methods=[METHOD], workers=workers, **changes)
     by_method = compare(NAME, planners=[PLANNER], methods=others, workers=workers, **changes)
@@ -176,17 +176,17 @@ def benchmark_table(
         )
     beliefs = worths[PLANNER].shape[1]
     caption = (
-        f'Benchmark, version {VERSION}. Worth: the information of a plan, by a proven bound of '
-        f'what any path is worth, mean and least of {beliefs} frozen beliefs. Log loss and '
-        'entropy (nats) and robots lost: after the last robot of missions in the same worlds, '
-        'with 95 % bootstrap intervals. Times of the processor at hand are medians for plans and '
-        'means for updates.'
+        f'Benchmark, version {VERSION}. Value / bound: the information of a plan divided by a '
+        f'proven upper bound for any path, mean and least over {beliefs} frozen beliefs. Log loss '
+        'and entropy (nats) and robots lost: after the last robot of missions in the same worlds, '
+        'with 95 % bootstrap intervals. Times are processor times on this machine: medians for '
+        'plans and means for updates.'
     )
     return Table(caption, HEADS, rows)
 
 
 def benchmark_figure(entries: Sequence[Entry]) -> Figure:
-    """Draw the log loss after each robot: of the planners, and of the methods."""
+    """Draw the log loss after each robot, with a panel for planners and a panel for methods."""
     with rc_context(LETTERS):
         figure = Figure(figsize=(WIDTH, 0.45 * WIDTH), layout='constrained')
         left, right = figure.subplots(1, 2, sharey=True)
@@ -200,7 +200,7 @@ def benchmark_figure(entries: Sequence[Entry]) -> Figure:
 
 
 def draw(axes: Axes, entries: dict[str, Entry]) -> None:
-    """Draw a line with its interval for each entry."""
+    """Draw the mean log loss of each entry, with its interval."""
     for place, (name, entry) in enumerate(entries.items()):
         draw_mean(axes, entry.series(*LOG_LOSS), SERIES[place % len(SERIES)], name)
     axes.grid(alpha=0.3)

@@ -40,7 +40,7 @@ Draw = Callable[[Axes, float | None, Contender, Style, str], None]
 
 
 def contender_labels(scenario: Scenario) -> dict[Contender, str]:
-    """Return labels that tell the contenders apart."""
+    """Return a label for each contender, without what all contenders share."""
     teams, are_named = team_labels(scenario), len(scenario.methods) > 1
     return {
         (method, team): ', '.join(filter(None, [method if are_named else '', teams[team]]))
@@ -99,7 +99,7 @@ def panels_figure(
     left, right = zip(*(axes.get_xlim() for axes in panels))
     low, high = zip(*(axes.get_ylim() for axes in panels))
     bottom, top = min(low), max(high)
-    # Numbers on logarithmic axes are closer the smaller their span.
+    # A smaller span of a logarithmic axis gets more tick labels.
     steps = (1, 2, 3, 5, 7) if top < 20.0 * bottom else (1, 2, 5) if top < 1e3 * bottom else (1,)
     for axes in panels:
         axes.set_xlim(min(left), max(right))
@@ -108,7 +108,7 @@ def panels_figure(
             axes.yaxis.set_major_locator(LogLocator(subs=steps))
             axes.yaxis.set_major_formatter(StrMethodFormatter('{x:g}'))
             axes.yaxis.set_minor_locator(NullLocator())
-    # A method common to all is not in the labels.
+    # A single method is not in the labels, so the axis names it.
     methods, teams = scenario.methods, scenario.teams
     method = f'{methods[0]}, ' if len(methods) == 1 < len(teams) else ''
     figure.supxlabel(f'{across} ({method}mean of {trials_in(scenario)}, 95 % intervals)')
@@ -130,7 +130,7 @@ def columns_for(panels: int) -> int:
 def panel_grid(
     part: FigureBase, panels: int, columns: int, sharey: Literal['none', 'all', 'row'] = 'all'
 ) -> list[Axes]:
-    """Return panels that share their axes, row by row; only those at the edges have numbers."""
+    """Return panels that share their axes, row by row; only outer panels have tick labels."""
     rows = -(-panels // columns)
     grid = part.subplots(rows, columns, sharex=True, sharey=sharey, squeeze=False)
     used, unused = np.split(grid.ravel(), [panels])
@@ -146,7 +146,7 @@ def panel_grid(
 def legend_above(part: FigureBase, axes: Axes) -> None:
     """Draw a legend above the panels, in as many columns as fit."""
     handles, labels = axes.get_legend_handles_labels()
-    # In points: sizes of the labels' letters and lines.
+    # Widths in points: of the figure, and of each label with its line.
     room = 72.0 * WIDTH
     widths = [3.9 * len(label) + 30.0 for label in labels]
     columns = len(labels)
@@ -156,13 +156,13 @@ def legend_above(part: FigureBase, axes: Axes) -> None:
     part.legend(handles, labels, loc='outside upper center', ncols=columns, handlelength=3.0)
 
 
-# Number of classes, of equal size, in which predictions are compared with the truth.
+# Number of classes of equal size in which predictions are compared with the truth.
 CLASSES = 10
 
 # Maximum number of contenders whose reliability is drawn side by side.
 BESIDE = 5
 
-# Opacity of a band, through which others show.
+# Opacity of the band of an interval.
 BAND = 0.15
 
 LOG_LOSS_LABEL = 'log loss of hazard and target (nats)'
@@ -176,7 +176,7 @@ def means_chart(
     scale: str = 'linear',
     points: Callable[[NDArray[np.float64], Strategy], NDArray[np.float64]] = lambda each, _: each,
 ) -> Figure:
-    """Draw the mean of a sum of measures over trials with its intervals, from the prior on."""
+    """Draw the mean over trials of a sum of measures, with intervals, from the prior on."""
 
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
@@ -197,7 +197,7 @@ def draw_mean(axes: Axes, samples: NDArray[np.float64], style: Style, label: str
 
 
 def reliability_chart(results: Results) -> Figure:
-    """Draw the true share against the predicted probability after the last robot."""
+    """Draw the true share of hazards and targets against the believed probability, at the end."""
     scenario = results.scenario
     contenders, labels = scenario.contenders, contender_labels(scenario)
     blocks = -(-len(contenders) // BESIDE)
@@ -233,7 +233,7 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
         axes.set_xticks([0.0, 0.5, 1.0])
         axes.set_yticks([0.0, 0.5, 1.0])
         axes.grid(alpha=0.3)
-    # Of many lethalities, as many as can be told apart, evenly spread.
+    # At most one lethality for each line style, evenly spread.
     few = np.unique(np.linspace(0, len(lethalities) - 1, len(SERIES)).round().astype(int))
     for lethality, style in zip([lethalities[place] for place in few], SERIES):
         believed, truth = results.final_maps(lethality, *contender)
@@ -246,7 +246,7 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
 def reliability(
     believed: NDArray[np.float64], truth: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean prediction and the true share, by classes."""
+    """Return the mean prediction and the true share in each class."""
     order = np.argsort(believed, axis=None, kind='stable')
     classes = np.array_split(order, min(CLASSES, order.size))
     held = np.array([believed.flat[cells].mean() for cells in classes])
@@ -255,7 +255,7 @@ def reliability(
 
 
 def teams_chart(results: Results) -> Figure:
-    """Draw the mean log loss after each round, a panel a lethality."""
+    """Draw the mean log loss after each round, with a panel for each lethality."""
     return means_chart(
         results,
         LOG_LOSS,
@@ -267,7 +267,7 @@ def teams_chart(results: Results) -> Figure:
 
 
 def loss_cost_chart(results: Results) -> Figure:
-    """Draw log loss against robots lost, a panel a lethality."""
+    """Draw log loss against robots lost, with a panel for each lethality."""
 
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
@@ -293,10 +293,10 @@ def loss_cost_chart(results: Results) -> Figure:
 
 
 def numbers_chart(results: Results) -> Figure:
-    """Draw the error of numbers after each deployment, by number and lethality."""
+    """Draw the error of learnt numbers after each deployment, by number and lethality."""
     scenario, names = results.scenario, list(results.scenario.learn.priors)
     shown_in = list(product(names, scenario.lethalities))
-    # A row for each number, unless it has only one panel.
+    # With several lethalities each number has a row of panels.
     are_rows = len(scenario.lethalities) > 1
     columns = len(scenario.lethalities) if are_rows else columns_for(len(names))
     rows = -(-len(shown_in) // columns)
@@ -316,7 +316,7 @@ def numbers_chart(results: Results) -> Figure:
 
 
 def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64]) -> None:
-    """Draw the distance of a number from its mean, and its standard deviation."""
+    """Draw the error of a number's posterior mean, and the posterior standard deviation."""
     error = np.sqrt(((known[:, :, MEAN] - truth) ** 2).mean(axis=0))
     spread = np.sqrt((known[:, :, SD] ** 2).mean(axis=0))
     lines = {'error of the mean': error, 'standard deviation believed': spread}
@@ -327,7 +327,7 @@ def draw_known(axes: Axes, known: NDArray[np.float64], truth: NDArray[np.float64
 
 
 def decision_chart(results: Results) -> Figure:
-    """Draw the share of free lanes, or the share of the area declared free."""
+    """Draw the share of worlds with a free lane, or the share of the area declared free."""
     measure, up = (
         ('declared', 'part of the area declared free')
         if asks_for(results.scenario, 'area')

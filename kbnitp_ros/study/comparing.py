@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies from Python: planners and methods against each other, in the same worlds."""
+"""Studies from Python: compare planners and methods in the same worlds."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def compare(
     workers: int | None = None,
     **changes: Any,
 ) -> Results:
-    """Run missions by every planner and method, at every lethality, in the same worlds."""
+    """Run missions with every planner and method, at every lethality, in the same worlds."""
     if not isinstance(scenario, str | Path | Mapping):
         raise TypeError(f'scenario is {scenario!r}: it must be a name, a file or a mapping')
     given = scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(str(scenario)))
@@ -67,13 +67,13 @@ def run_own(
     scenario: Scenario,
     trial: Trial,
 ) -> MissionResult:
-    """Run a trial with planners and methods passed as objects to its process."""
+    """Run a trial; planners and methods are passed to the process as objects."""
     with PLANNERS.including(planners), METHODS.including(methods):
         return run_trial(scenario, trial)
 
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
-    """Return the entries to compare, by their names in tables."""
+    """Return the planners or methods to compare, by their names in tables."""
     if isinstance(given, Mapping):
         return dict(given)
     if isinstance(given, str) or not isinstance(given, Iterable):

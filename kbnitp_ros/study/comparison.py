@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparisons of a study's missions, a row of data for each strategy; and its files."""
+"""Comparisons of a study's strategies, with a table row for each, and the study's files."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ from pyarrow import parquet
 Stated = Callable[[Strategy, Scenario], Any]
 Measured = Callable[[Series, Strategy, Strategy], Mean]
 
-# Head of a table column, and the format of its values or the decimals of its means.
+# Head of a table column, and the format of its values or, for means, the number of decimals.
 Column = tuple[str, 'str | int']
 METHOD: dict[str, Column] = {'method': ('method', '`{}`')}
 
@@ -85,10 +85,10 @@ class Comparison:
     name: str
     # Returns whether a scenario has this section.
     applies: Callable[[Scenario], bool]
-    # Caption of the table; names in braces, here and in the heads, are filled from the section.
+    # Caption of the table; names in braces, also in heads, are replaced by entries of the section.
     caption: str
-    # Columns of the table besides the lethality; a list gives a column for each of the section's
-    # ``robots``.
+    # Columns of the table besides the lethality; a value that is a list fills one column for each
+    # of the section's ``robots``.
     columns: Mapping[str, Column]
     # Yields the rows.
     rows: Callable[[Results], Iterable[Row]]
@@ -135,7 +135,7 @@ def with_first(
     order: Callable[[Strategy], Any] | None = None,
     further: Mapping[str, Measured] | None = None,
 ) -> dict[str, Any]:
-    """Return head and rows of a comparison with a first strategy, trial by trial."""
+    """Return head and rows of a comparison with the first strategy, paired by trial."""
 
     def in_order(scenario: Scenario) -> list[Strategy]:
         return sorted(scenario.teams, key=order) if order else list(scenario.teams)
@@ -162,28 +162,28 @@ def with_first(
 
 
 def differ_in_objective(scenario: Scenario) -> bool:
-    """Return whether the strategies differ in their objectives alone."""
+    """Return whether the strategies differ only in their objectives."""
     objectives = {team.objective for team in scenario.teams}
     return len(objectives) > 1 and differ_only_in(scenario, 'objective', 'alpha', 'loss_cost')
 
 
 def differ_in_hazards(scenario: Scenario) -> bool:
-    """Return whether the strategies differ in the believed hazards alone."""
+    """Return whether the strategies differ only in their beliefs about hazards."""
     return differ_only_in(scenario, 'dynamics', 'clustering', 'paths')
 
 
 def learns(scenario: Scenario) -> bool:
-    """Return whether one of the methods learns numbers."""
+    """Return whether the learning method is among the methods."""
     return LEARNING in scenario.methods
 
 
 def lost(series: Series, first: Strategy, team: Strategy) -> Mean:
-    """Return the robots lost at the end."""
+    """Return the mean number of robots lost at the end."""
     return bootstrap_mean(series('robots_lost')[:, -1])
 
 
 def lost_more(series: Series, first: Strategy, team: Strategy) -> Mean:
-    """Return how many more robots are lost at the end than with the first strategy."""
+    """Return the mean difference of robots lost at the end from the first strategy."""
     return bootstrap_mean((series('robots_lost') - series('robots_lost', team=first))[:, -1])
 
 
@@ -203,7 +203,7 @@ def team_objective(team: Strategy, _: Scenario) -> str:
 
 
 def believed_by(team: Strategy, scenario: Scenario) -> str:
-    """Return the hazards that a strategy believes in."""
+    """Return the label of a strategy's belief about hazards."""
     return team_labels(scenario)[team]
 
 
@@ -224,9 +224,9 @@ BY_SIZE = Comparison(
     name='teams',
     applies=differ_in_size,
     caption=(
-        'Results with {robots} robots, and after {rounds} rounds. Information: the decrease '
-        'of the joint entropy of hazards and targets since the prior, in nats. Difference: '
-        'the log loss minus that of the smallest team, paired by world.'
+        'Results with {robots} robots, and after {rounds} rounds. Information: the decrease of '
+        'the joint entropy of hazards and targets since the prior, in nats. Difference: the log '
+        'loss minus the log loss of the smallest team, paired by world.'
     ),
     columns={
         **METHOD,
@@ -248,9 +248,10 @@ BY_LOSS_COST = Comparison(
     name='loss_cost',
     applies=lambda scenario: differ_only_in(scenario, 'loss_cost'),
     caption=(
-        'At equal log loss: the lowest mean log loss reached both with a loss cost of '
-        '{least:.4g} and with that of the row, and the robots sent and lost by then. '
-        'Difference: how many more are lost than with {least:.4g}, paired by world.'
+        'Comparison at equal log loss: the lowest mean log loss that is reached both with a loss '
+        'cost of {least:.4g} and with the loss cost of the row, and the robots sent and lost '
+        'until then. Difference: the robots lost minus those lost at {least:.4g}, paired by '
+        'world.'
     ),
     columns={
         **METHOD,
@@ -270,9 +271,9 @@ CONTACT = Comparison(
     name='last_contact',
     applies=lambda scenario: differ_only_in(scenario, 'last_contact'),
     caption=(
-        'Value of last contacts, in nats: the log loss with a contact of {least:.4g} minus '
-        'that with the contact of the row, paired by world, by number of robots. Contact: '
-        'the probability, after each step, that the base receives how far the robot is.'
+        'Value of last contacts, in nats: the log loss with a contact of {least:.4g} minus the '
+        'log loss with the contact of the row, paired by world, by number of robots. Contact: the '
+        "probability, after each step, that the base receives the robot's progress."
     ),
     columns={**METHOD, 'last_contact': ('contact', '{:.4g}'), 'value': ('', 1)},
     **with_first(
@@ -289,9 +290,8 @@ BY_PLANNER = Comparison(
     name='planners',
     applies=lambda scenario: differ_only_in(scenario, 'planner'),
     caption=(
-        'Log loss by the planner of the row minus that by `{first}`, paired by world, in '
-        'nats, by number of robots; and the robots lost at the end, and how many more than '
-        'by `{first}`.'
+        'Differences from the planner `{first}`, paired by world: log loss by number of robots, '
+        'in nats, and robots lost at the end. Lost: the number of robots lost.'
     ),
     columns={
         **METHOD,
@@ -306,10 +306,9 @@ BY_OBJECTIVE = Comparison(
     name='objectives',
     applies=differ_in_objective,
     caption=(
-        'Log loss with the objective of the row minus that with {first}, paired by world, in '
-        'nats, by number of robots; the robots lost at the end, and how many more than with '
-        '{first}; how many more at equal log loss; and the difference of the log loss at '
-        'equal losses.'
+        'Differences from the objective {first}, paired by world: log loss by number of robots, '
+        'in nats, robots lost at the end, robots lost at equal log loss, and log loss at equal '
+        'losses. Lost: the number of robots lost at the end.'
     ),
     columns={
         'objective': ('objective', '{}'),
@@ -333,10 +332,9 @@ BY_MAP = Comparison(
     name='prior_maps',
     applies=lambda scenario: differ_only_in(scenario, 'survey', 'trusted'),
     caption=(
-        'Value of a prior map of hazards, in nats: the log loss without a map minus that '
-        'with the map of the row, paired by world, by number of robots. Right: the share of '
-        'cells in which the map is right; trusted: the share in which it is believed to be '
-        'right.'
+        'Value of a prior map of hazards, in nats: the log loss without a map minus the log loss '
+        'with the map of the row, paired by world, by number of robots. Right: the share of cells '
+        'in which the map is right; trusted: the believed share.'
     ),
     columns={
         **METHOD,
@@ -365,9 +363,8 @@ BY_KIND = Comparison(
     name='kinds',
     applies=differ_in_hazards,
     caption=(
-        'Log loss of hazards and targets minus that of `{first}`, paired by world, in nats, '
-        'by number of robots; and the robots lost at the end, and how many more than with '
-        '`{first}`.'
+        'Differences from `{first}`, paired by world: log loss of hazards and targets by number '
+        'of robots, in nats, and robots lost at the end. Lost: the number of robots lost.'
     ),
     columns={
         **METHOD,
@@ -387,10 +384,9 @@ BY_BASE = Comparison(
     name='bases',
     applies=lambda scenario: differ_only_in(scenario, 'second_base'),
     caption=(
-        'Value of a second base: the log loss at the end with one base minus that with two, '
-        'paired by world, in nats; and the robots sent and lost, with one base and with two, '
-        'at equal log loss. Fewer: how many fewer robots are sent with two, paired by '
-        'world.'
+        'Comparison of one base with two, paired by world. Value: the log loss at the end with '
+        'one base minus the log loss with two, in nats. Robots sent and lost: at equal log loss. '
+        'Fewer: the robots sent from one base minus the robots sent from two.'
     ),
     columns={
         **METHOD,
@@ -430,7 +426,7 @@ OF_LEARNING = Comparison(
     name='value',
     applies=learns,
     caption=(
-        f'Log loss of `{LEARNING}` minus that of the methods that are told the numbers, '
+        f'Log loss of `{LEARNING}` minus the log loss of methods that are given the numbers, '
         'paired by world, in nats, by number of robots.'
     ),
     columns={**METHOD, 'costs': ('', 1)},
@@ -443,7 +439,7 @@ LANES = Comparison(
     applies=lambda scenario: asks_for(scenario, 'lane'),
     caption=(
         'By number of robots: the share of worlds in which the safest lane found is free of '
-        'hazards, the mean probability believed, the difference of that share from the first '
+        'hazards, the mean probability believed, the difference of the share from the first '
         'strategy in the same worlds, and the robots lost.'
     ),
     columns={
@@ -463,9 +459,8 @@ CERTIFICATES = Comparison(
     name='certificates',
     applies=certifies,
     caption=(
-        'Missions that stopped at a confidence: the robots sent, the mean stated '
-        'probability, the share of goals that are free of hazards, and that share minus the '
-        'stated probability.'
+        'Missions that stopped at a confidence: the robots sent, the mean stated probability, the '
+        'share of goals that are free of hazards, and this share minus the stated probability.'
     ),
     columns={
         **METHOD,
@@ -484,11 +479,11 @@ AREAS = Comparison(
     name='areas',
     applies=lambda scenario: asks_for(scenario, 'area'),
     caption=(
-        f'Cells are declared free at a probability of {DECLARED}. The share of worlds in '
-        f'which {SHARE_OF_AREA:.0%} of the area is declared free; the robots needed for that '
-        '(all {robots} if never), and how many more than with the first strategy in the '
-        'same worlds; the robots lost by then; and the shares of the area declared free at '
-        'the end, in all and wrongly.'
+        f'Cells are declared free at a probability of {DECLARED}. Worlds: the share of worlds in '
+        f'which {SHARE_OF_AREA:.0%} of the area is declared free. Robots: the robots sent until '
+        'then (all {robots} if never); more robots: the difference from the first strategy in '
+        'the same worlds; lost: the robots lost until then. Declared, wrongly: the shares of the '
+        'area that are declared free, and declared free wrongly, at the end.'
     ),
     columns={
         **METHOD,
@@ -526,7 +521,7 @@ def study_figures(results: Results) -> dict[str, Figure]:
     """Return the figures of a study, by the names of their files."""
     means = partial(means_chart, results, across='deployment')
     charts: dict[str, Callable[[Results], Figure]] = {
-        # The paper's figure.
+        # The figure of arXiv:2305.06929.
         'entropy': lambda _: means(('entropy',), up='entropy H(Z) + H(X) (nats)'),
         'log_loss': lambda _: means(LOG_LOSS, up=LOG_LOSS_LABEL, scale='log'),
         'reliability': reliability_chart,

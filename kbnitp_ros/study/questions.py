@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 
 def differ_in_size(scenario: Scenario) -> bool:
-    """Return whether the teams differ in size, and otherwise only in their allocations."""
+    """Return whether the teams differ in size, and in nothing else but the allocation."""
     sizes = {team.agents for team in scenario.teams}
     return len(sizes) > 1 and differ_only_in(scenario, 'agents', 'allocation')
 
@@ -49,7 +49,7 @@ def common_rounds(scenario: Scenario) -> int:
 
 
 def team_rows(results: Results) -> Iterator[Row]:
-    """Yield the results of the teams with the same robots and in the same rounds."""
+    """Yield the results of each team: after all robots, and after equal numbers of rounds."""
     scenario = results.scenario
     labels, common = team_labels(scenario), common_rounds(scenario)
     smallest = min(scenario.teams, key=lambda team: team.agents)
@@ -77,17 +77,17 @@ EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'differen
 def at_equal_log_loss(
     least: NDArray[np.float64], this: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Compare two missions at the lowest log loss that both reach."""
+    """Compare two mean missions at the lowest log loss that both reach; return `EQUAL`."""
     lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
     level = max(log_loss[-1] for log_loss in lowest)
-    # In reverse, so that the first of several robots with the same log loss is taken.
+    # In reverse, to find the first robot at which the level is reached.
     sent = [np.interp(level, low[::-1], np.arange(low.size)[::-1]) for low in lowest]
     lost = [np.interp(n, np.arange(of.size), of) for n, (of, _) in zip(sent, (least, this))]
     return np.array([level, *sent, *lost, lost[1] - lost[0], sent[0] - sent[1]])
 
 
 def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> dict[str, Mean]:
-    """Compare the mean missions of two sets of trials, paired by their worlds, by `EQUAL`."""
+    """Compare the mean missions of two sets of trials, paired by world, at equal log loss."""
     resampled = [
         at_equal_log_loss(*means) for means in zip(resampled_means(least), resampled_means(this))
     ]
@@ -97,12 +97,12 @@ def compare(least: NDArray[np.float64], this: NDArray[np.float64]) -> dict[str, 
 
 
 def at_equal_log_loss_more(series: Series, least: Strategy, this: Strategy) -> Mean:
-    """Return how many more robots a strategy has lost at equal log loss."""
+    """Return the difference of robots lost at equal log loss, `this` minus `least`."""
     return compare(trade(series, least), trade(series, this))['difference']
 
 
 def log_loss_at_equal_losses(series: Series, first: Strategy, this: Strategy) -> Mean:
-    """Return how much higher the log loss is once both have lost as many robots."""
+    """Return the difference of log loss at equal numbers of lost robots, `this` minus `first`."""
 
     def difference(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
         lost = min(one[0, -1], other[0, -1])
@@ -115,7 +115,7 @@ def log_loss_at_equal_losses(series: Series, first: Strategy, this: Strategy) ->
 
 
 def equal_rows(results: Results) -> Iterator[Row]:
-    """Yield the comparison of each loss cost with the smallest at equal log loss: `EQUAL`."""
+    """Yield the comparison, at equal log loss, of each loss cost with the smallest."""
     least, *others = sorted(results.scenario.teams, key=lambda team: team.loss_cost)
     for row, team, series in results.missions(others):
         measured = compare(trade(series, least), trade(series, team))
@@ -124,7 +124,7 @@ def equal_rows(results: Results) -> Iterator[Row]:
 
 
 def base_rows(results: Results) -> Iterator[Row]:
-    """Yield by how much each second base lowers the log loss, and the robots at equal log loss."""
+    """Yield the decrease of log loss by each second base, and the robots at equal log loss."""
     one, *others = sorted(results.scenario.teams, key=lambda team: team.second_base)
     for row, two, series in results.missions(others):
         missions = trade(series, one), trade(series, two)
@@ -141,7 +141,7 @@ def base_rows(results: Results) -> Iterator[Row]:
         }
 
 
-# Numbers of robots at which missions are compared, besides the last.
+# Numbers of robots after which learning is compared, in addition to the end.
 ROBOTS = (10, 25, 50, 100, 200)
 
 
@@ -162,7 +162,7 @@ def number_rows(results: Results) -> Iterator[Row]:
 
 
 def cost_of_learning(results: Results) -> Iterator[Row]:
-    """Yield the cost of learning, a row for each lethality and other method."""
+    """Yield the cost of learning, a row for each lethality and method without learning."""
     scenario = results.scenario
     team, robots = scenario.teams[0], after_robots(ROBOTS, scenario.robots)
     for lethality in scenario.lethalities:
@@ -174,7 +174,7 @@ def cost_of_learning(results: Results) -> Iterator[Row]:
                 yield {'lethality': lethality, 'method': method, 'costs': costs}
 
 
-# Numbers of robots at which missions are compared.
+# Numbers of robots after which decisions on a lane are compared, in addition to the end.
 DECIDED_AFTER = (10, 25, 50, 100)
 # Confidences at which missions may end.
 CONFIDENCES = (0.9, 0.95, 0.99)
@@ -188,7 +188,7 @@ def certifies(scenario: Scenario) -> bool:
 
 
 def lane_rows(results: Results) -> Iterator[Row]:
-    """Yield the share of free lanes, as believed and in truth, for each strategy."""
+    """Yield the true and the believed share of free lanes for each strategy."""
     scenario, labels = results.scenario, team_labels(results.scenario)
     for row, team, series in results.missions():
         free, base = series('free'), series('free', team=scenario.teams[0])
@@ -204,7 +204,7 @@ def lane_rows(results: Results) -> Iterator[Row]:
 
 
 def certificate_rows(results: Results) -> Iterator[Row]:
-    """Yield the share of free decisions in missions that stopped, for each confidence."""
+    """Yield, for each confidence, the share of stopped missions whose goal is truly free."""
     asked = results.scenario.asked
     confidences = [each for each in CONFIDENCES if asked is None or each <= asked.confidence]
     for (row, _, series), confidence in product(results.missions(), confidences):
@@ -229,7 +229,7 @@ def certificate_rows(results: Results) -> Iterator[Row]:
 
 
 def area_rows(results: Results) -> Iterator[Row]:
-    """Yield the robots needed to declare most of the area free."""
+    """Yield the robots needed to declare `SHARE_OF_AREA` free, for each strategy."""
     scenario, labels = results.scenario, team_labels(results.scenario)
     for row, team, series in results.missions():
         declared, right, lost = map(series, ('declared', 'declared_free', 'robots_lost'))
@@ -248,7 +248,7 @@ def area_rows(results: Results) -> Iterator[Row]:
 
 
 def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the number of robots until most cells are declared free, (trials,); all if never."""
+    """Return the robots until `SHARE_OF_AREA` is declared free, (trials,); all if never."""
     is_most = declared >= SHARE_OF_AREA
     is_most[:, -1] = True
     robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)

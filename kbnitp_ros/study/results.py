@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-# Sums of measures by name, shape (trials, robots + 1); `team` selects the missions.
+# Function that sums measures by name, (trials, robots + 1); `team` selects the missions.
 Series = Callable[..., NDArray[np.float64]]
 
-# Maximum bytes of a mission, held by each worker, and of all results.
+# Maximum bytes of the mission in each worker, and of all results.
 MAX_MISSION_BYTES = 1 << 30
 MAX_BYTES = 1 << 32
 
@@ -43,7 +43,7 @@ def check_memory(scenario: Scenario) -> None:
     number = 8
     cells, deployments = scenario.field().cells, scenario.robots + 1
     missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials
-    # The beliefs of a mission; and the last maps, the truth and the measures, in two tables.
+    # A mission keeps all beliefs; an outcome keeps the last maps, the truth and the measures.
     mission = 4 * number * cells * deployments
     outcome = 2 * (number + 1) * cells + len(measure_names(scenario)) * number * deployments
     for what, bytes_taken, most in (
@@ -92,7 +92,7 @@ class Results:
         return pa.table(columns)
 
     def to_dataframe(self) -> DataFrame:
-        """Return `table` as a table of pandas."""
+        """Return `table` as a pandas DataFrame."""
         return self.table().to_pandas()
 
     def series(
@@ -106,7 +106,7 @@ class Results:
     def missions(
         self, teams: Sequence[Strategy] | None = None
     ) -> Iterator[tuple[dict[str, Any], Strategy, Series]]:
-        """Yield lethality and method, the team, and its series, in order."""
+        """Yield lethality and method, the team, and the function of its series."""
         scenario = self.scenario
         for lethality, method, team in product(
             scenario.lethalities, scenario.methods, scenario.teams if teams is None else teams
@@ -117,7 +117,7 @@ class Results:
     def final_maps(
         self, lethality: float | None, method: str, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the last hazard and target maps and the truth, each shape (trials, 2, cells)."""
+        """Return the hazard and target maps at the end, and the truth, each (trials, 2, cells)."""
         outcomes = self._missions(lethality, method, team)
         believed = np.stack([outcome.believed for outcome in outcomes])
         return believed, np.stack([outcome.truth for outcome in outcomes])
@@ -141,14 +141,14 @@ ESCAPED = str.maketrans({each: f'\\{each}' for each in '&%$#_{}'})
 
 
 class Cell(NamedTuple):
-    """A value, a mean as a dict with its interval, and its text in Markdown."""
+    """A table cell: a value, or a mean with its interval as a dict, and its text in Markdown."""
 
     value: Any
     text: str
 
 
 class Table:
-    """A caption and a table of cells under it."""
+    """A table of cells with a caption."""
 
     def __init__(self, caption: str, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
         self.caption = caption
@@ -180,7 +180,7 @@ def in_latex(text: str) -> str:
     return re.sub('`([^`]*)`', r'\\texttt{\1}', text.translate(ESCAPED))
 
 
-# Total log loss: distance of both maps from the truth.
+# Measures whose sum is the total log loss.
 LOG_LOSS = ('hazard_log_loss', 'target_log_loss')
 
 SUMMARISED = {
@@ -193,7 +193,7 @@ SUMMARISED = {
 
 RESAMPLES = 2000
 
-# Decimals of a summary; further ones depend on the rounding of sums.
+# Decimals of a summary; further decimals depend on the rounding of sums.
 DECIMALS = 6
 
 
@@ -202,7 +202,7 @@ Row = dict[str, Any]
 
 
 class Mean(NamedTuple):
-    """A mean over trials with its 95 % interval; each shape (...)."""
+    """A mean over trials with its 95 % interval; each field has the shape (...)."""
 
     mean: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -215,7 +215,7 @@ def bootstrap_mean(samples: NDArray[np.float64]) -> Mean:
 
 
 def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
-    """Return the numbers of robots at which missions are compared, with the last."""
+    """Return the numbers of robots below `all_of_them`, and `all_of_them`, ascending."""
     return sorted({*(each for each in robots if each < all_of_them), all_of_them})
 
 
@@ -289,13 +289,13 @@ def summary_table(summary: dict[str, Any]) -> Table:
     caption = (
         f'After {summary["robots"]} robots: means of {summary["trials"]} trials with 95 % '
         'bootstrap intervals. Losses and entropy are in nats, summed over the cells. '
-        'False targets: the number believed to be in cells with a hazard alone.'
+        'False targets: the number believed to be in cells with a hazard and no target.'
     )
     if any('difference' in row for row in summary['rows']):
         columns.append('difference')
         caption += (
-            f' Difference: the log loss of `{summary["reference"]}` minus that of the method, '
-            'paired by world.'
+            f' Difference: the log loss of `{summary["reference"]}` minus the log loss of the '
+            'method, paired by world.'
         )
     rows = []
     for row in summary['rows']:
@@ -319,13 +319,13 @@ def shown(entry: dict[str, float | None], decimals: int = 1) -> str:
 
 
 def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
-    """Return a series before the first round and after each, shape (trials, rounds + 1)."""
+    """Return a series before the first round and after each round, (trials, rounds + 1)."""
     robots = series.shape[1] - 1
     return series[:, [*range(0, robots, agents), robots]]
 
 
 def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
-    """Return the robots lost and the total log loss, shape (trials, 2, robots + 1)."""
+    """Return the robots lost and the total log loss of a team, (trials, 2, robots + 1)."""
     return np.stack([series('robots_lost', team=team), series(*LOG_LOSS, team=team)], axis=1)
 
 

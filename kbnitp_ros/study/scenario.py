@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scenario of a study: what varies and what is fixed, as in its YAML file."""
+"""The scenario of a study, with the sections of its YAML file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.plans import check_team, team_size
 import numpy as np
 
-# Baseline of flights besides `GOALS`.
+# Name of the baseline for flights to a lane, in addition to `GOALS`.
 SAFEST_LANE = 'safest_lane'
 
 
@@ -57,11 +57,11 @@ class DecisionRequest:
         """Return the goal."""
         goal = GOALS[self.goal](self.cells, self.confidence or None)
         if goal is None:
-            raise ValueError('map is no decision: ask for a goal that has one')
+            raise ValueError('goal is map, which has no decision: choose another goal')
         return goal
 
     def goal_for(self, sent_for: str) -> Goal | None:
-        """Return the goal of missions with some flights; None for a map."""
+        """Return the goal of missions whose flights serve `sent_for`; None for 'map'."""
         if sent_for == 'map':
             return None
         if sent_for == SAFEST_LANE and self.goal == Lane.name:
@@ -78,7 +78,7 @@ class DecisionRequest:
 
 
 class SafestLane(Lane):
-    """A lane whose robots fly out and back on the currently safest one."""
+    """A lane whose robots fly out and back along the currently safest lane."""
 
     def flight(self, situation: FlightState) -> Plan | None:
         """Return the safest lane, there and back."""
@@ -88,7 +88,7 @@ class SafestLane(Lane):
         return situation.planned(there_and_back(lane, lane), 0.0)
 
 
-# The sampled method, and its name if it learns the numbers of the section learn.
+# The sampled method, and its name when it learns the numbers of the section `learn`.
 SAMPLED = 'kappa_bnitp_sampled'
 LEARNING = f'{SAMPLED}_learning'
 
@@ -98,16 +98,16 @@ NUMBERS = tuple(field.name for field in fields(Unknowns))
 # Options of a search.
 OPTIONS = tuple(field.name for field in fields(SearchOptions))
 
-# Layouts of the hazards of worlds, as of `laid_out`.
+# Layouts of the hazards of worlds.
 LAYOUTS = ('independent', 'blobs', 'rows')
 
-# Beliefs that paths are planned on.
+# Beliefs on which paths are planned.
 PATHS = ('own', 'static')
 
-# Keys of the generators of drawn numbers, which no world has.
+# Seed key of drawn numbers, distinct from the keys of worlds.
 DRAWN = 0x4452574E
 
-# Type of a value and its limits: the lowest and highest number, or the names it may have.
+# Type of a value with its lowest and highest number, or with its allowed names.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
@@ -144,13 +144,13 @@ class Strategy:
     allocation: Annotated[str, ALLOCATIONS] = 'greedy'
     # Cost of a lost robot, nats, 0 to 1000.
     loss_cost: Annotated[float, (0.0, 1000.0)] = 0.0
-    # Probability that the base receives a contact after each step, 0 to 1.
+    # Probability that the base receives the robot's progress after each step, 0 to 1.
     last_contact: Probability = 0.0
-    # Name of a planner in `PLANNERS`; empty for that of the section planning.
+    # Name of a planner in `PLANNERS`; empty for the planner of the section `planning`.
     planner: Annotated[str, PLANNERS, ''] = ''
-    # Share of cells that are right in a map of hazards known beforehand, 0 to 1; 0 for no map.
+    # Share of right cells in a prior map of hazards, 0 to 1; 0 for no map.
     survey: Probability = 0.0
-    # Believed share of right cells in that map, 0 to 1; 0 for the true share.
+    # Believed share of right cells in the prior map, 0 to 1; 0 for the true share.
     trusted: Probability = 0.0
     # Name of an objective in `OBJECTIVES`.
     objective: Annotated[str, OBJECTIVES] = 'information'
@@ -158,23 +158,24 @@ class Strategy:
     alpha: Annotated[float, ALPHAS] = 1.0
     # Kind of hazards believed, one of `HAZARDS`; empty: the kind in the worlds.
     dynamics: Annotated[str, HAZARDS, ''] = ''
-    # 'learn' for hazards believed to cluster, with a learnt coupling; empty for independent ones.
+    # 'learn' for hazards believed clustered, with a learnt coupling; empty for independent
+    # hazards.
     clustering: Annotated[str, ('learn',), ''] = ''
-    # 'own' for paths planned on the own belief, 'static' for paths planned on the belief of
-    # `kappa_bnitp` in static hazards, which give all strategies the same evidence.
+    # 'own': paths are planned on the strategy's belief. 'static': on the belief of `kappa_bnitp`
+    # with static hazards, which gives all strategies the same evidence.
     paths: Annotated[str, PATHS] = 'own'
-    # Base of every second robot of a round; -1: all leave from the base of the grid.
+    # Base of every second robot of a round; -1: all robots leave from the base of the grid.
     second_base: Annotated[int, (-1, 999_999)] = -1
     # Goal of the flights: of `GOALS`, or 'safest_lane'.
     goal: Annotated[str, GOALS, SAFEST_LANE] = 'map'
 
     @property
     def sought(self) -> str:
-        """Return the objective in a word; alpha tells behavioral ones apart."""
+        """Return the name of the objective; of a behavioral objective its alpha."""
         return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
 
     def leaving(self) -> Team:
-        """Return the robots that leave together."""
+        """Return the team of a round."""
         types: tuple[RobotType, ...] = ()
         if self.second_base >= 0:
             types = tuple(
@@ -193,7 +194,7 @@ Contender = tuple[str, Strategy]
 
 
 def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
-    """Draw a number: the bin of its prior at a uniform quantile."""
+    """Draw a number from its prior, by a uniform quantile."""
     bins = prior.bins()
     below = np.append(0.0, np.cumsum(np.exp(bins.log_prior)))
     return float(np.interp(rng.random() * below[-1], below, bins.edges))
@@ -201,7 +202,7 @@ def drawn_from(prior: Beta, rng: np.random.Generator) -> float:
 
 @dataclass(frozen=True)
 class Densities:
-    """Densities of the worlds, as in `World.random`; None to draw one for each world."""
+    """Densities of the worlds, as in `World.random`; None: drawn for each world from `learn`."""
 
     hazard_density: Probability | None
     kappa: Probability | None
@@ -222,7 +223,7 @@ class Hazards:
     layout: Annotated[str, LAYOUTS] = 'independent'
 
     def of_kind(self, kind: str) -> Dynamics:
-        """Return the dynamics of a kind of hazards; empty for that of the worlds."""
+        """Return the dynamics of a kind of hazards; an empty kind is that of the worlds."""
         kind = kind or self.dynamics
         return Dynamics(kind, **{name: getattr(self, name) for name in HAZARD_RATES.get(kind, ())})
 
@@ -253,8 +254,8 @@ class Prior:
 class Scenario:
     """A study: missions of every method and team at every lethality, in the same worlds."""
 
-    # Seed, at least 0. Trial t draws its world and its robots' outcomes from ``[seed, t]``, so
-    # that methods, teams and lethalities share them.
+    # Seed, at least 0. Trial t draws its world and the outcomes of robots from ``[seed, t]``, so
+    # they are the same for all methods, teams and lethalities.
     seed: Annotated[int, (0, 2**63 - 1)]
     # Number of worlds, at least 1.
     trials: Count
@@ -262,9 +263,9 @@ class Scenario:
     robots: Count
     # Names of methods in `METHODS`, or `LEARNING`.
     methods: tuple[Annotated[str, METHODS, LEARNING], ...]
-    # Lethalities of the worlds, in [0, 1]; None to draw one for each world.
+    # Lethalities of the worlds, in [0, 1]; None: drawn for each world from `learn`.
     lethalities: tuple[Probability | None, ...]
-    # Sections. Without a prior section the prior follows from the densities of the worlds.
+    # Sections. If `prior` is None, the prior follows from the densities of the worlds.
     grid: Extent
     planning: Planning
     world: Densities
@@ -272,22 +273,22 @@ class Scenario:
     prior: Prior | None
     # Lethality assumed by planner and estimator, in [0, 1]; None for the true one.
     believed_lethality: Probability | None = None
-    # Without teams robots go one by one.
+    # Strategies to compare; by default robots are sent one by one.
     teams: tuple[Strategy, ...] = (ALONE,)
-    # Priors of the numbers that the learning method learns, and of numbers that are None.
+    # Priors of numbers that the learning method learns; numbers given as None are drawn from them.
     learn: Unknowns = ALL_KNOWN
-    # Without this section hazards are static and independent.
+    # Layout and dynamics of hazards; by default static and independent.
     hazards: Hazards = INDEPENDENT
-    # The decision that missions make.
+    # Decision requested of missions; None: the field is mapped.
     asked: DecisionRequest | None = None
 
     @property
     def contenders(self) -> tuple[Contender, ...]:
-        """Return every method with every team."""
+        """Return all pairs of a method and a team."""
         return tuple((method, team) for method in self.methods for team in self.teams)
 
     def check_teams(self) -> None:
-        """Check that a team fits the grid, and that each base has a robot."""
+        """Check that each team fits the grid, and has a robot for each base."""
         for team in self.teams:
             team_size(self.field(), team.agents)
             if team.second_base >= 0 and team.agents < 2:
@@ -297,7 +298,7 @@ class Scenario:
                 )
 
     def check_search(self) -> None:
-        """Check that paths can be searched for, and within the memory allowed."""
+        """Check that the search options are valid, and that searches fit in memory."""
         for strategy in self.teams:
             finder = PathFinder(self.field(), self.options(strategy))
             check_team(finder, strategy.leaving().types)
@@ -316,7 +317,7 @@ class Scenario:
         return self.asked.goal_for(strategy.goal) if self.asked is not None else None
 
     def options(self, strategy: Strategy) -> SearchOptions:
-        """Return the options of a strategy's search: its own, or the common ones."""
+        """Return the search options of a strategy, by default those of the section `planning`."""
         own = {
             name: value
             for name, value in vars(strategy).items()
@@ -405,7 +406,7 @@ class Scenario:
 
 
 def differ_only_in(scenario: Scenario, *names: str) -> bool:
-    """Return whether the teams of a scenario differ in these fields alone."""
+    """Return whether the teams of a scenario differ, and only in these fields."""
     others = {
         tuple(value for name, value in vars(team).items() if name not in names)
         for team in scenario.teams
@@ -414,7 +415,7 @@ def differ_only_in(scenario: Scenario, *names: str) -> bool:
 
 
 def team_labels(scenario: Scenario) -> dict[Strategy, str]:
-    """Return labels that tell the teams of a scenario apart; empty for a single team."""
+    """Return a label of each team, with the fields in which teams differ; empty for one team."""
     differ = {
         field.name
         for field in fields(Strategy)
@@ -424,7 +425,7 @@ def team_labels(scenario: Scenario) -> dict[Strategy, str]:
 
 
 def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator[str]:
-    """Yield the words for differences of teams."""
+    """Yield the words of a team's label."""
     if differ & {'agents', 'allocation'}:
         yield 'one by one' if team.agents == 1 else f'{team.agents} {team.allocation}'
     if 'loss_cost' in differ:
@@ -461,6 +462,6 @@ def in_short(lethality: float | None) -> str:
 
 
 def asks_for(scenario: Scenario, goal: str) -> bool:
-    """Return whether missions decide on such a goal, and continue when it is reached."""
+    """Return whether missions decide on this goal without ending at a confidence."""
     asked = scenario.asked
     return asked is not None and asked.goal == goal and not asked.confidence

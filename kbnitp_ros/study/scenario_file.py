@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenarios in YAML files, and those of the package."""
+"""Scenario files, and the scenarios of the package."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
         return None if value is None else _read(get_args(annotation)[0], value, key)
     if get_origin(annotation) is tuple:
         if not isinstance(value, list) or not value:
-            raise ValueError(f'{key} is {value!r}: it must be a list of at least one')
+            raise ValueError(f'{key} is {value!r}: it must be a list of at least one value')
         values = tuple(_read(get_args(annotation)[0], one, key) for one in value)
         if len(set(values)) < len(values):
-            raise ValueError(f'{key} is {value}: each entry may be there once')
+            raise ValueError(f'{key} is {value}: each entry may occur only once')
         return values
     wanted, allowed, *besides = get_args(annotation)
     if wanted is str:
@@ -85,7 +85,7 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
 
 
 def _read_section(annotation: Any, content: Any, key: str) -> Any:
-    """Parse the dataclass of a section; the whole scenario is the section without a key."""
+    """Parse a section as a dataclass; an empty key means the whole scenario."""
     known = [field.name for field in fields(annotation)]
     name, inside = (key, f'{key}.') if key else ('it', '')
     if not isinstance(content, dict):
@@ -112,9 +112,9 @@ def shipped() -> list[str]:
 
 
 def scenario_file(name: str) -> Path:
-    """Return the path of a scenario: a file, or one of the package."""
+    """Return the path of a scenario of the package, or of a file."""
     if name in shipped():
         return share('scenarios') / f'{name}.yaml'
     if not Path(name).is_file():
-        raise ValueError(f'scenario {name} is no file, and none of {", ".join(shipped())}')
+        raise ValueError(f'scenario {name} is neither a file nor one of {", ".join(shipped())}')
     return Path(name)

@@ -79,7 +79,7 @@ def rows(grid: Grid, count: int, rng: np.random.Generator) -> NDArray[np.bool_]:
 
 
 def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int) -> Belief:
-    """Return the prior given a team's map of a world."""
+    """Return the prior updated with a team's map of hazards."""
     if not team.survey:
         return prior
     drawn = np.random.default_rng([MAPPED, seed, trial]).random(prior.cells)
@@ -90,7 +90,7 @@ def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int)
     return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
 
 
-# Measures before the first robot and after each; nats and squares are sums over the cells.
+# Measures before the first robot and after each; entropies and losses are sums over cells.
 MEASURES = (
     'entropy_hazard',
     'entropy_target',
@@ -105,7 +105,7 @@ MEASURES = (
     'realised_information',
 )
 
-# Statistics kept of the posterior of a number.
+# Statistics saved of the posterior of a number.
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEARNT = ('mean', 'sd', *QUANTILES)
 
@@ -119,7 +119,7 @@ class Trial(NamedTuple):
     method: str
     # Number of the world, from 0.
     number: int
-    # Team that leaves together.
+    # Strategy of the mission.
     team: Strategy = ALONE
 
 
@@ -127,7 +127,7 @@ class MissionResult(NamedTuple):
     """The saved result of a mission."""
 
     # The measures of `measure_names` before the first robot and after each, shape (robots + 1,
-    # measures); constant once a mission is over. The information in the first row is NaN.
+    # measures); constant after the end of a mission. Information is NaN in the first row.
     measures: NDArray[np.float64]
     # The hazard and the target map after the last robot, shape (2, cells).
     believed: NDArray[np.float64]
@@ -186,7 +186,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     beliefs, known = zip(*knowledge(start, mission, is_own))
     worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
-    # By belief: (beliefs, cells).
+    # Maps before the first robot and after each, shape (robots + 1, cells).
     hazard = np.stack([belief.hazard for belief in beliefs])
     target = np.stack([belief.target for belief in beliefs])
     hazardous = np.stack([world.hazard for world in worlds])
@@ -233,7 +233,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
 def knowledge(
     start: Estimator, mission: SimulatedMission, is_own: bool
 ) -> Iterator[tuple[Belief, Mapping[str, Learnt]]]:
-    """Yield the belief and the posteriors before the first robot and after each."""
+    """Yield the belief and the posteriors of numbers, before the first robot and after each."""
     yield start.belief, start.parameters
     estimator = start.copy()
     for deployment in mission:
@@ -245,7 +245,7 @@ def knowledge(
 
 
 def carried(rows: ArrayLike, robots: int) -> NDArray[np.float64]:
-    """Return a row before the first robot and for each, the last one repeated at the end."""
+    """Return `robots` + 1 rows: after an early end the last row is repeated."""
     array = np.array(rows, dtype=np.float64)
     after_the_last = (0, robots + 1 - len(array)), *[(0, 0)] * (array.ndim - 1)
     return np.pad(array, after_the_last, 'edge')
@@ -262,9 +262,8 @@ def as_learnt(number: Learnt | None) -> tuple[float, ...]:
 DECLARED = 0.95
 
 
-# Measures of decisions: robots sent; probability that the goal is free, and whether it is;
-# independent draws; shares of the goal's cells that are declared free, and that are declared free
-# rightly.
+# Measures of decisions: robots sent; believed probability that the goal is free, and whether it is
+# free; independent draws; shares of the goal's cells declared free, and rightly declared free.
 OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared_free')
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a study, and the processes of its missions."""
+"""The folder of a study, and the worker processes for its missions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Folder:
         if kept.exists():
             asked = asdict(scenario)
             for key, value in asdict(read_scenario(kept)).items():
-                # Trials do not depend on their number.
+                # The number of trials may differ: it does not affect a trial.
                 if key != 'trials' and value != asked[key]:
                     raise ValueError(
                         f'{path} holds results of another scenario, with {key} {value} '
@@ -49,13 +49,13 @@ class Folder:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise ValueError(f'{path} has another study at work in it') from error
+            raise ValueError(f'{path} is in use by another study: name another') from error
         text = yaml.safe_dump(asdict(scenario), sort_keys=False)
         _write(kept, lambda file: file.write(text.encode()))
         self._trials.mkdir(exist_ok=True)
 
     def save(self, trial: Trial, outcome: MissionResult) -> None:
-        """Save the outcome of a trial; it is on disk when this returns."""
+        """Save the outcome of a trial; returns once it is on disk."""
         _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
 
     def outcomes(self) -> dict[Trial, MissionResult]:
@@ -66,13 +66,13 @@ class Folder:
                 file = self._file(trial).open('rb')
             except FileNotFoundError:
                 continue
-            # zipfile and numpy raise many types on corrupt files.
+            # zipfile and numpy raise many types of exceptions on corrupt files.
             with file, suppress(Exception):
                 outcomes[trial] = self._read(file)
         return outcomes
 
     def _read(self, file: BinaryIO) -> MissionResult:
-        """Read the outcome in a file; raises if it is corrupt or of another scenario."""
+        """Read an outcome; raises if the file is corrupt or belongs to another scenario."""
         extent = self._scenario.grid
         maps = 2, extent.width * extent.height
         rows, numbers = self._scenario.robots + 1, len(NUMBERS)
@@ -82,12 +82,13 @@ class Folder:
         with np.load(file, allow_pickle=False) as arrays:
             outcome = MissionResult(**arrays)
         if [(array.shape, array.dtype.str) for array in outcome] != [*zip(shapes, types)]:
-            raise ValueError('its arrays are of another shape')
+            raise ValueError("its arrays do not have the scenario's shapes")
         return outcome
 
     def _file(self, trial: Trial) -> Path:
         strategy = vars(trial.team).items()
-        # Other fields in every name would rename the files of earlier studies.
+        # Further fields are in names only if not default: files of earlier studies keep their
+        # names.
         earlier = ('agents', 'allocation', 'loss_cost')
         unnamed = (*earlier, 'last_contact', 'planner')
         team = '-'.join(
@@ -107,7 +108,7 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
     part.replace(path)
 
 
-# The engines of joblib that can be used, and the package that each needs.
+# Backends of joblib, with the package that each needs.
 BACKENDS = {'loky': 'joblib', 'dask': 'distributed'}
 
 # Seconds to wait for a scheduler, and then for its first worker.
@@ -130,7 +131,7 @@ class Workers:
         self, function: Callable[[Item], Result], items: Sequence[Item]
     ) -> Iterator[tuple[Item, Result]]:
         """Yield each item with its result; a RuntimeError names an item that fails."""
-        # A terminal interrupts all its processes. New ones ignore it and are ended by this one.
+        # Start workers that ignore interrupts of the terminal; this process ends them.
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             done = self._parallel(delayed(_run)(function, item) for item in items)
@@ -140,7 +141,8 @@ class Workers:
 
 
 def _run(function: Callable[[Item], Result], item: Item) -> tuple[Item, Result]:
-    # Sums split among threads may round differently, and other items keep all cores busy.
+    # One thread: sums split among threads may round differently, and other items keep all cores
+    # busy.
     threadpool_limits(1, 'blas')
     try:
         return item, function(item)
@@ -154,7 +156,7 @@ def _run(function: Callable[[Item], Result], item: Item) -> tuple[Item, Result]:
 def workers(
     backend: str, count: int | None = None, scheduler: str | None = None
 ) -> Iterator[Workers]:
-    """Start processes, one a core by default, or connect to a running Dask scheduler."""
+    """Start worker processes, by default one for each core, or connect to a Dask scheduler."""
     package = BACKENDS[backend]
     if find_spec(package) is None:
         raise ValueError(f'backend {backend} needs a package: pip install {package}')
@@ -163,7 +165,7 @@ def workers(
     if scheduler is not None and backend != 'dask':
         raise ValueError(f'scheduler is {scheduler}: the backend must be dask, not {backend}')
     if scheduler is not None and count is not None:
-        raise ValueError(f'workers is {count}: leave it out: {scheduler} has its own')
+        raise ValueError(f'workers is {count}: leave it out: the scheduler has its own')
     if backend == 'loky':
         yield Workers(count or cpu_count())
         return
@@ -173,7 +175,7 @@ def workers(
 
 @contextmanager
 def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
-    """Yield a client of the scheduler, or of a new one on this machine."""
+    """Yield a client of the scheduler, by default of a new scheduler on this machine."""
     from distributed import Client, LocalCluster
 
     with ExitStack() as stack:
@@ -184,5 +186,5 @@ def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
             client = stack.enter_context(Client(cluster, timeout=PATIENCE))
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, ValueError, AsyncTimeoutError) as error:
-            raise ConnectionError(f'no Dask workers can be had at {scheduler}: {error}') from error
+            raise ConnectionError(f'no Dask workers found at {scheduler}: {error}') from error
         yield client

@@ -144,7 +144,7 @@ def check_words(code, told, said):
     ('demo --set world.file=nothere.yaml', 'demo: nothere.yaml: No such file or directory'),
     ('replay nothere.mcap', 'replay: nothere.mcap cannot be read: No such file or directory'),
     ('replay nothere.mcap --repair /proc/here/a.mcap', 'replay: /proc/here: No such file'),
-    ('study nothere.yaml --out runs', 'study: scenario nothere.yaml is no file'),
+    ('study nothere.yaml --out runs', 'study: scenario nothere.yaml is neither a file'),
     ('study paper --out /proc/here', 'study: /proc/here: No such file or directory'),
 ])  # fmt: skip
 def test_no_command_prints_an_errno(tmp_path, monkeypatch, capsys, command, said):

@@ -282,7 +282,7 @@ def test_the_folder_of_a_mission_is_refused(tmp_path, scenario):
 
 
 def test_two_studies_do_not_work_in_one_folder(folder, tmp_path, scenario):
-    with pytest.raises(ValueError, match='another study at work'):
+    with pytest.raises(ValueError, match='in use by another study'):
         Folder(tmp_path / 'made' / 'here', scenario)
 
 
