@@ -165,7 +165,7 @@ def workers(
     if scheduler is not None and backend != 'dask':
         raise ValueError(f'scheduler is {scheduler}: the backend must be dask, not {backend}')
     if scheduler is not None and count is not None:
-        raise ValueError(f'workers is {count}: leave it out: the scheduler has its own')
+        raise ValueError(f'workers is {count}: leave it out: {scheduler} has its own workers')
     if backend == 'loky':
         yield Workers(count or cpu_count())
         return

@@ -170,7 +170,7 @@ class LabelSearch:
             outcomes,
             objective.loss_cost,
             10.0**DECIMALS,
-            # Only a search of a width above 1 drops labels by this bound.
+            # Only a search that keeps several labels of a cell drops labels by this bound.
             unread_after(gains, powers, max_steps) if self._width > 1 else np.zeros(max_steps + 1),
         )
 
