@@ -41,8 +41,8 @@ from rclpy.qos import QoSProfile
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
-# Maximum seconds that a robot waits for paths earlier in deployment order: missing
-# acknowledgements are requested again after 1 s and 2 s.
+# Maximum seconds that a robot waits for the paths of earlier deployments: long enough to request
+# missing acknowledgements twice, after 1 s and another 2 s.
 PATIENCE = 5.0
 
 
@@ -51,13 +51,13 @@ SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
 
 
 class Simulation:
-    """The hidden field of a team, and the outcomes of its robots as in core's run_mission."""
+    """The hidden world of a team; simulates robots in deployment order, as core's run_mission."""
 
-    # If hazards change, the field depends on all earlier paths in deployment order, so a robot
-    # leaves once these are known. In rounds of all agents, robot n (from 0) of an agent waits for
-    # n + 1 paths of each agent before it and n of each after it. Agents with a robot in flight or
-    # waiting will not get an earlier path. Other agents may never get one, as at the end of a
-    # mission or with `rolling`, so no robot waits for longer than `PATIENCE`.
+    # If hazards change, the field depends on the paths of all earlier deployments, so a robot
+    # waits until these paths have arrived. In rounds of all agents, robot n (from 0) of an agent
+    # waits for n + 1 paths of each agent earlier in the list of agents, and for n paths of each
+    # later agent. Agents with a robot in flight or waiting get no earlier path. Other agents may
+    # never get a path (end of the mission, `rolling`), so a robot waits for at most `PATIENCE`.
 
     def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
@@ -68,7 +68,6 @@ class Simulation:
         self._models = {agent: each.model(common) for agent, each in robot_types.items()}
         self.agents = agent_names(values, self.grid)
         dynamics = self._dynamics = true_dynamics(values)
-        # Whether hazards are static.
         self.is_static = dynamics.effect == 'static'
         self._execution = make_execution(values)
         self._seeds = np.random.SeedSequence(values['seed'])
@@ -77,11 +76,12 @@ class Simulation:
         # The accepted paths, and the mission of each agent's paths.
         self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
         self._missions = dict.fromkeys(self.agents, record.mission)
-        # Numbers of known paths and of robots that left, by agent; and paths that wait.
+        # By agent: number of paths received, and of robots that left. By deployment: waiting
+        # paths.
         self._known = dict.fromkeys(self.agents, 0)
         self._left = dict.fromkeys(self.agents, 0)
         self._waiting: dict[DeploymentKey, NDArray[np.intp]] = {}
-        # Times from which these paths wait, seconds.
+        # Start of the wait of each waiting path, seconds.
         self._since: dict[DeploymentKey, float] = {}
         # Agents with a robot in flight.
         self.out: set[str] = set()
@@ -90,13 +90,13 @@ class Simulation:
             for name in ('hazard', 'target')
             if values['publish_truth']
         }
-        # Outcomes not reported yet, and deployments to start once their outcome is known.
+        # Outcomes computed before their robots left, and departures that wait for their outcome.
         self._outcomes: dict[DeploymentKey, Traverse] = {}
         self._moving: set[DeploymentKey] = set()
         for key in record.orders:
             self._restore(key, record)
         self._publish_truth()
-        # Callbacks that take the outcomes, by agent; agents of other nodes have none.
+        # The callback for outcomes of each agent that this node simulates.
         self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
         if not self.is_static:
             node.create_poll(self._leave_all)
@@ -141,7 +141,7 @@ class Simulation:
         check_mission(mission, self._missions[agent])
         known = self.paths.get(key)
         if known is not None and not np.array_equal(known, path):
-            raise ValueError(f'deployment {key} is known with another path: the first path counts')
+            raise ValueError(f'deployment {key} already has another path: the first path counts')
         if known is not None:
             return None
         self.node.diagnostics.accepted += 1
@@ -186,7 +186,7 @@ class Simulation:
             is_first = not any(self._left.values())
             path = self._waiting.pop(key)
             del self._since[key]
-            # Robots are counted from 0 in departure order.
+            # Number of the robot in deployment order, from 0.
             child = self._left[key.agent] * len(self.agents) + self.agents.index(key.agent)
             seeds = np.random.SeedSequence(self._seeds.entropy, spawn_key=(child,))
             made = self._execution.traverse(
@@ -210,7 +210,7 @@ class Simulation:
         )
 
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
-        """Restore a recorded deployment, unless its robot has not departed."""
+        """Restore a recorded deployment unless refused or, if hazards are static, not departed."""
         is_at_home = self.is_static and not record.has_departed(key)
         if record.departures.is_refused(key) or is_at_home:
             return
@@ -223,7 +223,7 @@ class Simulation:
 
 
 class SimulatedAgent(RecordedPaths[SentPath]):
-    """A simulated robot for each path of one agent, and its reports."""
+    """An agent that simulates a robot for each of its paths, and reports the outcome."""
 
     def __init__(
         self,
@@ -241,7 +241,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
         # Deployments whose robots must not depart yet.
         self._at_home: list[DeploymentKey] = []
-        # Deployments whose robots have departed, by the log.
+        # Deployments with a departure on record.
         self._departed = {key for key in record.orders if record.has_departed(key)}
         self._hold = HoldSubscription(self._node, self._depart_all)
         self._node.create_poll(self._depart_all)
@@ -250,7 +250,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         for key in record.orders:
             outcome = record.outcome(key)
             if key.agent == name and outcome is not None and simulation.is_over(outcome):
-                # The report is published again, and the robot does not leave a second time.
+                # Publish the recorded report again, and do not start the robot a second time.
                 simulation.paths[key] = record.paths[key]
                 self._publish_status(key, OrderState.DEPARTED)
                 stamp = record.reports[key].stamp
@@ -267,11 +267,11 @@ class SimulatedAgent(RecordedPaths[SentPath]):
 
     @property
     def awaited(self) -> str:
-        """Describe the condition that its robots wait for; empty if there is none."""
+        """Describe the condition that blocks departures; empty if there is none."""
         return (self._hold.awaited if self._at_home else '') or super().awaited
 
     def _take_path(self, sent: SentPath) -> None:
-        """Accept a path; its robot departs at once if the departure is on record."""
+        """Accept a path; start its robot unless new departures are held."""
         key = self._simulation.accept(sent)
         self._at_home.append(key)
         self._publish_status(key, OrderState.ACCEPTED)
@@ -281,7 +281,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Start the robots at home; while departures are held, only those that had departed."""
+        """Start the robots at home; while departures are held, only with a recorded departure."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)
@@ -299,7 +299,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._simulation.take(key)
 
     def _publish_status(self, key: DeploymentKey, state: OrderState) -> None:
-        """Publish the status of an order; a restarted agent publishes the same again."""
+        """Publish the status of an order; after a restart the message is identical."""
         self._statuses.publish(status_message(key, state, key.stamp))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
@@ -330,7 +330,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._poses.publish(pose)
 
     def _return(self, key: DeploymentKey, observation: Observation) -> None:
-        """Report the outcome of a robot after its time away."""
+        """Report the outcome of a robot, except a loss with `silent_loss`."""
         self._simulation.out.discard(self.agent)
         if not observation.survived and self._node.values['silent_loss']:
             return

@@ -40,14 +40,14 @@ class Decisions:
         self._newest: Snapshot | None = None
         self._decision: Decision | None = None
         self._is_decided = False
-        # Number of beliefs and parameter changes so far; and that number with the number of paths
-        # and reports, at the start of the last decision.
+        # Number of belief and parameter changes so far. At the start of the last decision: that
+        # number, and the number of paths and reports.
         self._news = 0
         self._begun_with = 0, 0
         self._deciding: futures.Future[Decision | None] | None = None
         self._finding: futures.Future[SafestPath] | None = None
-        # Reason why the plans on the newest belief end the mission, empty if they do not; and the
-        # last reason that was logged.
+        # Reason why the plans for the newest belief end the mission, empty if they do not; and the
+        # reason logged last.
         self.not_worth = ''
         self._said = ''
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
@@ -65,7 +65,7 @@ class Decisions:
                 self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:
-        """Take the newest belief, decide on it, and act."""
+        """Store the newest belief, start the decision on it, and call `act`."""
         if not newest.deployments:
             self.knowledge.begin(newest)
         self._newest = newest
@@ -80,7 +80,7 @@ class Decisions:
 
     @property
     def is_ready(self) -> bool:
-        """Return whether robots can be planned for the goal on the newest belief."""
+        """Return whether the decision on the newest belief is ready, or not needed."""
         return self.knowledge.goal is None or self._is_decided
 
     @property
@@ -91,7 +91,7 @@ class Decisions:
         return self._deciding is not None or now != self._begun_with
 
     def _decide(self) -> None:
-        """Start a missing decision, and publish one that is ready."""
+        """Publish the decision once it is computed, and start the next if it is due."""
         if self._deciding is not None and self._deciding.done():
             decision, self._deciding = self._deciding.result(), None
             if decision is not None and self._begun_with[0] == self._news:
@@ -138,7 +138,7 @@ class Decisions:
     def _on_safest_path(
         self, request: GetPlan.Request, response: GetPlan.Response
     ) -> GetPlan.Response | Future:
-        """Answer with the safest path between two places, without poses if there is none."""
+        """Answer a call with the safest path between two places; without poses if none exists."""
         newest = self._newest
         try:
             if newest is None:

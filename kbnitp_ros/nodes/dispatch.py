@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.subscription import Subscription
 
-# Seconds without orders for an agent that refused one, doubled with each further refusal; and
-# their maximum.
+# Seconds without orders for an agent after it refused an order, doubled with each further refusal;
+# and the maximum pause.
 FIRST_PAUSE, MAX_PAUSE = 1.0, 60.0
 
 # Seconds that the nodes of a base may take to process a return.
@@ -66,13 +66,12 @@ class Dispatch:
             agent: node.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
             for agent in agents
         }
-        # The robots in flight.
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
         # Robots that were given up, and the time until which they may return.
         self._late: dict[DeploymentKey, float] = {}
         # Pauses of agents after refusals: the length in seconds, and the end.
         self._pauses: dict[str, tuple[float, float]] = {}
-        # Reported losses of robots that are not known to have departed.
+        # Losses reported before the departures of their robots.
         self._early = PendingMessages(node, self._on_report)
         # The stamp of the last deployment, in nanoseconds.
         self.last_stamp = 0
@@ -115,12 +114,12 @@ class Dispatch:
                 self._node.subscribe_to_agent(Recorded, agent, partial(self._on_recorded, agent))
 
     def _subscribe_to_paths(self, agent: str) -> Subscription:
-        """Subscribe to the paths of an agent, which another planner may publish."""
+        """Subscribe to an agent's paths, since another planner may publish paths, too."""
         return self._node.subscribe_to_agent(Path, agent, partial(self._on_path, agent))
 
     @property
     def left_alone(self) -> list[str]:
-        """Return the agents that get no orders for a while because they refused one."""
+        """Return the agents that get no orders for a while after they refused an order."""
         now = time.monotonic()
         return [agent for agent, (_, until) in self._pauses.items() if now < until]
 
@@ -227,7 +226,7 @@ class Dispatch:
         self.log_departures()
 
     def _on_path(self, agent: str, message: Path) -> None:
-        """Record a received path: one of another planner may replace the own one on disk."""
+        """Record a received path: another planner's path may be recorded in place of ours."""
         try:
             key, path = self._node.read_path(agent, message)
             mission = mission_of_path(message)
@@ -249,7 +248,7 @@ class Dispatch:
             self._node.diagnostics.refuse(f'{agent}/recorded', error)
             return
         if self.in_flight.record(key, message.content):
-            # A new subscription receives the recorded path, which its publisher keeps.
+            # Subscribe anew to receive the recorded path, which its publisher keeps.
             self._node.destroy_subscription(self._sent_paths[agent])
             self._sent_paths[agent] = self._subscribe_to_paths(agent)
         self.log_departures()

@@ -75,7 +75,7 @@ def detection_class(name: str) -> type:
 
 
 def read_detection(message: Any, values: Mapping[str, Any]) -> tuple[bool, int | None]:
-    """Return whether a detector saw a target, and the stamp in nanoseconds, None without one."""
+    """Return whether a detector saw a target, and the stamp in ns (None if there is no stamp)."""
     if values['detection_type'] == 'bool':
         return bool(message.data), None
     wanted, least = values['detection_class'], values['detection_score']
@@ -99,7 +99,7 @@ ENDINGS = {
 }
 
 
-# By the parameter driver: the type of the action, and the node of Nav2 that serves it.
+# Action type and serving node of Nav2, by value of the parameter driver.
 DRIVERS: dict[str, tuple[Any, str]] = {
     'follow_waypoints': (FollowWaypoints, 'waypoint_follower'),
     'navigate_through_poses': (NavigateThroughPoses, 'bt_navigator'),
@@ -108,7 +108,7 @@ DRIVERS: dict[str, tuple[Any, str]] = {
 
 
 def goal_along(action: Any, points: NDArray[np.float64], stamp: int) -> Any:
-    """Return the goal of driving from the first of these points along the others, shape (n, 2)."""
+    """Return the goal of driving along points, shape (n, 2), the robot's position first."""
     if action is not FollowPath:
         return action.Goal(poses=poses_along(points, stamp)[1:])
     stretches = [
@@ -120,7 +120,7 @@ def goal_along(action: Any, points: NDArray[np.float64], stamp: int) -> Any:
 
 
 def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
-    """Return a pose at each point, in the direction of the way to it, or from the first point."""
+    """Return a pose at each point, heading along the line from the point before it."""
     moves = np.diff(points, axis=0)
     directions = np.arctan2(moves[:, 1], moves[:, 0]).tolist()
     return [
@@ -160,7 +160,7 @@ class Driver:
         self._states = node.create_client(GetState, f'{self._server}/get_state')
         self._state: State | None = None
         self._asked_at = 0.0
-        # Whether the last goal was accepted; None before the answer.
+        # Whether the server accepted the last goal that probed it; None before its answer.
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
         self._handle: ClientGoalHandle | None = None
@@ -170,7 +170,7 @@ class Driver:
 
     @property
     def awaited(self) -> str:
-        """Describe the wait before a drive; empty if there is none."""
+        """Describe the missing action server; empty if it is there."""
         if self._client.server_is_ready():
             return ''
         return f'the action server {self.name} (parameters driver and nav_namespace)'
@@ -222,7 +222,7 @@ class Driver:
             handle.cancel_goal_async()
 
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
-        """Send the robot from x, y along a leg that starts in its cell."""
+        """Send the robot from its position x, y along a leg that starts in its cell."""
         points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
         self._number += 1
         number = self._number

@@ -88,7 +88,7 @@ class EstimatorNode(FieldNode):
             sent.listen()
             self.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
-        # Reported losses of robots that are not known to have departed.
+        # Losses reported before the departures of their robots.
         self._early = PendingMessages(self, self._on_report)
         self._started = 0
         self._unconverged = ''
@@ -109,12 +109,12 @@ class EstimatorNode(FieldNode):
         publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _take_in(self, log: MissionLog) -> None:
-        """Read the recorded paths, reports and statuses; known ones change nothing."""
+        """Apply the recorded paths, reports and statuses; duplicates change nothing."""
         if self._mission is None:
             self._mission = read_mission(log)
         evidence = log.read('path', 'report', 'status')
         for role, logged in self.log_progress(evidence, f'reading {log.path}'):
-            # Evidence that was refused before is refused again.
+            # Evidence that was refused before the restart is refused again.
             with suppress(ValueError):
                 if role.name == 'status':
                     self._departures.take(*logged.said)
@@ -133,7 +133,7 @@ class EstimatorNode(FieldNode):
                 self._take_in(resumed_log(log, self.roles))
             self._started = now
             self._awaiting.cancel()
-            # Replay starts from the prior.
+            # A replay of the log starts from the prior.
             self._publish(self._prior)
             if self._ledger.deployments:
                 self._publish(self._ledger)
@@ -162,7 +162,7 @@ class EstimatorNode(FieldNode):
         try:
             changed = self._ledger.record_path(key, cells, content)
         finally:
-            # The ledger has dropped pending reports that do not match the path.
+            # Recording a path drops pending reports that do not match the path.
             self._update_warning()
         self._accept(key, changed)
 
@@ -184,7 +184,7 @@ class EstimatorNode(FieldNode):
             self._departures.end(key, report.stamp if report.survived else None)
             read = [step for step, (_, reading) in enumerate(report.readings, 1) if reading >= 0]
             last, steps = max(read, default=0), len(report.readings)
-            # The last step leads into the base, where a robot need not look.
+            # The last step leads into the base, where no reading is needed.
             if changed and steps - last > 1:
                 self.get_logger().warning(
                     f'{key} has no readings after step {last} of {steps}: the detector failed, or '
@@ -210,9 +210,9 @@ class EstimatorNode(FieldNode):
         self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
-        """Return whether a path of a mission begins that mission, and ends the current one."""
-        # Before the first belief, as in an old bag, paths may be of several missions: the newest
-        # one counts.
+        """Return whether a path of another mission ends the current mission."""
+        # Before the first belief, paths of several missions may arrive, as from an old bag: the
+        # newest mission counts.
         is_newer = self._mission is not None and mission > self._mission
         return (is_newer and not self._started) or 0 < mission == self._started != self._mission
 

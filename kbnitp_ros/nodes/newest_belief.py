@@ -42,9 +42,9 @@ class NewestBelief:
         self.sent_unknown = 0
         # Number of deployments in the last belief received.
         self.last_received = 0
-        # Last refusal of evidence by the estimator since that belief; empty if none.
+        # Last refusal of evidence by the estimator since the last belief; empty if none.
         self.refusal = ''
-        # Whether the warning about a belief that will never hold all deployments was given.
+        # Whether the planner has warned that the belief will never hold all deployments.
         self._is_incomplete_told = False
         self._subscription: Subscription | None = None
         node.subscribe_to_diagnostics(self._on_diagnostics)

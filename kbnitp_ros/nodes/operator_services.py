@@ -63,8 +63,8 @@ class Operator:
         self._grid = grid
         self._in_flight = in_flight
         self._act = act
-        # The published value of `hold`, whether another node has published the opposite since,
-        # and the time of each, seconds.
+        # The published value of `hold`; whether another node has published the opposite since
+        # then; and the times of both messages, seconds.
         self._is_held: bool | None = None
         self._is_contradicted = False
         self._held_at = self._contradicted_at = -inf
@@ -115,7 +115,7 @@ class Operator:
         if now > self._contradicted_at + MAX_UNNAMED:
             return
         others = self._node.named_authors(self._holds.topic_name, BOOL)
-        # A late message of this planner itself has no other author.
+        # Without another author, the message was a late one of this planner.
         if len(others) > 1:
             self._contradicted_at = -inf
             self._node.diagnostics.refuse(
@@ -125,7 +125,7 @@ class Operator:
             )
 
     def propose(self, plans: Plans, search: Search) -> None:
-        """Publish the plans that a search found on AGENT/proposal."""
+        """Publish the plans of a search on AGENT/proposal."""
         self.withdraw()
         self.proposed, self.proposed_by = plans, search
         for key, plan in plans.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner: sends robots on the paths that bring most information, or the goal nearest."""
+"""The planner: sends robots along the paths that gain most information, or most for the goal."""
 
 from __future__ import annotations
 
@@ -62,19 +62,19 @@ class PlannerNode(FieldNode):
         self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
         self._in_flight = self._dispatch.in_flight
         self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._decisions.take)
-        # The estimator's progress, published again with the bound of the plan; and the stamp of
-        # the belief planned on, with the bound in nats.
+        # The estimator's progress, which the planner publishes again with the bound of its plan.
+        # The stamp of the belief that the plan is based on, and the bound in nats.
         self._progress: Progress | None = None
         self._bound = -1, nan
         if self.values['bound']:
             self._bounded = self.create_publisher(Progress, 'progress', qos.LATCHED)
             self.subscribe(Progress, 'progress', self._on_progress, qos.LATCHED)
         self._peers = Peers(self, self._agents)
-        # The search for the next round, with its result while robots must wait.
+        # The search for the next round, kept with its result while robots cannot leave.
         self._search: Search | None = None
         # Number of parameter changes.
         self._changes = 0
-        # The search that found no path worth a robot, and why.
+        # The last search that found no path worth a robot, and the reason.
         self._worthless_for: Search | None = None
         self._why_worthless = ''
         self._operator = Operator(self, self.grid, self._agents, self._in_flight, self._act)
@@ -87,7 +87,7 @@ class PlannerNode(FieldNode):
         self._operator.hold(self._operator.state.is_holding)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
-        # Subscribed before beliefs, which are checked against the paths.
+        # Subscribe to paths before beliefs, since beliefs are checked against the paths received.
         self._dispatch.listen()
         self._beliefs.subscribe()
         self.create_look(self._look_at_graph)
@@ -185,12 +185,12 @@ class PlannerNode(FieldNode):
         )
 
     def _missing_listeners(self) -> str:
-        """Describe the missing subscribers; empty from when all have subscribed."""
+        """Describe the missing subscribers; empty once all have subscribed."""
         if self._has_subscribers:
             return ''
         missing = self.missing_listeners(self._dispatch.paths.values())
-        # Each agent also needs a node of its own: with changing hazards the nodes of simulated
-        # agents subscribe to the paths of all agents.
+        # Subscribers alone do not prove that an agent has a node: with changing hazards, nodes of
+        # simulated agents subscribe to the paths of all agents.
         absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
         if not missing and absent:
             missing = f'a node of agent {some(absent)} (parameter await_nodes)'
@@ -228,7 +228,7 @@ class PlannerNode(FieldNode):
         self._dispatch.send(plans, self._beliefs.tracker.begin(newest.mission))
 
     def _publish_obstacle(self, now: PlannerState, obstacle: Obstacle) -> None:
-        """Publish the condition that blocks departures, and a new state of the mission at once."""
+        """Publish the condition that blocks departures; publish a new mission state at once."""
         what = describe_obstacle(now, obstacle)
         is_end = obstacle.is_end
         self.diagnostics.state = f'done: {what}' if is_end else waiting_for(what)
@@ -257,7 +257,7 @@ class PlannerNode(FieldNode):
             )
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
-        """Return the plans of the next round, the proposed ones if they still apply."""
+        """Return the plans of the next round (a proposal if it still applies), {} until found."""
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
         now = Search(belief, agents, len(refused), self._changes)
@@ -274,7 +274,7 @@ class PlannerNode(FieldNode):
             search = None
         if search is None:
             self._operator.withdraw()
-            # Counted from the stamp of the belief, so that a restarted planner sends the same
+            # The stamp is not taken from the clock, so that a restarted planner sends the same
             # message again.
             held = -1 if newest.newest is None else newest.newest.stamp
             last = self._dispatch.last_stamp

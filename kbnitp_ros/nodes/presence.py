@@ -29,7 +29,7 @@ BEGUN = 'begun'
 MAX_PATH = 4096
 MAX_TIME = 20
 
-# Seconds that a recorder searches for others before its acknowledgements count.
+# Seconds that a recorder searches for other recorders before its acknowledgements count.
 LOOK = 1.5
 
 # Seconds without diagnostics after which a recorder counts as dead: DDS lists a killed node for
@@ -86,7 +86,7 @@ class Recorders:
         publishers = self._publishers() if alive else Counter()
         earlier = []
         for name, values, _ in alive:
-            # Several recorders may have one name: at most as many as publish are alive.
+            # Recorders may share a node name: at most as many are alive as publishers exist.
             if publishers[name]:
                 publishers[name] -= 1
                 if rank(values) < rank(self._own):
@@ -145,7 +145,7 @@ class Peers:
                 self._node.diagnostics.refuse(
                     f'{agent}/path',
                     f'agent {agent} has left the graph: the other agents continue, and {agent} '
-                    'does when it is back',
+                    'gets orders again when it is back',
                 )
             self._look_for_planners(f'{agent}/path')
         self._look_for_unknown_agents()
@@ -158,7 +158,7 @@ class Peers:
         return 0 < now < before
 
     def _count(self, topic: str, type_name: str, own: int = 0) -> tuple[int, int]:
-        """Count the other publishers of a topic; return their number before, and now."""
+        """Count the other publishers of a topic; return the previous and the present number."""
         before = self._others[topic]
         self._others[topic] = max(self._node.count_authors(topic, type_name) - own, 0)
         return before, self._others[topic]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paths of an agent that the recorder has acknowledged, and the next one of a real robot."""
+"""The acknowledged paths of an agent, and the next path of a real robot."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from kbnitp_ros.robot.journal import Deployment, Journal
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 
-# If several paths have one stamp, the one that the recorder acknowledges counts for all nodes. An
-# acknowledgement that arrives before its path is dropped, since any node can publish any number of
-# them: a new subscription requests it again from its publisher, which keeps it.
+# If several paths have the same stamp, all nodes use the path that the recorder acknowledges. An
+# acknowledgement that arrives before its path is dropped, since nodes could publish any number of
+# acknowledgements; a new subscription receives it again from its publisher, which keeps it.
 
 
 P = TypeVar('P')
@@ -39,7 +39,7 @@ class RecordedPaths(Generic[P]):
     ) -> None:
         self._node = node
         self.agent = agent
-        # Whether paths are accepted.
+        # Whether this object has subscribed to the paths.
         self.is_listening = False
         self._read = read
         self._take = take
@@ -66,7 +66,7 @@ class RecordedPaths(Generic[P]):
 
     @property
     def awaited(self) -> str:
-        """Describe the acknowledgement that the first path waits for; empty without a path."""
+        """Describe the acknowledgement that the first path waits for; empty if no path waits."""
         if not self._unacknowledged:
             return ''
         stamp, _ = next(iter(self._unacknowledged))
@@ -76,7 +76,7 @@ class RecordedPaths(Generic[P]):
         )
 
     def when_recorded(self, departure: AgentStatus, depart: Callable[[], None]) -> None:
-        """Call back once a departure is on record, or at once without the parameter recorded."""
+        """Call back once a departure is on record; at once if the parameter recorded is false."""
         if self._node.values['recorded']:
             stamp = from_stamp(departure.deployment)
             self._departures[stamp, content_hash(departure)] = depart
@@ -147,7 +147,7 @@ SETTLED = 0.3
 
 
 class PendingPaths(RecordedPaths[Deployment]):
-    """The recorded paths of a real robot that it has not departed on."""
+    """The recorded paths on which a real robot has not departed yet."""
 
     # Paths arrive again after a restart of the robot or the base. The base sends no path while the
     # robot is in flight, so the robot follows the newest path that is not in its journal.
@@ -173,7 +173,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         driven = (each for each in self._journal.deployments if each.stamp == key.stamp)
         known = self._pending.get(key.stamp) or next(driven, None)
         if known is not None and known.path != deployment.path:
-            raise ValueError(f'deployment {key} is known with another path: the first path counts')
+            raise ValueError(f'deployment {key} already has another path: the first path counts')
         if known is not None or deployment.stamp in self._journal.refusals:
             return None
         self._node.diagnostics.accepted += 1
@@ -186,9 +186,9 @@ class PendingPaths(RecordedPaths[Deployment]):
         if own is not None and deployment.mission < own:
             self._refuse_order(
                 deployment,
-                f'it belongs to {named(deployment.mission)}, and journal {self._journal.path} to '
-                f'{named(own)}, which is later (was a clock set back?): for an earlier mission '
-                'set the parameter journal to another file',
+                f'it belongs to {named(deployment.mission)}, but journal {self._journal.path} '
+                f'belongs to {named(own)}, which is later (was a clock set back?): for an earlier '
+                'mission set the parameter journal to another file',
             )
             return
         self._pending[deployment.stamp] = deployment
@@ -201,7 +201,7 @@ class PendingPaths(RecordedPaths[Deployment]):
 
     @property
     def pending(self) -> int:
-        """Return the number of paths that the robot has not departed on."""
+        """Return the number of paths on which the robot has not departed."""
         return len(self._pending) + super().pending
 
     @property
@@ -216,7 +216,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         return ''
 
     def superseded(self) -> list[Deployment]:
-        """Return the deployments that the newest one replaces."""
+        """Return the pending deployments that the newest deployment supersedes."""
         driven = (
             self._journal.deployments[-1].stamp
             if self._journal.deployments

@@ -27,8 +27,8 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-# Number of messages of a topic remembered, since a second subscription may deliver them again: it
-# may be a whole queue behind.
+# Number of messages remembered per topic, since a second subscription may deliver the same
+# messages, up to a whole queue later.
 RECENT = 1000
 
 # A topic, a serialized message on it, and its info from rclpy.
@@ -57,7 +57,7 @@ class RecordedTopic:
     unacknowledged: list[tuple[int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
-        """Return whether a message is no duplicate of another subscription; remember it."""
+        """Return whether no other subscription has delivered this message; remember it."""
         message = sent, hash(data)
         if message in self.recent:
             return False
@@ -67,7 +67,7 @@ class RecordedTopic:
         return True
 
     def arrived(self) -> list[Iterator[Message]]:
-        """Return the messages received by now and not read, by subscription."""
+        """Return the unread messages of each subscription, up to now."""
         now = time.time_ns()
         return [self._taken(each, now) for each in self.subscriptions.values()]
 
@@ -100,13 +100,13 @@ def message_class(type_name: str) -> type:
     return found
 
 
-# Seconds until the first request to a node, which must discover this one before; until the next
-# request if it does not answer; and until it is given up.
+# Seconds until the first request to a node, which must have discovered this node by then; until
+# the next request if no answer arrives; and until the node is given up.
 ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
 
-# Callbacks: one takes the full name of a node and its parameters, the other a refusal.
+# Callbacks for the parameters of a node, by its full name, and for refusals, with the reason.
 Take = Callable[[str, dict[str, Any]], None]
 Refuse = Callable[[str, object], None]
 
@@ -137,7 +137,7 @@ class ParameterWatch:
         )
         self._due |= (present - self.present).keys()
         self.present = present
-        # A node with an open request becomes due again after it.
+        # A node with an open request stays due until the request is over.
         for name in self._due - self._inquiries.keys():
             self._due.remove(name)
             if not name.startswith(self._namespace):
@@ -191,7 +191,7 @@ class Inquiry:
         self._end_at = now + GIVE_UP
 
     def pursue(self) -> None:
-        """Send the request if the node is ready and no answer can still arrive."""
+        """Send the request if the node is ready and the last request was not answered in time."""
         now = time.monotonic()
         self.over = self.over or now > self._end_at
         ready = self._names.service_is_ready() and self._values.service_is_ready()
@@ -215,6 +215,6 @@ class Inquiry:
             self._take(self._name, dict(zip(names, values)))
 
     def destroy(self) -> None:
-        """Ignore later answers."""
+        """Destroy the clients, so that later answers are ignored."""
         self._node.destroy_client(self._names)
         self._node.destroy_client(self._values)

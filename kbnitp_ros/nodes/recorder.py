@@ -107,14 +107,13 @@ class RecorderNode(MissionNode):
         self._unsynced = True
         self._shown_at = time.monotonic()
         self._tracker = MissionTracker()
-        # Hash of the first message of each path and action, the one that counts, by topic, stamp
-        # and mission.
+        # Content hash of the first path or action with each topic, stamp and mission.
         self._first: dict[tuple[str, int, int], int] = {}
         self._paths: Counter[int] = Counter()
         # Deployments with a path on record, of any mission.
         self._ordered: set[DeploymentKey] = set()
         self._departures = Departures()
-        # By node, the first difference of the topics that it states from those of this node.
+        # First difference of each node's stated topics from the topics of this node.
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
@@ -124,7 +123,7 @@ class RecorderNode(MissionNode):
                     content = content_hash(logged.message)
                     self._note(logged.topic, role, key.stamp, mission, content)
                 else:
-                    # Evidence that was refused before is refused again.
+                    # Evidence that was refused before the restart is refused again.
                     with suppress(ValueError):
                         self._departures.take(*logged.said)
         self._configuration: dict[str, Mapping[str, Any]] = {}
@@ -156,7 +155,7 @@ class RecorderNode(MissionNode):
         arrived = [topic.arrived() for topic in topics]
         for message in heapq.merge(*chain(*arrived), key=time_received):
             self._write(*message)
-            # During a backlog diagnostics go on, or another recorder may take over.
+            # Publish diagnostics during a backlog, or another recorder may take over.
             if time.monotonic() > self._shown_at + PERIOD:
                 self._shown_at = time.monotonic()
                 self.diagnostics.publish()
@@ -169,7 +168,7 @@ class RecorderNode(MissionNode):
             super().close()
 
     def _check_log(self) -> None:
-        """Check that the log was not removed, and whether acknowledgements count."""
+        """Check that the log is in place; send pending acknowledgements once they count."""
         self._log.check_in_place()
         if (why := self._recorders.why_silent) != self._why_silent:
             self._why_silent = why
@@ -177,9 +176,10 @@ class RecorderNode(MissionNode):
 
     def _discover(self) -> None:
         """Subscribe to new topics and publishers."""
-        # The estimator publishes once belief has its subscribers, so its maps, created earlier,
-        # must be subscribed to before belief. Two equal scans of the graph show all publishers
-        # created before any of them; in reverse order belief comes last.
+        # The estimator publishes once belief has its subscribers, so its maps must be subscribed
+        # to before belief. It creates their publishers earlier, and two equal scans of the graph
+        # show all publishers created before any publisher shown. In reverse order of names belief
+        # comes last.
         found: dict[str, Any] = {}
         others: list[str] = []
         looked = True
@@ -198,7 +198,7 @@ class RecorderNode(MissionNode):
             self._subscribe_to(topic, found[topic])
 
     def _new_topics(self) -> tuple[list[str], list[str]]:
-        """Return topics that may have new publishers: those of the mission, and others."""
+        """Return topics that may have new publishers: with and without a role in the mission."""
         own: list[str] = []
         others: list[str] = []
         for topic, types in self.get_topic_names_and_types():
@@ -234,7 +234,7 @@ class RecorderNode(MissionNode):
             profile = qos.unread_kept(publisher.qos_profile)
             role = self.roles.by_topic.get(name)
             if role is not None and role.name in AFTER_CONFIGURATION:
-                # The same profile as that of all nodes, so that all receive the same evidence.
+                # All nodes subscribe with this profile, so that all receive the same evidence.
                 profile = qos.unread_kept(qos.EVIDENCE)
                 if not self._watch.is_over(node):
                     return
@@ -314,10 +314,10 @@ class RecorderNode(MissionNode):
 
     def _on_message(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         role = topic.role.name if topic.role else ''
-        # These need no sync at once, unless an acknowledgement is pending.
+        # Beliefs and statuses need no immediate sync, unless an acknowledgement is pending.
         is_seldom_awaited = role in ('belief', 'status')
         if is_seldom_awaited:
-            # These are checked against paths on record, and callbacks come in any order.
+            # They are checked against paths on record, and callbacks come in any order.
             self._write_arrived_on(
                 each for each in self._topics.values() if each.role and each.role.name == 'path'
             )
@@ -339,7 +339,7 @@ class RecorderNode(MissionNode):
             self._write_checked((topic, data, info))
 
     def _write_checked(self, message: Message, deadline: float | None = None) -> None:
-        """Write a message if it is valid; retry until a deadline if it refers to a later one."""
+        """Write a valid message; retry until a deadline if it refers to a message not yet read."""
         topic, data, info = message
         try:
             if len(data) > MAX_MESSAGE:
@@ -357,7 +357,7 @@ class RecorderNode(MissionNode):
         self.diagnostics.accepted += 1
 
     def _is_of_this_mission(self, topic: RecordedTopic, data: bytes) -> bool:
-        """Return whether a message is of this mission: all missions share /diagnostics."""
+        """Return whether a message is from this namespace: all missions share /diagnostics."""
         if topic.name != DIAGNOSTICS or self._namespace == '/':
             return True
         status = deserialize_message(data, message_class(topic.type_name)).status
@@ -390,7 +390,7 @@ class RecorderNode(MissionNode):
                 del topic.unacknowledged[0]
             if first != content:
                 raise ValueError(
-                    f'another message with stamp {stamp} was recorded first, which counts (do two '
+                    f'another message with stamp {stamp} was recorded first and counts (do two '
                     'nodes publish this topic?)'
                 )
         elif role.name == 'report' and not message.survived:

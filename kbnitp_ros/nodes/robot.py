@@ -52,9 +52,9 @@ class RobotNode(FieldNode):
         return field.at(own_base(self.values, self.values['agent'], field))
 
     def __init__(self) -> None:
-        # Network addresses at the start, the only ones that DDS uses. A node that starts without
-        # a link stays unreachable when one comes up, and a node whose address changes is not
-        # found under the new one.
+        # Network addresses at the start: DDS uses no later ones. A node that starts without a link
+        # stays unreachable when a link comes up, and a node whose address changes is not found at
+        # the new address.
         self._addresses = addresses()
         super().__init__('robot')
         values = self.values
@@ -143,8 +143,8 @@ class RobotNode(FieldNode):
         if under_way := self._journal.under_way:
             self._set_out(under_way, ())
             self.get_logger().warning(
-                f'deployment {self._key(under_way)} was interrupted when the robot went off, in '
-                f'cell {self._walk.cell}: it goes home'
+                f'deployment {self._key(under_way)} was interrupted when the robot was switched '
+                f'off in cell {self._walk.cell}: it goes home'
             )
 
     def _set_out(self, deployment: Deployment, path: Sequence[int]) -> None:
@@ -218,7 +218,7 @@ class RobotNode(FieldNode):
             self._itinerary.enter(cell)
 
     def _step(self, cell: int) -> None:
-        """Record a step of the walk, in the journal, too."""
+        """Record a step of the walk, in memory and in the journal."""
         assert self._deployment is not None
         self._deployment.steps.append(Step(cell, self.now()))
         self._keep(partial(self._journal.step, self._deployment, len(self._deployment.steps)))
@@ -331,7 +331,7 @@ class RobotNode(FieldNode):
             return self._no_room
         for superseded in self._pending.superseded():
             if not self._refuse(
-                superseded, f'the newer path {self._key(deployment)} came before it left'
+                superseded, f'the newer path {self._key(deployment)} came before the robot left'
             ):
                 return self._no_room
             self._pending.close(superseded)
@@ -342,7 +342,7 @@ class RobotNode(FieldNode):
         return self._go_on(deployment)
 
     def _refuse(self, deployment: Deployment, reason: str) -> bool:
-        """Refuse a path for good; return whether that is in the journal."""
+        """Refuse a path for good; return whether the refusal is in the journal."""
         stamp, now = deployment.stamp, self.now()
         if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
             return False
@@ -351,7 +351,7 @@ class RobotNode(FieldNode):
         return True
 
     def _depart(self, deployment: Deployment) -> bool:
-        """Report the departure once it is in the journal; return whether it is."""
+        """Record the departure in the journal and report it; return False if recording fails."""
         deployment.departed = self.now()
         if not self._keep(partial(self._journal.depart, deployment)):
             return False
@@ -376,7 +376,7 @@ class RobotNode(FieldNode):
 
     @property
     def _unplaced(self) -> str:
-        """Return why the robot's place is unknown."""
+        """Return the reason why the robot's place is unknown."""
         name = 'TF' if self._source == '/tf' else 'a fix'
         return f'{name}: {self._troubles[self._source]}'
 

@@ -20,20 +20,21 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-# One of this number of beliefs names all its evidence, for readers that have missed a belief.
+# Every this many beliefs, a belief names all its evidence, for readers that missed beliefs.
 COMPLETE_EVERY = 64
 
 
 class NewEvidence:
     """Evidence assimilated since the last belief."""
 
-    # After a report that replaces another, and so does not raise the number of deployments, the
-    # next belief names all its evidence.
+    # A report that replaces another report does not raise the number of deployments: the belief
+    # after it names all its evidence.
 
     def __init__(self) -> None:
         self._keys: set[DeploymentKey] = set()
         self._published = 0
-        # Number of deployments in the belief that the next one adds to; 0 if that is complete.
+        # Number of deployments in the belief that the next belief adds to; 0 if the next belief
+        # names all its evidence.
         self._since = 0
         self._until_complete = COMPLETE_EVERY
 
@@ -57,19 +58,19 @@ class NewEvidence:
         return since, named
 
 
-# Minimum seconds between two publications of the views, which take longer than small beliefs.
+# Minimum seconds between two publications of the views, which cost more than a small belief.
 PERIOD = 0.1
 
 
 class Views:
-    """The grids and the progress of an estimator's last belief, at most every `PERIOD`."""
+    """The grids and progress of an estimator's last belief, published at most every `PERIOD`."""
 
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
         self._node = node
         self._truth: dict[str, NDArray[np.bool_]] = {}
         self._newest: tuple[int, Estimator] | None = None
-        # The belief to publish next: its ledger, the belief before, and its stamp. The ledger
-        # still holds that belief then, since each of its changes is passed to `show`.
+        # The belief to publish next: its ledger, the belief before it, and its stamp. The ledger
+        # has not changed when it is published, since every change is passed to `show`.
         self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
         self._message = Progress()
         self._status = NOT_KNOWN

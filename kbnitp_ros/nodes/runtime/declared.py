@@ -71,7 +71,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
 
 
 def state(node: Node, names: Mapping[str, str]) -> None:
-    """Declare the topics of a node, by role, for others to read."""
+    """Declare a read-only parameter with the node's topics by role."""
     stated = [f'{role}={topic}' for role, topic in names.items()]
     given = node._parameter_overrides.get(TOPICS)
     if given is not None and list(given.value) != stated:

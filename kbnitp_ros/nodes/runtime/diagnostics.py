@@ -37,7 +37,7 @@ WAITING = 'waiting for '
 
 
 def waiting_for(what: str) -> str:
-    """Return the state of a node that waits."""
+    """Return the state text of a node that waits for something."""
     return f'{WAITING}{what}'
 
 
@@ -60,7 +60,7 @@ class Diagnostics:
         self._failure = ''
         self._refused_lately = 0
         self._node = node
-        # The same name in every namespace, which tools expect.
+        # Tools expect this topic name in every namespace.
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, qos.DIAGNOSTICS)
         # A steady clock, since diagnostics continue when simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)

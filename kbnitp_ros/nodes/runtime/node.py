@@ -54,8 +54,8 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 SPIN = 0.2
 POLL = 0.05
 
-# Seconds that a message waits for another one that it refers to, since DDS keeps the order only
-# within a topic; and the maximum number of such messages.
+# Seconds that a message waits for the message that it refers to, since DDS keeps the order only
+# within a topic; and the maximum number of waiting messages.
 PATIENCE = 2.0
 MAX_EARLY = 20
 
@@ -68,8 +68,8 @@ REST = 4.0
 # Maximum seconds that a node waits until subscribers have received its last messages.
 FAREWELL = 0.3
 
-# Seconds until a node logs that it waits or reads, since all nodes wait for a moment when a
-# mission begins; and seconds until it logs that again.
+# Seconds until a node logs that it is waiting or reading (short waits are normal at a start), and
+# seconds until it logs this again.
 LOG_FIRST = 3.0
 LOG_AGAIN = 10.0
 
@@ -96,7 +96,7 @@ class MissionNode(Node):
         super().__init__(name)
         # Parameters by name, kept up to date.
         self.values = declare(self, name)
-        # Namespace of the mission: that of the node without the name of its own agent.
+        # Namespace of the mission: the node's namespace without the name of its agent.
         own = self.values.get('agent', '')
         self.above = self.get_namespace().rstrip('/').removesuffix(f'/{own}')
         # Topics of the node by role, stated in its parameters.
@@ -111,7 +111,7 @@ class MissionNode(Node):
         # Whether the node's work is done, so that the process ends; and its exit code.
         self.is_over, self.exit_code = False, 0
         self._refused_once: set[str] = set()
-        # When an author without a name was first seen, by topic.
+        # Time at which an author without a name was first seen, by topic, seconds.
         self._nameless_since: dict[str, float] = {}
         self._publisher_counts: dict[str, int] = {}
         self._author_counts: dict[str, int] = {}
@@ -141,7 +141,7 @@ class MissionNode(Node):
         keeps_all: bool = True,
         is_timed: bool = False,
     ) -> Subscription:
-        """Subscribe to a topic; keep all unread messages, or those that the profile keeps."""
+        """Subscribe to a topic, with an unlimited queue of unread messages if `keeps_all`."""
         # A timed callback also takes the time of publication, in nanoseconds of the publisher's
         # system clock.
         kept = qos.unread_kept(profile) if keeps_all else profile
@@ -157,7 +157,7 @@ class MissionNode(Node):
         return self.create_subscription(kind, topic, read, kept, raw=True)
 
     def subscribe_to_diagnostics(self, take: Callable[[str, Mapping[str, str]], None]) -> None:
-        """Subscribe to diagnostics; `take` gets the full name of a node, and its values."""
+        """Subscribe to diagnostics; call `take` with the full name and the values of each node."""
 
         def read(array: DiagnosticArray) -> None:
             for status in array.status:
@@ -166,7 +166,7 @@ class MissionNode(Node):
         self.subscribe(DiagnosticArray, TOPIC, read, qos.DIAGNOSTICS, keeps_all=False)
 
     def refuse_once(self, what: str, why: object) -> None:
-        """Refuse something in the graph, only the first time that it is found."""
+        """Refuse something in the graph, unless it was refused with this reason before."""
         text = f'{what}: {why}'
         if text not in self._refused_once:
             self._refused_once.add(text)
@@ -192,7 +192,7 @@ class MissionNode(Node):
         )
 
     def named_authors(self, topic: str, type_name: str) -> list[str]:
-        """Return the authors of a topic; empty until all have names, or for `MAX_NAMELESS`."""
+        """Return the authors of a topic; empty while a name is unknown, for `MAX_NAMELESS`."""
         # DDS discovers the publishers of a node a moment before its name.
         authors, now = self.authors(topic, type_name), time.monotonic()
         if NAMELESS not in authors:
@@ -202,7 +202,7 @@ class MissionNode(Node):
 
     def count_authors(self, topic: str, type_name: str) -> int:
         """Return the number of publishers of a type on a topic."""
-        # The query for types takes a hundred times as long as the count, which seldom changes.
+        # Query the types only if the count has changed: the query takes a hundred times as long.
         publishers = self.count_publishers(topic)
         if self._publisher_counts.get(topic) != publishers:
             self._publisher_counts[topic] = publishers
@@ -224,7 +224,7 @@ class MissionNode(Node):
         return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
 
     def _log_wait(self) -> None:
-        """Log the state of a node that waits, after `LOG_FIRST` and then repeatedly."""
+        """Log the state of a waiting node after `LOG_FIRST`, then every `LOG_AGAIN`."""
         state = self.diagnostics.state
         awaited = state if state.startswith(WAITING) else ''
         now = time.monotonic()
@@ -250,7 +250,7 @@ class MissionNode(Node):
             self.executor.create_task(self.guarded(callback))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a callback: `spin_once` raises its errors; errors within rclpy are refused."""
+        """Wrap a callback: `spin_once` raises its errors, but only refuses errors in rclpy."""
         # EventsExecutor crashes if the callback of a future or a task raises, and logs a fatal
         # error for other callbacks.
 
@@ -410,7 +410,7 @@ class FieldNode(MissionNode):
 
 
 class PendingMessages:
-    """Messages that refer to others not yet received; each is retried until its deadline."""
+    """Messages that refer to a message not yet received; each is retried until its deadline."""
 
     def __init__(self, node: MissionNode, take: Callable[..., object]) -> None:
         self._take = take

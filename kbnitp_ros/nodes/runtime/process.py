@@ -130,8 +130,8 @@ def _complain(name: str, error: Exception) -> None:
 
 
 def _publish_startup_error(name: str, arguments: Sequence[str], error: Exception) -> None:
-    """Publish a startup error on diagnostics, from a node made for that."""
-    # A wrong argument may prevent this node, too.
+    """Publish a startup error on diagnostics, from a temporary node."""
+    # A wrong argument may prevent the temporary node as well.
     with suppress(*START_ERRORS):
         if not ok():
             # Refused parameters must not reach ROS.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quality of service of all topics, and of the recorder's subscriptions to others."""
+"""QoS profiles of all topics, and of the recorder's subscriptions to foreign topics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LATCHED = kept(depth=1)
 
 DIAGNOSTICS = QoSProfile(depth=10)
 
-# Poses, as in tf2; constant ones are kept for nodes that join late.
+# Poses, as in tf2; static poses are kept for nodes that join late.
 POSES = QoSProfile(depth=100)
 LATCHED_POSES = kept(depth=100)
 
@@ -35,7 +35,7 @@ READINGS = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 def unread_kept(offered: QoSProfile) -> QoSProfile:
     """Return a subscription's profile that receives all messages of a publisher."""
-    # With an unlimited history, a reliable publisher sends messages again that were dropped.
+    # With an unlimited history no message is dropped: a reliable publisher repeats lost ones.
     reliable = offered.reliability == ReliabilityPolicy.RELIABLE
     latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
     return QoSProfile(
@@ -46,7 +46,7 @@ def unread_kept(offered: QoSProfile) -> QoSProfile:
 
 
 def lacking(offered: QoSProfile) -> str:
-    """Describe the policies that exclude `EVIDENCE` subscriptions; empty if none does."""
+    """Describe the policies incompatible with `EVIDENCE` subscriptions; empty if none is."""
     words = []
     if offered.reliability == ReliabilityPolicy.BEST_EFFORT:
         words.append('with best effort')
