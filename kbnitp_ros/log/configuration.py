@@ -25,7 +25,7 @@ def numerical_environment() -> dict[str, str]:
     numba = next((each.version for each in distributions(name='numba')), 'none')
     return {
         'processor': _processor(),
-        # The logarithms of numpy and the C library depend on the processor's features.
+        # The logarithms of numpy and of the C library depend on the processor's features.
         'processor_features': ' '.join([*found.get('baseline', ()), *found.get('found', ())]),
         'c_library': ' '.join(platform.libc_ver()),
         'numpy': np.__version__,

@@ -16,7 +16,7 @@ from kbnitp_ros.files import NotYamlError, read_yaml
 
 
 class LogError(ValueError):
-    """A file that is no mission log, a corrupt one, or parts that do not belong together."""
+    """A file is not a mission log or is corrupt, or files are parts of different logs."""
 
 
 SUFFIXES = ('.mcap', '.db3')
@@ -37,8 +37,8 @@ def log_parts(path: str | Path) -> list[Path]:
         listed = [path / name for name in listed_parts(path)]
         if listed and not listed[0].exists():
             raise LogError(
-                f'{listed[0]}, which {METADATA} lists, is missing: put it back, or name the other '
-                'parts one by one'
+                f'{listed[0]}, which {METADATA} lists, is missing: restore it, or name each '
+                'other part'
             )
         firsts = [*listed[:1], *(file for file in files if not is_later_part(file))]
         if not firsts:
@@ -46,8 +46,8 @@ def log_parts(path: str | Path) -> list[Path]:
         parts = with_later_parts(firsts[0])
         if others := [file.name for file in files if file not in parts]:
             raise LogError(
-                f'{path} holds {parts[0].name} and {others[0]}, which are of different logs: '
-                'name the first file of one'
+                f'{path} holds {parts[0].name} and {others[0]}, which belong to different logs: '
+                'name the first file of one log'
             )
     except OSError as error:
         raise LogError(f'{path} cannot be read: {error.strerror}') from error
@@ -63,8 +63,7 @@ def with_later_parts(first: Path) -> list[Path]:
     parts = [first.with_name(name) for name in dict.fromkeys(names)]
     if missing := [part.name for part in parts[1:] if not part.exists()]:
         raise LogError(
-            f'{missing[0]} of the log {first} is missing: put it back, or name the parts one by '
-            'one'
+            f'{missing[0]} of the log {first} is missing: restore it, or name each part'
         )
     return parts
 
@@ -82,7 +81,7 @@ def part_path(first: Path, number: int) -> Path:
 
 
 def base(first: Path) -> str:
-    """Return the common start of the names of all parts."""
+    """Return the prefix that the names of all parts share."""
     return first.stem.removesuffix('_0')
 
 
@@ -116,7 +115,7 @@ def read_information(folder: Path) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=4)
 def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
-    """Parse the metadata.yaml of a bag, again only after it was modified."""
+    """Parse the metadata.yaml of a bag; cached until the file is modified."""
     try:
         content = read_yaml(path)
     except NotYamlError:
@@ -130,23 +129,23 @@ def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
 
 
 def check_is_new(first: Path) -> None:
-    """Check that the name of a new log differs from those of other logs and their parts."""
+    """Check that the name of a new log differs from the names of other logs and their parts."""
     if first.suffix != '.mcap':
-        raise LogError(f'{str(first)!r} is no name for a log: it must end in .mcap')
+        raise LogError(f'{str(first)!r} cannot name a log: it must end in .mcap')
     try:
         str(first).encode()
     except UnicodeEncodeError as error:
-        raise LogError(f'{str(first)!r} is no name for a log: it must be UTF-8') from error
+        raise LogError(f'{str(first)!r} cannot name a log: it must be UTF-8') from error
     if first.exists():
         raise FileExistsError(f'{first} exists and is not overwritten: name another file')
     if is_later_part(first):
         raise FileExistsError(
-            f'{first} has the name of a later part of another log: choose another name'
+            f'{first} is named like a later part of another log: choose another name'
         )
     if first.parent.is_dir() and (later := numbered(first)):
         raise FileExistsError(
-            f'{next(iter(later.values()))} has the name of a later part of {first}: choose '
-            'another name for the new log'
+            f'{next(iter(later.values()))} is named like a later part of {first}: choose another '
+            'name for the new log'
         )
 
 
@@ -164,7 +163,7 @@ class LogLock:
             raise LogError(f'{first} was replaced while it was opened: try again') from error
 
     def put_in_place(self, new: Path, part: Path) -> None:
-        """Rename a new file to a part, and move the lock if that is the first part."""
+        """Rename a new file to a part; move the lock if the part is the first, locked one."""
         if part != self.path:
             new.replace(part)
             return
@@ -194,7 +193,7 @@ def locked(path: Path) -> IO[bytes]:
     except BlockingIOError as error:
         file.close()
         raise LogError(
-            f'{path} is being written by another recorder: end that one before resuming it'
+            f'{path} is being written by another recorder: end it before resuming the log'
         ) from error
     except OSError as error:
         file.close()
@@ -231,5 +230,5 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OSError(
-            f'folder {folder} cannot be made ({error.strerror}): name another'
+            f'folder {folder} cannot be made ({error.strerror}): name another folder'
         ) from error

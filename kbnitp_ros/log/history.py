@@ -31,15 +31,15 @@ class Moment:
     """A recorded belief: the prior, or the belief after one report."""
 
     snapshot: Snapshot
-    # When it was received, nanoseconds.
+    # Time at which the belief was received, nanoseconds.
     time: int
     # Position of the belief in the log, in bytes.
     position: int
     # Index of the deployment assimilated last; None for the prior.
     deployment: int | None = None
-    # The report of that deployment; None for the prior.
+    # The outcome of this deployment; None for the prior.
     outcome: Observation | None = None
-    # Whether the report replaced one of the same deployment.
+    # Whether its report replaced an earlier report of this deployment.
     is_late: bool = False
     # Whether beliefs are missing before this moment.
     is_after_gap: bool = False

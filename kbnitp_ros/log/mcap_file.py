@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One MCAP file of a log: written, and repaired if it was cut or damaged."""
+"""A single MCAP file of a log: writing it, and repairing a cut or damaged one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ import yaml
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD}
 
-# Maximum bytes of messages in a chunk, which a sync ends earlier.
+# Maximum bytes of messages in a chunk; a sync ends a chunk earlier.
 CHUNK = 2**20
 
 # Bytes of a message besides its content.
@@ -57,7 +57,7 @@ class FileWriter:
         try:
             self._writer = Writer(
                 self._file,
-                # `flush` ends chunks.
+                # No limit: `flush` ends chunks.
                 chunk_size=2**62,
                 compression=COMPRESSIONS[compression],
                 enable_data_crcs=True,
@@ -73,7 +73,7 @@ class FileWriter:
 
     @property
     def size(self) -> int:
-        """Return its size in bytes; unwritten messages count uncompressed."""
+        """Return the size of the file in bytes; messages not yet written count uncompressed."""
         return self._written + self._pending
 
     def add_channel(
@@ -83,7 +83,7 @@ class FileWriter:
         definition: Definition,
         metadata: Mapping[str, str],
     ) -> int:
-        """Return the channel of a topic; the same one for the same arguments."""
+        """Return the channel of a topic; equal arguments give the same channel."""
         type_name, _, text = definition
         if definition not in self._schemas:
             self._schemas[definition] = self._writer.register_schema(*definition)
@@ -123,7 +123,7 @@ class FileWriter:
         if contents.last < contents.first:
             self.preamble = self.size
         if len(data) > CHUNK:
-            # Together with other messages the chunk might become too large to be read.
+            # A large message gets its own chunk: with others the chunk could be too large to read.
             self.flush()
         self._writer.add_message(channel, log_time, data, publish_time, sequence)
         topic['message_count'] += 1
@@ -177,7 +177,7 @@ class FileWriter:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file, unfinished, as it was after the last flush; raise nothing."""
+        """Close the unfinished file, cut to its size at the last flush; raise nothing."""
         if self._file.closed:
             return
         with suppress(OSError):
@@ -192,7 +192,7 @@ def repair(
     target: Path,
     progress: Callable[[Iterator[Recorded]], Iterable[Recorded]] = iter,
 ) -> tuple[int, list[str]]:
-    """Copy the readable part of a log to a new file; return its messages and the errors."""
+    """Copy the readable part of a log to a new file; return the number of messages, and errors."""
     check_is_new(target)
     lost = [f'{part} is unfinished' for part in log_parts(path) if not is_finished_part(part)]
     corrupt: list[LogError] = []
@@ -232,13 +232,13 @@ def described(part: Path) -> BagFile:
             contents.last = contents.first + bag['duration']['nanoseconds']
     except Exception as error:
         raise LogError(
-            f'{part} has no readable summary ({error!r}): replay --repair makes a log with one'
+            f'{part} has no readable summary ({error!r}): repair the log by replay --repair'
         ) from error
     return contents
 
 
 def copy(recorded: Iterable[Recorded], target: Path, name: str, compression: str) -> BagFile:
-    """Copy records of one or several files to a new finished one."""
+    """Copy the records of one or several files to a new file, and finish that file."""
     part = FileWriter(target, compression)
     part.contents.name = name
     metadata: dict[str, dict[str, str]] = {}

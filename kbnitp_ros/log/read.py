@@ -25,7 +25,7 @@ from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC
 from mcap_ros2.decoder import DecoderFactory
 
-# Bytes of a record.
+# Maximum bytes of a record.
 MAX_RECORD = 2**30
 
 # First bytes of files that are not MCAP, and their remedies.
@@ -48,11 +48,11 @@ KINDS = {value for name, value in vars(Opcode).items() if name.isupper()}
 NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
 
 
-# Names of metadata records; a node's full name, which starts with a slash, follows the second.
+# Names of metadata records; a node's full name follows PARAMETERS, as in 'parameters/planner'.
 RUN = 'run'
 PARAMETERS = 'parameters'
 
-# New names of parameters of 0.3.0, by the start of the old ones.
+# New names of parameters of 0.3.0: patterns for the start of an old name, and replacements.
 RENAMED = {r'goal$': 'goal.kind', r'learn$': 'learn.numbers', r'robots\.(?=\w+\.)': 'team.'}
 
 
@@ -97,7 +97,7 @@ class LoggedMessage:
     position: int
     # The CDR bytes.
     data: bytes
-    # An object with the fields of its type, as the file defines it.
+    # The decoded message: an object with the fields that the file defines for the type.
     message: Any
     # Content of the message, converted by the role of the topic.
     said: Any = None
@@ -112,8 +112,8 @@ def read_log(
     """
     Yield the messages of these types and topics in recorded order.
 
-    A cut part yields the messages before the cut, a corrupt one those before its first error. The
-    error is raised as a LogError, or added to `corrupt` if that is given.
+    Of a part that was cut, the messages before the cut are read; of a corrupt part, the messages
+    before its first error. This error is raised as a LogError, or appended to `corrupt` if given.
     """
     decoders: Decoders = {}
     indices = defaultdict[str, Iterator[int]](count)
@@ -137,7 +137,7 @@ def read_log(
 def read_metadata(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, str]]:
-    """Return the values of metadata records by name; later files replace, later records add."""
+    """Return metadata records by name: a later file replaces, a later record adds values."""
     records: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}
@@ -149,7 +149,7 @@ def read_metadata(
 
 
 def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
-    """Describe each change of a parameter of these nodes, with old and new value."""
+    """Describe changes of parameters, with old and new value, of nodes that pass `is_meant`."""
     known: dict[str, dict[str, str]] = {}
     for item in read_recorded(path, []):
         if not (isinstance(item, RecordedMetadata) and item.name.startswith(f'{PARAMETERS}/')):
@@ -214,7 +214,7 @@ def file_size(part: Path) -> int:
 
 
 def read_recorded(path: str | Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
-    """Return the messages, not decoded, and metadata of all parts, with positions in the log."""
+    """Return the undecoded messages and the metadata of all parts, with positions in the log."""
     parts = log_parts(path)
     starts = accumulate(map(file_size, parts), initial=0)
     return (
@@ -254,7 +254,7 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
                     channels[record.id] = record
                 elif isinstance(record, Statistics) and record.message_count != messages:
                     raise ValueError(
-                        f'it has {messages} messages, and its statistics say '
+                        f'it has {messages} messages, but its statistics state '
                         f'{record.message_count}'
                     )
         except Exception as error:
@@ -269,7 +269,7 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
 
 
 def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
-    """Yield the records in the first `size` bytes of a file, with their ends."""
+    """Yield the records in the first `size` bytes of a file, with the end of each in bytes."""
     ends = list(record_ends(file, size))
     file.seek(0)
     records = StreamReader(
@@ -311,10 +311,10 @@ def check_cut(file: BinaryIO, end: int, size: int) -> None:
             # Zeros are space that the file system reserved.
             while block := file.read(2**20):
                 if block.strip(b'\0'):
-                    raise ValueError('a record has no kind')
+                    raise ValueError('a record has kind 0, which is invalid')
             return
         if kind not in KINDS or ends_well:
-            raise ValueError(f'a record has kind {kind} and {length} bytes')
+            raise ValueError(f'a record of kind {kind}, {length} bytes, is invalid or cut')
         if kind == Opcode.CHUNK:
             rest.read(CHUNK_HEAD)
             rest.read_prefixed_string()
@@ -325,7 +325,7 @@ def check_cut(file: BinaryIO, end: int, size: int) -> None:
         else:
             return
         if rest.count + left != HEAD.size + length:
-            raise ValueError(f'the content of a record of {length} bytes has another length')
+            raise ValueError(f'the content of a record of {length} bytes has a different length')
 
 
 def check_start(file: BinaryIO, part: Path) -> int:
@@ -349,12 +349,12 @@ def readable(part: Path) -> Iterator[None]:
         raise LogError(f'{part} cannot be read: {error.strerror}') from error
 
 
-# Decoders by encoding of the message, and encoding, name and text of its type's definition.
+# Decoders by encoding of the message, and by encoding, name and text of the type's definition.
 Decoders = dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None]
 
 
 def decoded(path: str | Path, recorded: RecordedMessage, decoders: Decoders) -> Any:
-    """Decode a message of a log by its type as the file defines it."""
+    """Decode a message of a log by the definition of its type in the file."""
     channel, schema = recorded.channel, recorded.schema
     encoding = channel.message_encoding
     key = encoding, schema.encoding, schema.name, schema.data
@@ -365,9 +365,9 @@ def decoded(path: str | Path, recorded: RecordedMessage, decoders: Decoders) -> 
             return decoder(recorded.data)
     except Exception as error:
         raise LogError(
-            f'{path}: a message of topic {channel.topic} is no {schema.name}: {error!r}'
+            f'{path}: a message of topic {channel.topic} is not a {schema.name}: {error!r}'
         ) from error
     raise LogError(
-        f'{path}: topic {channel.topic} is {encoding!r} of a type defined in '
-        f"{schema.encoding!r}: it must be 'cdr' and 'ros2msg'"
+        f'{path}: topic {channel.topic} has messages in {encoding!r}, and their type is defined '
+        f"in {schema.encoding!r}: these must be 'cdr' and 'ros2msg'"
     )

@@ -34,14 +34,14 @@ from numpy.typing import ArrayLike
 
 
 class MissingError(ValueError):
-    """A message refers to another one, which has not arrived or is not in the log."""
+    """A message refers to another message that has not arrived or is not in the log."""
 
 
 class Departures:
-    """The state of all orders: a fold of the agents' statuses and reports."""
+    """The state of all orders by the agents' statuses and reports."""
 
     def __init__(self) -> None:
-        # Robots that have departed and were not reported.
+        # Robots that have departed and have no report yet.
         self.out: set[DeploymentKey] = set()
         self._statuses: dict[DeploymentKey, AgentStatus] = {}
         # Time of the report by the agent's clock; None if the agent did not report it.
@@ -67,7 +67,7 @@ class Departures:
 
     @staticmethod
     def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
-        """Return whether a status follows the known one; raises ValueError if it cannot."""
+        """Return whether a status is newer than `known`; raise ValueError for a contradiction."""
         if status == known or status.state is known.state is OrderState.ACCEPTED:
             return False
         if known.state is OrderState.ACCEPTED:
@@ -93,17 +93,17 @@ class Departures:
         return self._statuses.get(key)
 
     def is_refused(self, key: DeploymentKey) -> bool:
-        """Return whether an order was refused, so that its robot stays at the base."""
+        """Return whether the agent refused an order, so that its robot stays at the base."""
         status = self._statuses.get(key)
         return status is not None and status.state is OrderState.REFUSED
 
     def is_at_base(self, key: DeploymentKey) -> bool:
-        """Return whether the robot is at the base by the last status of its order."""
+        """Return whether the last status of an order says that its robot is at the base."""
         status = self._statuses.get(key)
         return status is not None and status.state is not OrderState.DEPARTED
 
     def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a robot can have been lost; raises `MissingError` if it never departed."""
+        """Check that a loss is possible; raise `MissingError` if no departure is reported."""
         if self.is_refused(key):
             raise ValueError(
                 f'deployment {key} is reported lost, but its agent refused it: '
@@ -156,7 +156,7 @@ def begun(prior: Snapshot) -> Ledger:
 
 
 def last_belief(log: MissionLog) -> Snapshot | None:
-    """Return the recorded belief with the most deployments, the latest of several."""
+    """Return the recorded belief with the most deployments; the latest if several have as many."""
     last: Snapshot | None = None
     for _, logged in log.read('belief'):
         if last is None or logged.said.deployments >= last.deployments:
@@ -170,14 +170,15 @@ def check_same_field(
     """Return the first recorded belief; raise ValueError if its grid or bases differ."""
     belief = first_belief(log)
     if belief and belief.grid != grid:
-        raise ValueError(f'{log.path} is of a mission on {belief.grid}: the parameters say {grid}')
+        raise ValueError(
+            f'{log.path} is of a mission on {belief.grid}, but the parameters describe {grid}'
+        )
     for agent, robot_type in robot_types.items():
         before = belief.agent_base(agent) if belief else grid.at(robot_type.base).base
         if before != (now := grid.at(robot_type.base).base):
             raise ValueError(
-                f'{log.path} is of a mission in which the base of {agent} is {before}, and by the '
-                f'parameters it is {now}: a base is fixed for a mission; begin another one, with '
-                'prior.log'
+                f'{log.path} is of a mission in which the base of {agent} is {before}, but the '
+                f'parameters set {now}: bases cannot change; begin a mission with prior.log'
             )
     return belief
 
@@ -197,7 +198,7 @@ class RecordedMission(MissionRecord):
         self.mission = mission
         # First belief of the mission, if it was read.
         self.prior: Snapshot | None = None
-        # Step limits accepted: the common one, and those of agents with their own.
+        # Step limits accepted: the common limit, and the limits of agents with an own limit.
         self._rules = [(max_steps, own_steps(robot_types))]
         # The reports that count, by deployment, in the order of arrival.
         self.reports: dict[DeploymentKey, Report] = {}
@@ -205,7 +206,7 @@ class RecordedMission(MissionRecord):
         self.operator = OperatorState()
         # Serialized paths by deployment, and serialized actions of the operator by stamp.
         self.messages: dict[DeploymentKey | int, bytes] = {}
-        # Times of receiving each path, and each report by its stamp, nanoseconds.
+        # Time of receipt of each path, and of each report by its stamp, nanoseconds.
         self.sent: dict[DeploymentKey, int] = {}
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
         # Messages that no estimator accepts, and why.
@@ -255,12 +256,12 @@ class RecordedMission(MissionRecord):
             record(self, role, logged)
 
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """Record a path, even if another path of its deployment counts."""
+        """Record a path, also if another path of the same deployment came first."""
         self._paths_read.setdefault((key, content), path)
         return super().record_path(key, path, content)
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Record a report, even if another report of its deployment counts."""
+        """Record a report, also if another report of the same deployment counts."""
         self._reports_read.setdefault((key, report.content), report)
         return super().record_report(key, report)
 
@@ -277,13 +278,13 @@ class RecordedMission(MissionRecord):
             self.refused.append(self.contradicted[key][:MAX_SHOWN])
 
     def find_report(self, key: DeploymentKey, stamp: int) -> Report:
-        """Return the first report of a deployment with this stamp, else the one that counts."""
+        """Return a deployment's first report with this stamp, or else the report that counts."""
         return self._by_stamp[key].get(stamp, self.reports[key])
 
     def named(
         self, key: DeploymentKey, path: int, report: int, stamp: int
     ) -> tuple[ArrayLike, Report]:
-        """Return the path and the report of these hashes, for a belief with this stamp."""
+        """Return the path and report with these hashes, which a belief with this stamp names."""
         if (key, path) not in self._paths_read:
             raise ValueError(f'path of deployment {key} is not on record')
         if found := self._reports_read.get((key, report)):
@@ -295,7 +296,7 @@ class RecordedMission(MissionRecord):
 
     @property
     def orders(self) -> list[DeploymentKey]:
-        """Return the deployments with a recorded path, in order."""
+        """Return the deployments with a recorded path, in deployment order."""
         return sorted(self.paths, key=deployment_order)
 
     def outcome(self, key: DeploymentKey) -> Observation | None:
@@ -303,7 +304,7 @@ class RecordedMission(MissionRecord):
         return None if self.departures.is_refused(key) else self.outcomes.get(key)
 
     def has_departed(self, key: DeploymentKey) -> bool:
-        """Return whether a robot has departed by its status, or has an outcome."""
+        """Return whether the robot reported its departure, or its outcome is recorded."""
         status = self.departures.status(key)
         says_so = status is not None and status.state is OrderState.DEPARTED
         return says_so or self.outcome(key) is not None
@@ -315,7 +316,7 @@ class RecordedMission(MissionRecord):
 
     @property
     def survived(self) -> int:
-        """Return the number of reported deployments that returned."""
+        """Return the number of robots reported as returned."""
         return sum(report.survived for report in self.reports.values())
 
     @property
@@ -330,7 +331,7 @@ class RecordedMission(MissionRecord):
 
 
 def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
-    """Return the step limits of agents that have their own."""
+    """Return the step limits of agents that have an own limit."""
     return {
         agent: robot_type.max_steps
         for agent, robot_type in robot_types.items()
@@ -359,7 +360,7 @@ def read_resumed(
 def read_newest_round(
     log: MissionLog, record: RecordedMission
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
-    """Return the recorded belief that the newest deployments were planned on, and their keys."""
+    """Return the deployments of the newest round, and the recorded belief they were planned on."""
     # Beliefs do not count refused orders.
     keys = [key for key in record.orders if not record.departures.is_refused(key)]
     planned_on = None
@@ -395,7 +396,7 @@ def read_mission(log: MissionLog) -> int | None:
 
 
 def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:
-    """Return whether a recorded path or report can be of this mission."""
+    """Return whether a message belongs to this mission; only paths state a mission."""
     return mission is None or role.name != 'path' or logged.said[1] == mission
 
 
@@ -410,7 +411,7 @@ def read_ledger(log: MissionLog) -> Ledger:
     ledger, mission = begun(prior), read_mission(log)
     for role, logged in log.read('path', 'report'):
         if is_of_mission(role, logged, mission):
-            # The estimator refused this evidence, too.
+            # The estimator has refused this evidence as well.
             with suppress(ValueError):
                 record(ledger, role, logged)
     return ledger

@@ -3,9 +3,9 @@
 Compute a log's beliefs again from its paths and reports.
 
 A recorded belief names the evidence that was assimilated since the belief before it. A replay
-assimilates the same evidence, and compares its belief with the recorded one, field by field.
-After a missing belief, beliefs are not compared until one names all of its evidence; likewise
-after a belief whose report is missing, if the log has later reports of that deployment.
+assimilates the same evidence, and compares its belief with the recorded belief, field by field.
+After a missing belief, beliefs are not compared until a belief names all of its evidence; likewise
+after a belief whose report is missing, if the log has later reports of this deployment.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from kbnitp_ros.messages.progress import decision_fields
 COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
 READ = (*COMPUTED, 'path', 'report', 'status', 'operator', 'progress')
 
-# Fields of a decision that other processors may round differently.
+# Fields of a decision that processors may round differently.
 ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
 
 # The goal of a mission, and the maximum number of steps of a lane.
@@ -93,7 +93,7 @@ class Fold:
         self._ledger: Ledger | None = None
         # Evidence that the ledger has assimilated, as the hashes of path and report.
         self._assimilated: dict[DeploymentKey, tuple[int, int]] = {}
-        # Digests of the last belief that was computed, empty after a failure, and of the last one
+        # Digest of the last belief if it was recomputed, else empty; and digest of the last belief
         # read.
         self._held = self._last = b''
         self._index = -1
@@ -114,10 +114,11 @@ class Fold:
         follows = self._held == self._last and belief.since == len(self._assimilated)
         self._last = digest
         if digest in self._seen:
-            self._find(self.report.repeated, newest, 'it is on record before')
+            self._find(self.report.repeated, newest, 'the same belief was recorded before')
             return
         if newest is None:
-            # A restarted estimator may publish the same beliefs again.
+            # After a restart the estimator may publish the same beliefs again: these are no
+            # repetitions.
             self._seen.clear()
         self._seen.add(digest)
         self._held = b''
@@ -165,7 +166,7 @@ class Fold:
         if newest not in named:
             raise ValueError(f'taken_in does not name {newest}, the deployment assimilated last')
         if is_complete and self._assimilated.items() - named.items():
-            # A restarted estimator may hold less, or other reports of a deployment.
+            # A restarted estimator may have assimilated less evidence, or other reports.
             assert self.report.evidence.prior is not None
             self._begin(self.report.evidence.prior)
         assert self._ledger is not None
@@ -184,11 +185,11 @@ class Fold:
         return True
 
     def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compare a belief with that of the ledger, and compute its views."""
+        """Compare a recorded belief with the ledger's belief, and compute its views."""
         assert self._ledger is not None
         prior = self.report.evidence.prior
         assert prior is not None
-        # Beliefs of early logs may state no mission.
+        # Beliefs of early logs may not state their mission.
         states_mission = read_stamp('mission', belief.mission) != NO_MISSION
         mission = prior.mission if states_mission else NO_MISSION
         computed = belief_fields(self._ledger, stamp, mission, assimilated=())
@@ -199,14 +200,13 @@ class Fold:
         found = tuple(differences(belief, computed, TOLERANCE, learnt))
         is_equal = all(each.is_rounding for each in found)
         if found and is_equal:
-            # The maps follow from the joint by sums and quotients, which all processors round
-            # alike.
+            # The maps are sums and quotients of the joint, which all processors round alike.
             maps = read_joint('joint', belief.joint, self._ledger.grid)
             own = Fields(hazard=maps.hazard, target=maps.target, kappa=maps.kappa)
             found += tuple(differences(belief, own, 0.0))
         if found:
             self.report.add(BeliefFinding(self._topic, self._index, newest, found))
-        # Grids were made from the recorded belief, so a rounding difference is in them, too.
+        # Grids were made from the recorded belief, so they have the same rounding difference.
         seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
         self.views.expect(self._ledger, seen, newest, stamp)
         if not found:
@@ -219,7 +219,7 @@ class Fold:
         self._decisions[key].append((logged.topic, logged.index, message))
 
     def _compare_decisions(self, ledger: Ledger, stamp: int) -> None:
-        """Compare the decisions on a ledger's belief of this stamp."""
+        """Compare the recorded decisions on the ledger's belief, which has this stamp."""
         key = stamp, len(ledger.deployments)
         if self._asked is None or key not in self._decisions:
             return
@@ -248,7 +248,7 @@ class Fold:
         reason = (
             'the goal is not on record'
             if self._asked is None
-            else 'its belief is not on record, or differs from the computed one'
+            else 'its belief is not on record, or differs from the computed belief'
         )
         report.not_compared += [
             BeliefFinding(topic, index, None, reason=reason)

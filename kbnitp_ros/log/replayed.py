@@ -28,7 +28,7 @@ VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference of a recorded field from the computed one."""
+    """The difference between a recorded field and the computed field."""
 
     # Name, such as 'info.width'.
     field: str
@@ -36,7 +36,7 @@ class Difference:
     text: str
     # Largest absolute difference of the field's numbers; NaN without numbers.
     largest: float = nan
-    # Whether the difference is within the rounding of other processors.
+    # Whether the rounding of different processors can explain the difference.
     is_rounding: bool = False
     # Cell of the map with the difference.
     cell: int | None = None
@@ -48,13 +48,13 @@ class Difference:
 def differences(
     recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
 ) -> Iterator[Difference]:
-    """Yield the fields in which a recorded message differs from the computed one."""
+    """Yield the fields in which a recorded message differs from the computed message."""
     for name, ours in vars(computed).items():
-        # Logs of earlier versions lack fields that were added.
+        # Logs of earlier versions lack fields that were added later.
         if not hasattr(recorded, name):
             continue
         theirs = getattr(recorded, name)
-        # A learnt number, unlike the map kappa, which is an array.
+        # A learnt number kappa is a scalar, unlike the map kappa.
         if name in rounded and np.ndim(ours) == 0:
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
         else:
@@ -81,7 +81,7 @@ def _differences_of_field(
     elif isinstance(ours, np.ndarray):
         yield from _array_differences(name, theirs, ours, tolerance)
     elif isinstance(ours, list) and len(theirs) != len(ours):
-        yield Difference(name, f'has {len(theirs)} values, and the computed one {len(ours)}')
+        yield Difference(name, f'has {len(theirs)} values, the computed field has {len(ours)}')
     elif isinstance(ours, list):
         for index, elements in enumerate(zip(theirs, ours)):
             yield from _differences_of_field(f'{name}[{index}]', *elements, tolerance)
@@ -96,7 +96,7 @@ def _array_differences(
     """Yield the largest difference of two arrays, if there is any."""
     recorded = np.asarray(theirs, dtype=ours.dtype)
     if recorded.size != ours.size:
-        yield Difference(name, f'has {recorded.size} values, and the computed one {ours.size}')
+        yield Difference(name, f'has {recorded.size} values, the computed field has {ours.size}')
         return
     differ = recorded.view(np.uint8) != ours.view(np.uint8)
     differ = differ.reshape(ours.size, ours.itemsize).any(axis=1)
@@ -106,7 +106,7 @@ def _array_differences(
     with np.errstate(invalid='ignore', over='ignore'):
         gap = np.abs(np.subtract(recorded, ours, dtype=np.float64))
         is_rounded = gap <= tolerance * np.maximum(1.0, np.abs(ours))
-    # A difference of NaN counts as the largest.
+    # A NaN difference counts as the largest.
     worst = int(np.argmax(np.where(differ, np.where(np.isnan(gap), np.inf, gap), -1.0)))
     cell = worst // VALUES_PER_CELL[name] if name in VALUES_PER_CELL else None
     place = f'value {worst}' if cell is None else f'cell {cell}'
@@ -120,8 +120,7 @@ def _array_differences(
     )
 
 
-# Tolerance for other processors and versions of numpy, which round differently; relative for
-# numbers above 1.
+# Tolerance for rounding by other processors and versions of numpy; relative for numbers above 1.
 TOLERANCE = 1e-9
 
 
@@ -135,7 +134,7 @@ class Grade(IntEnum):
 
 @dataclass(frozen=True)
 class BeliefFinding:
-    """A finding on a recorded belief, or on a view of one."""
+    """A finding on a recorded belief, or on a view of a belief."""
 
     # Topic of the message.
     topic: str
@@ -172,12 +171,12 @@ class ReplayReport:
     # Messages that differ, and those equal to `TOLERANCE` but not to the bit.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
-    # Beliefs that lack evidence in the log, and beliefs recorded twice.
+    # Beliefs whose evidence is not in the log, and beliefs recorded twice.
     not_compared: list[BeliefFinding] = field(default_factory=list)
     repeated: list[BeliefFinding] = field(default_factory=list)
-    # Deployments in no belief although a belief holds a later one: lost evidence.
+    # Lost evidence: deployments in no belief although a belief holds a later deployment.
     passed_over: list[DeploymentKey] = field(default_factory=list)
-    # Deployments after the last one held by a belief.
+    # Deployments later than the last deployment held by a belief.
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
     # Whether the log was finished by its writer.
     finished: bool = False
@@ -203,22 +202,23 @@ class ReplayReport:
 
     @property
     def reproduced(self) -> bool:
-        """Return whether all are reproduced to the bit."""
+        """Return whether all compared messages are reproduced to the bit."""
         return self.grade == Grade.IDENTICAL
 
 
 # A nav_msgs/OccupancyGrid, for the names of its fields.
 ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
 
-# A computed view: the deployment assimilated last, and the fields of a model or digest of a grid.
+# A computed view: the deployment assimilated last, and the fields of a model or the digest of a
+# grid.
 Expected = tuple['DeploymentKey | None', Any]
 
 
 class ReplayedViews:
-    """The recorded views, and those of the computed beliefs."""
+    """The recorded views, and the views of the computed beliefs."""
 
     def __init__(self) -> None:
-        # Index, stamp and content of each, by role and topic.
+        # Index, stamp and content of each recorded view, by role and topic.
         self._recorded: dict[tuple[str, str], list[tuple[int, int, Any]]] = defaultdict(list)
         # Computed views by role and stamp; beliefs may share a stamp.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
@@ -226,25 +226,25 @@ class ReplayedViews:
         self.unknown: Counter[int] = Counter()
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
-        """Keep a view until all beliefs are computed; of a grid only a digest."""
+        """Keep a view (of a grid, the digest) until all beliefs are computed."""
         message = logged.message
         kept = message if role.name == 'model' else grid_digest(message)
         view = logged.index, from_stamp(message.header.stamp), kept
         self._recorded[role.name, logged.topic].append(view)
 
     def expect(self, ledger: Ledger, seen: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compute the views of a ledger's belief, with the maps of `seen`."""
+        """Compute the views of a ledger's belief; `seen` gives the maps."""
         for name in VIEWS:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
         if ledger.estimator.parameters or ledger.estimator.check.alternatives:
             fields = model_fields(ledger, stamp)
-            # The sentence contains rounded numbers, and other processors round differently.
+            # The reason contains rounded numbers, which processors may round differently.
             del fields.reason
             self._expected['model', stamp].append((newest, fields))
 
     def compare(self, report: ReplayReport) -> None:
-        """Compare each view with the beliefs of its stamp; some may be missing."""
+        """Compare each recorded view with the computed views of its stamp, if any."""
         for (role, topic), views in self._recorded.items():
             by_stamp: dict[int, list[tuple[int, Any]]] = defaultdict(list)
             for index, stamp, view in views:
@@ -267,7 +267,7 @@ class ReplayedViews:
 
 
 def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
-    """Return the differences of a recorded view from a computed one; grids by their digests."""
+    """Return the differences between a recorded and a computed view; compare grids by digest."""
     if not isinstance(view, bytes):
         return tuple(differences(view, computed, TOLERANCE))
     return () if view == computed else (Difference('data', 'does not match the belief'),)

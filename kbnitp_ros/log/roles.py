@@ -67,7 +67,7 @@ OF_AGENT = {
     **dict.fromkeys(TRUTH, GRID),
 }
 
-# The roles that each node takes part in.
+# The roles that each node publishes or subscribes to.
 EVIDENCE = ('path', 'report', 'status', 'recorded')
 ROLES_OF = {
     'planner': (
@@ -87,7 +87,7 @@ ROLES_OF = {
     'recorder': (*OF_MISSION, *OF_AGENT),
 }
 
-# Name of the metadata record of the roles, and its key that is no role.
+# Name of the metadata record of the roles, and its key for the namespace.
 RECORD = 'roles'
 NAMESPACE = 'namespace'
 
@@ -99,7 +99,7 @@ ADDED = {'move'}
 
 
 class Role(NamedTuple):
-    """The role of a topic, such as `path`, and its agent; '' for the whole mission."""
+    """The role of a topic, such as `path`, and its agent; '' if the topic is of the mission."""
 
     name: str
     agent: str
@@ -146,14 +146,14 @@ class Roles:
 
     @property
     def record(self) -> dict[str, str]:
-        """Return the record `RECORD` of a log."""
+        """Return the values of the metadata record `RECORD`."""
         return {NAMESPACE: self.namespace, **self.names}
 
     def meant_by(self, node: str, stated: Mapping[str, str]) -> dict[str, str]:
-        """Return the roles of this mission that a node states in its parameters."""
+        """Return the stated roles of a node that concern this mission."""
         root, above = self.namespace.rstrip('/'), node.rpartition('/')[0]
         if above == root:
-            # Nodes without the role belief are of agents, which are ignored outside the team.
+            # A node without the role belief is an agent's: agents outside the team are ignored.
             is_whole = 'belief' in stated
             return {role: name for role, name in stated.items() if is_whole or role in self.names}
         agent = above.removeprefix(f'{root}/')
@@ -168,7 +168,7 @@ class Roles:
         return above in (root, *(f'{root}/{agent}' for agent in self.agents))
 
     def difference(self, stated: Mapping[str, str]) -> str:
-        """Describe the first difference from another node's roles; empty if there is none."""
+        """Describe the first role for which another node states another topic; empty if none."""
         for role, topic in stated.items():
             if (own := self.names.get(role)) is None:
                 agents = ', '.join(self.agents)
@@ -182,14 +182,14 @@ class Roles:
 def roles_on_record(
     log: str | Path, namespace: str | None = None, own: Roles | None = None
 ) -> Roles:
-    """Return the recorded roles of a mission, with the reader's roles where none are recorded."""
+    """Return the roles of a mission from its record, or deduced from parameters and topics."""
     nodes: dict[str, dict[str, str]] = {}
     topics: dict[str, str] = {}
     for item in read_recorded(log, []):
         if isinstance(item, RecordedMessage):
             topics[item.channel.topic] = item.schema.name
         elif item.name == RECORD and {NAMESPACE, 'belief'} <= item.values.keys():
-            # Other programs may write a record of this name.
+            # Other programs may write a record with this name.
             if namespace in (None, item.values[NAMESPACE]):
                 return Roles(item.values.pop(NAMESPACE), item.values)
         elif item.name.startswith(f'{PARAMETERS}/'):
@@ -230,7 +230,7 @@ def roles_of_old(
 
 
 class MissionLog:
-    """A log read by the roles of its topics; other topics are ignored."""
+    """A log read by the roles of its topics; topics without a role are ignored."""
 
     def __init__(
         self, path: str | Path, namespace: str | None = None, own: Roles | None = None
@@ -246,7 +246,7 @@ class MissionLog:
         corrupt: list[LogError] | None = None,
         progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     ) -> Iterator[tuple[Role, LoggedMessage]]:
-        """Yield the messages in roles of these names in order; `corrupt` as in `read_log`."""
+        """Yield the messages of roles with these names in order; `corrupt` is as in `read_log`."""
         roles = {topic: each for topic, each in self.roles.by_topic.items() if each.name in names}
         types = {each.type_name for each in roles.values()}
         for logged in progress(read_log(self.path, types, corrupt, roles.keys())):
@@ -267,7 +267,7 @@ class MissionLog:
 
     @contextmanager
     def leaving_out(self, logged: LoggedMessage) -> Iterator[None]:
-        """Leave out a message if the body raises ValueError."""
+        """Leave out a message if the body of the `with` statement raises ValueError."""
         try:
             yield
         except LogError:
@@ -287,7 +287,7 @@ def resumed_log(log: str, own: Roles) -> MissionLog:
     try:
         recorded = MissionLog(log, own=own)
     except LogError:
-        # It may hold several missions.
+        # The log may hold several missions.
         recorded = MissionLog(log, own.namespace, own)
     if differs := recorded.roles.difference(own.names):
         raise ValueError(

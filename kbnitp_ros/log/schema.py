@@ -47,7 +47,7 @@ def check_installed(type_name: str) -> None:
 
 
 def describe(type_name: str) -> tuple[str, str]:
-    """Return the definition of an installed type, with all types in it, and its hash."""
+    """Return the definition of an installed type, with the types of its fields, and its hash."""
     check_installed(type_name)
     description = json.loads(installed_text(type_name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in description['type_hashes']}
@@ -62,7 +62,7 @@ def describe(type_name: str) -> tuple[str, str]:
 
 
 def installed_text(type_name: str, suffix: str) -> str:
-    """Return the installed definition of a message type, as 'msg' or as 'json'."""
+    """Return the installed definition of a message type in the format 'msg' or 'json'."""
     from ament_index_python.packages import get_package_share_directory
 
     package, kind, name = type_name.split('/')
@@ -84,7 +84,7 @@ def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
 
 def check_readable(type_name: str, data: bytes) -> None:
     """Check that readers of a log can decode a message; raises ValueError."""
-    # rclpy accepts invalid UTF-8 and cut messages; decoders of logs do not.
+    # rclpy accepts invalid UTF-8 and truncated messages; decoders of logs do not.
     try:
         installed_decoder(type_name)(data)
     except (UnicodeDecodeError, struct.error) as error:
@@ -174,7 +174,7 @@ def span(first: int, last: int, messages: int) -> dict[str, Any]:
 
 
 def merged(files: Sequence[BagFile]) -> list[BagTopic]:
-    """Return the topics of all files, once for each QoS."""
+    """Return the topics of all files; a topic appears once for each QoS."""
     topics: dict[str, BagTopic] = {}
     for topic in (topic for file in files for topic in file.topics):
         same = topics.setdefault(repr(topic['topic_metadata']), {**topic, 'message_count': 0})
@@ -183,7 +183,7 @@ def merged(files: Sequence[BagFile]) -> list[BagTopic]:
 
 
 def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
-    """Replace metadata.yaml, unless it is of another bag; return whether it was replaced."""
+    """Write metadata.yaml, unless it describes another bag; return whether it was written."""
     if is_of_another_bag(folder, files[0].name):
         return False
     target = folder / METADATA
@@ -203,9 +203,9 @@ def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
 
 
 def is_of_another_bag(folder: Path, first: str) -> bool:
-    """Return whether the folder's metadata.yaml, if any, is of a bag with another first file."""
+    """Return whether metadata.yaml in the folder describes a bag with another first file."""
     listed = read_information(folder).get('relative_file_paths')
     if not isinstance(listed, list) or listed[:1] == [first]:
         return False
-    # If all files listed are missing, the log was renamed.
+    # If all listed files are missing, their log was renamed.
     return any((folder / str(name)).exists() for name in listed)

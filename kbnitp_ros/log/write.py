@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a mission log as MCAP files that survive crashes once synced."""
+"""Write a mission log as MCAP files; synced messages survive a crash."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from kbnitp_ros.log.schema import (
 )
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-# Maximum bytes of a message. A belief over 1000x1000 cells has 56 million.
+# Maximum bytes of a message. A belief over 1000x1000 cells has 56 million bytes.
 MAX_MESSAGE = 63 * 2**20
 
 
 class LogWriter:
     """
-    Writer of CDR messages to a new log, or with `resume` to a new part of an old one.
+    Writer of CDR messages to a new log, or with `resume` to a new part of an existing log.
 
     After `sync` all messages written are on the disk. After an OSError the log is closed.
     """
@@ -56,7 +56,7 @@ class LogWriter:
         self._topics: dict[str, tuple[Definition, dict[str, str]]] = {}
         # Ids of the channels in the current part.
         self._channels: dict[str, int] = {}
-        # Numbers of messages written, to all parts.
+        # Number of messages written by topic, over all parts.
         self._messages: Counter[str] = Counter()
         self._metadata: dict[str, dict[str, str]] = {}
         self._finished: list[BagFile] = []
@@ -174,7 +174,7 @@ class LogWriter:
             raise
 
     def _next_part(self) -> FileWriter:
-        """Start another file, which can be read without the earlier ones."""
+        """Start another file, which can be read without the earlier files."""
         self._finish_part()
         self._number += 1
         self.current_path = part_path(self.path, self._number)
@@ -193,7 +193,7 @@ class LogWriter:
 
 
 def check_goes_on(first: Path) -> None:
-    """Check that a file is the first one of a log that can be resumed."""
+    """Check that a file is the first file of a log that can be resumed."""
     if is_later_part(first):
         raise LogError(f'{first} is a later part of a log: name its first file')
     if first.suffix != '.mcap':

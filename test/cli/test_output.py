@@ -106,7 +106,7 @@ def test_no_log_is_made_under_a_name_that_cannot_be_encoded(name, log, tmp_path)
     done = run([name, *options[name]], stdout=subprocess.PIPE)
     (told,) = done.stderr.decode().splitlines()
     assert told.startswith(f'{name}: ')
-    assert told.endswith('is no name for a log: it must be UTF-8')
+    assert told.endswith('cannot name a log: it must be UTF-8')
     assert done.returncode == 2
 
 

@@ -70,7 +70,8 @@ def test_a_refused_path_displaces_no_other(tmp_path):
 
 def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
     log = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* say Grid\(width=9'):
+    wrong = r'a mission on Grid\(width=5, .* describe Grid\(width=9'
+    with pytest.raises(ValueError, match=wrong):
         read_resumed(MissionLog(log), Grid(9, 9), MAX_STEPS)
 
 

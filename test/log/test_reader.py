@@ -229,7 +229,7 @@ def test_a_missing_chunk_is_noticed(files, tmp_path):
     path = tmp_path / 'corrupt.mcap'
     path.write_bytes(content)
     _, error = messages(path)
-    assert f'it has {written - 1} messages, and its statistics say {written}' in str(error)
+    assert f'it has {written - 1} messages, but its statistics state {written}' in str(error)
 
 
 def test_a_corrupt_record_of_values_is_noticed(tmp_path):
@@ -296,6 +296,8 @@ def test_other_encodings_are_an_error_only_if_requested(tmp_path, schema):
         channel = writer.register_channel('/temperature', 'json', schema)
         writer.add_message(channel, 1, b'{}', 1)
         writer.finish()
-    with pytest.raises(LogError, match=r"topic /temperature is 'json'.* must be 'cdr'"):
+    with pytest.raises(
+        LogError, match=r"topic /temperature has messages in 'json'.* must be 'cdr'"
+    ):
         list(read_log(path))
     assert list(read_log(path, ['nav_msgs/msg/Path'])) == []

@@ -69,8 +69,8 @@ def test_all_parts_become_one_finished_file(folder, whole_mission, tmp_path):
 
 @for_each('name, told', [
     ('mission.mcap', 'mission.mcap'),
-    ('x.db3', "x.db3' is no name for a log: it must end in .mcap"),
-    ('mission_3.mcap', 'has the name of a later part of another log'),
+    ('x.db3', "x.db3' cannot name a log: it must end in .mcap"),
+    ('mission_3.mcap', 'is named like a later part of another log'),
 ])  # fmt: skip
 def test_a_bad_target_is_refused_and_left_alone(folder, capsys, name, told):
     before = {file: file.read_bytes() for file in folder.iterdir()}
@@ -142,7 +142,7 @@ def test_an_empty_log_is_not_repaired(whole_mission, tmp_path, cut, capsys):
     assert not (tmp_path / 'repaired.mcap').exists()
 
 
-HELD = 'mission.mcap is being written by another recorder: end that one before'
+HELD = 'mission.mcap is being written by another recorder: end it before'
 
 WRITE_UNTIL_KILLED = """
 import sys

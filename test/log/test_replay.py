@@ -326,7 +326,7 @@ def interval(**values):
     ('info', lambda info: changed(info, width=10), 'joint has 80 values'),
     ('info', lambda info: changed(info, height=8), 'joint has 80 values'),
     ('info', lambda info: changed(info, resolution=0.2), 'info.resolution'),
-    ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, and the computed one 20'),
+    ('hazard', lambda hazard: hazard[:-1], 'hazard has 19 values, the computed field has 20'),
 ], every=3)  # fmt: skip
 def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     original = beliefs(learnt_mission.sent)[5]

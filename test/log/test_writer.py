@@ -50,11 +50,11 @@ EMPTY_MAP = rclpy.serialization.serialize_message(OccupancyGrid())
 @for_each('name, options, error, told', [
     ('run_2.mcap', {}, FileExistsError, 'run_2.mcap'),
     ('nowhere/mission.mcap', {}, FileNotFoundError, 'nowhere'),
-    *((name, {}, LogError, f"{name}' is no name for a log: it must end in .mcap")
+    *((name, {}, LogError, f"{name}' cannot name a log: it must end in .mcap")
       for name in ('mission', 'mission.db3', 'mission.mcap.1')),
     ('mission.mcap', {'compression': 'lz5'}, ValueError, "'lz5': it must be none or zstd"),
-    ('run_2_1.mcap', {}, FileExistsError, 'run_2_1.mcap has the name of a later part'),
-    ('run.mcap', {}, FileExistsError, 'run_2.mcap has the name of a later part'),
+    ('run_2_1.mcap', {}, FileExistsError, 'run_2_1.mcap is named like a later part'),
+    ('run.mcap', {}, FileExistsError, 'run_2.mcap is named like a later part'),
     ('folder', {'resume': True}, LogError, 'holds no log'),
     ('mission.mcap', {'resume': True}, LogError, 'cannot be resumed: No such file'),
 ])  # fmt: skip
