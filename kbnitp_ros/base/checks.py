@@ -61,18 +61,18 @@ def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
 
 
 def cut_off_note(grid: Grid) -> str:
-    """Return a note on free cells that no path reaches, however long; '' if there are none."""
+    """Return a note on free cells that no path of any length reaches; '' if there are none."""
     free = int(grid.free.sum())
     cut_off = free - int((grid.steps_to_base < grid.cells).sum())
     return f'{cut_off} of {free} free cells are cut off from the base' if cut_off else ''
 
 
-# Minimum ratio of standard deviation to mean of a weakly known density.
+# Ratio of standard deviation to mean from which a density counts as weakly known.
 WEAK = 0.25
 
 
 def density_note(ledger: Ledger) -> str:
-    """Return a warning that the density of clustered hazards is weakly known; '' if harmless."""
+    """Return a warning if the learnt density of clustered hazards is too uncertain, else ''."""
     estimator, grid = ledger.estimator, ledger.grid
     density = estimator.parameters.get('hazard_density')
     is_clustered = estimator.clustering is not None and estimator.clustering.coupling != 0.0

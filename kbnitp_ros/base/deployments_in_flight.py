@@ -26,7 +26,7 @@ MAX_REMEMBERED = 1000
 
 @dataclass
 class DeploymentInFlight:
-    """A deployment in flight: sent, and neither reported nor refused."""
+    """A deployment in flight: its path was sent, and was neither reported nor refused."""
 
     # Cells of the path, shape (steps + 1,).
     path: NDArray[np.intp]
@@ -34,20 +34,20 @@ class DeploymentInFlight:
     content: int
     # Whether the path is on disk, so that the agent may accept it.
     is_recorded: bool = False
-    # Hash of the status that reports the departure; None before.
+    # Hash of the status that reports the departure; None before the departure.
     departure: int | None = None
     # Whether the robot is known to have departed.
     has_departed: bool = False
-    # Hash of another planner's path that was recorded instead; None once that has arrived.
+    # Hash of another planner's path that was recorded instead; None once this path has arrived.
     recorded_content: int | None = None
-    # When it times out, nanoseconds; None until it has departed and the clock runs.
+    # Time at which the robot times out, nanoseconds; None before its departure.
     due: int | None = None
     # Whether the deployment had timed out at the last check.
     is_overdue: bool = False
 
 
 class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
-    """The deployments in flight by key, in the order of their orders."""
+    """The deployments in flight by key, in the order in which they were sent."""
 
     def __init__(self, values: Mapping[str, Any], kept: int) -> None:
         super().__init__()
@@ -57,7 +57,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         # The state of all orders.
         self.departures = Departures()
         # Acknowledgements and statuses of paths that this planner has not sent: after a restart
-        # it may send them again.
+        # the planner may still send these paths.
         self._recorded: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
         self._unknown: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
         # Missions of deployments that other planners sent.
@@ -72,7 +72,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
 
     @property
     def sent(self) -> int:
-        """Return the number of robots sent that have departed or may still depart."""
+        """Return the number of robots sent, without refused orders."""
         return len(self._sent)
 
     @property
@@ -109,7 +109,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
     def add_path(
         self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int
     ) -> bool:
-        """Record a received path; return whether it replaces that of a robot in flight."""
+        """Record a received path; return whether it replaces the path of a robot in flight."""
         if key in self._sent:
             robot = self.get(key)
             if robot is None or content != robot.recorded_content:
@@ -125,23 +125,23 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         return False
 
     def record(self, key: DeploymentKey, content: int) -> bool:
-        """Record an acknowledgement; return whether the robot's path changes by it."""
+        """Record an acknowledgement; return whether another path was recorded for the robot."""
         robot = self.get(key)
         if robot is None or content != robot.content:
-            # It may acknowledge a departure instead of a path.
+            # The acknowledgement may be of a departure instead of a path.
             remember(self._recorded, (key, content), None)
         if robot is None:
             return False
         self._depart_if_recorded(key, robot)
         if robot.is_recorded:
-            # Only the first of two paths with one stamp counts.
+            # Of two paths with the same stamp, only the first one counts.
             return False
         robot.is_recorded = content == robot.content
         robot.recorded_content = None if robot.is_recorded else content
         return not robot.is_recorded
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """Add an agent's status of an order; return whether it is new."""
+        """Record an agent's status of an order; return whether the status is new."""
         is_known = key in self._sent or key in self._others or self.departures.is_refused(key)
         if not is_known:
             remember(self._unknown, key, status)
@@ -167,7 +167,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
             robot.has_departed |= is_recorded or not self._values['recorded']
 
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
-        """Remove a deployment that its agent reported, or that was given up."""
+        """Remove a deployment that was reported by its agent or given up."""
         if self.departures.is_refused(key):
             # A returned robot must have departed.
             self._sent.add(key)
@@ -183,14 +183,15 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         for key, robot in list(self.items()):
             if not self.has_departed(key):
                 continue
-            # A clock that was set back does not delay timeouts.
+            # Move the timeout with a clock that was set back.
             if robot.due is None:
                 away = longest_absence(self._values, key.agent, robot.path)
                 robot.due = now + round(away * SECOND)
             else:
                 robot.due += jump
             was_overdue, robot.is_overdue = robot.is_overdue, now > robot.due
-            # A second check, since reports that arrived during a search are read before it.
+            # Time out at the second check, since reports that arrived during a search are read
+            # between the checks.
             if was_overdue and robot.is_overdue:
                 overdue.append(key)
         return overdue

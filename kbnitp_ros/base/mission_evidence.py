@@ -37,10 +37,10 @@ class MissionEvidence:
     ) -> None:
         self._grid = grid
         self._values = values
-        # The evidence that counts.
+        # The paths and reports that count.
         self.record = MissionRecord(grid, values['max_steps'], robot_types)
         self._prior: Snapshot | None = None
-        # All evidence so far.
+        # All paths and reports so far, in the order of arrival.
         self._events: list[Event] = []
         # The lock of the fields below.
         self._folding = Lock()
@@ -57,7 +57,7 @@ class MissionEvidence:
         return make_goal(self._values, self._grid)
 
     def begin(self, prior: Snapshot) -> None:
-        """Use the first belief of an estimator as the prior."""
+        """Use an estimator's first belief as the prior, unless the rules are unchanged."""
         if self._prior is None or self._prior.rules() != prior.rules():
             self._prior = prior
 
@@ -81,8 +81,8 @@ class MissionEvidence:
         return len(self._events)
 
     def draws(self, known: Snapshot) -> HazardDraws | None:
-        """Return draws of the hazards for a belief; None if its evidence is not known."""
-        # Draws that exist need no lock.
+        """Return draws of the hazards for a belief; None if the recorded evidence differs."""
+        # Reading existing draws needs no lock.
         drawn = self._drawn
         if drawn and is_same(drawn[0], known.belief):
             return drawn[1]
@@ -96,11 +96,11 @@ class MissionEvidence:
 
     @property
     def are_joint(self) -> bool:
-        """Return whether draws are joint over all cells, not independent in each."""
+        """Return whether draws are samples of the joint distribution of all cells."""
         return self._ledger is not None and self._ledger.estimator.draws_are_exact
 
     def decision(self, known: Snapshot) -> Decision | None:
-        """Return the decision given a belief; None without a goal or all of its evidence."""
+        """Return the decision given a belief; None without a goal, or if evidence is missing."""
         goal, draws = self.goal, None
         if goal is not None:
             draws = self.draws(known)
@@ -109,7 +109,7 @@ class MissionEvidence:
         return goal.decide(self._grid, draws, known.model, self._values['max_steps'])
 
     def _ledger_now(self) -> Ledger | None:
-        """Return the ledger with all evidence; None if the prior is not known."""
+        """Return the ledger with all evidence; None before the prior has been received."""
         prior = self._prior
         if prior is None:
             return None

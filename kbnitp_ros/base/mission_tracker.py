@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mission that paths and beliefs belong to, and its resumption from a log."""
+"""The mission that paths and beliefs belong to, and how to resume it from a log."""
 
 from __future__ import annotations
 
@@ -24,23 +24,24 @@ class MissionTracker:
     def __init__(self) -> None:
         # Start of the mission, nanoseconds; None until a robot is known to have departed.
         self.mission: int | None = None
-        # The belief with the most deployments, the latest of several; None before the first.
+        # The latest belief with the most deployments; None before the first belief.
         self.newest: Snapshot | None = None
-        # The prior of the estimator of the newest belief; None before the first.
+        # The rules of the newest belief; None before the first belief.
         self._rules: dict[str, Any] | None = None
-        # Missions of all priors received: a restarted estimator publishes one of a new mission.
+        # Missions of all priors received: a restarted estimator publishes a prior of a new
+        # mission.
         self._priors: set[int] = set()
         # Number of deployments in the first belief whose paths this planner did not know.
         self._unknown: int | None = None
 
     def begin(self, mission: int) -> int:
-        """Return the mission of new paths: the given one, unless a mission has begun."""
+        """Return the mission of new paths; begin the given mission if none has begun."""
         if self.mission is None:
             self.mission = mission
         return self.mission
 
     def check_path(self, mission: int) -> None:
-        """Check that a path can belong to this mission."""
+        """Check that a path belongs to this mission, or to a prior's mission before the start."""
         check_mission(mission, self.mission)
         if self.mission is None and mission not in self._priors:
             raise ValueError(
@@ -49,10 +50,10 @@ class MissionTracker:
             )
 
     def check_belief(self, snapshot: Snapshot, authors: int, known: int) -> None:
-        """Check that a belief can be of this mission's estimator."""
-        # A belief may arrive before its publisher is discovered, so it is judged by its content:
-        # it holds no more deployments than paths were sent. Only the first belief of a single
-        # estimator may hold more: those paths were lost with an earlier planner.
+        """Check that a belief fits this mission, its deployments and its estimator."""
+        # A belief may arrive before its publisher is discovered, so the content is checked: a
+        # belief must not hold more deployments than paths were sent. Only the first belief of a
+        # single estimator may hold more, whose paths were lost with an earlier planner.
         if snapshot.deployments > MAX_ROBOTS:
             raise ValueError(
                 f'deployments is {snapshot.deployments}: a mission has at most {MAX_ROBOTS}'
@@ -106,7 +107,7 @@ class MissionTracker:
 def read_planner_record(
     log: MissionLog, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
 ) -> RecordedMission:
-    """Read the record of a mission that a planner of these agents resumes."""
+    """Read the record of a mission to resume; check that its agents are in the team."""
     robot_types = make_robot_types(values, grid)
     record = read_resumed(log, grid, values['max_steps'], robot_types)
     for key in record.orders:
@@ -134,7 +135,7 @@ def recorded_losses(
 def missing_plans(
     log: MissionLog, record: RecordedMission, agents: Collection[str], rounds: Rounds
 ) -> tuple[Plans, int] | None:
-    """Return the plans of the newest round that are not on record, and its mission."""
+    """Return the plans of the newest round whose paths are not on record, and the mission."""
     operator = record.operator
     newest_round = None if operator.is_holding else read_newest_round(log, record)
     if newest_round is None:

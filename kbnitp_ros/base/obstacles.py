@@ -37,7 +37,7 @@ class Obstacle(Enum):
 
     @property
     def is_end(self) -> bool:
-        """Return whether it ends the mission."""
+        """Return whether the condition ends the mission."""
         return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
 
 
@@ -58,9 +58,9 @@ class PlannerState:
     sent: int
     # Number of deployments in the newest belief; None before the first.
     newest: int | None
-    # Number of deployments in the last belief received; less than `newest` after a restart.
+    # Number of deployments in the last belief received; lower after the estimator restarted.
     last_received: int
-    # Last refusal of evidence by the estimator since that belief; empty if none.
+    # Last refusal of evidence by the estimator since the last belief; empty if none.
     refusal: str
     # Number of nodes that publish beliefs.
     estimators: int
@@ -77,24 +77,24 @@ class PlannerState:
     service: Callable[[str], str]
     # Agents of the running search.
     searched: Sequence[str] = ()
-    # Reason why no path found is worth a robot; empty if one is.
+    # Reason why no path found is worth a robot; empty if any path is.
     why_worthless: str = ''
     # The plans that wait for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
     # Agents without a node, agents whose nodes do not report departures, and agents that get no
-    # order for a while because they refused the last one.
+    # order for a while after they refused an order.
     absent: Collection[str] = ()
     silent: Collection[str] = ()
     left_alone: Collection[str] = ()
 
     @property
     def reported(self) -> int:
-        """Return the number of deployments reported, which a belief must hold."""
+        """Return the number of deployments reported, which the next belief must hold."""
         return self.sent - len(self.in_flight)
 
     @property
     def robots(self) -> int:
-        """Return the number of robots to deploy; after the end, of those that have departed."""
+        """Return the number of robots to deploy; after end_mission, of departed robots."""
         if self.operator.is_ended:
             return self.sent - len(self.in_flight.undeparted)
         robots: int = self.values['robots']
@@ -103,8 +103,8 @@ class PlannerState:
     @property
     def unreported(self) -> list[DeploymentKey]:
         """Return the deployments in flight that the next round waits for."""
-        # Agents that left the graph do not delay the others. After the end of the mission,
-        # robots at their base do not depart any more.
+        # Agents that left the graph do not delay other agents. After end_mission, robots at their
+        # base do not depart any more.
         left_out = self.in_flight.undeparted if self.operator.is_ended else ()
         return [
             key for key in self.in_flight if key.agent not in self.absent and key not in left_out
@@ -112,7 +112,7 @@ class PlannerState:
 
     @property
     def mute(self) -> list[str]:
-        """Return the agents that do not report departures, if the parameters require them."""
+        """Return the agents without reports of departures, if the parameters require these."""
         if self.values['presume_departure'] or not self.values['silent_loss']:
             return []
         return [agent for agent in self.silent if agent not in self.absent]
@@ -152,7 +152,7 @@ class PlannerState:
         return None if self.free_agents else Obstacle.NO_FREE_AGENT
 
     def is_plain(self, obstacle: Obstacle) -> bool:
-        """Return whether a condition is a normal part of missions, and needs no explanation."""
+        """Return whether a condition is normal, so that progress gives no reason for it."""
         if obstacle is Obstacle.BELIEF_BEHIND:
             return not self.refusal
         return obstacle in (
@@ -163,11 +163,11 @@ class PlannerState:
         )
 
     def topics(self, agents: Iterable[str], name: str) -> str:
-        """Return the topics of agents as a list in words."""
+        """Return the full topic names of agents, joined in words."""
         return some(self.topic(f'{agent}/{name}') for agent in agents)
 
     def mission_state(self, obstacle: Obstacle) -> MissionState:
-        """Return the state of the mission under a condition."""
+        """Return the state of the mission while a condition blocks deployments."""
         if self.operator.is_ended:
             return MissionState.ENDED
         if obstacle.is_end:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rounds of robots that leave together, planned in the background."""
+"""Rounds of robots that depart together, planned in the background."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ T = TypeVar('T')
 
 
 def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Future[T]:
-    """Run a computation in a thread that calls `when_over` at its end; return its future."""
+    """Run a computation in a thread, which calls `when_over` at its end; return the future."""
     future: Future[T] = Future()
     future.add_done_callback(lambda _: when_over())
 
@@ -45,7 +45,7 @@ def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Futur
 
 @dataclass(frozen=True)
 class Search:
-    """A search for the paths of a round; two are equal if they are for the same round."""
+    """A search for the paths of a round; searches for the same round are equal."""
 
     # The stamp of the belief, nanoseconds, and its number of deployments.
     belief: tuple[int, int]
@@ -60,12 +60,12 @@ class Search:
 
     @property
     def is_running(self) -> bool:
-        """Return whether the result is missing."""
+        """Return whether the search has started and not finished."""
         return self.found is not None and not self.found.done()
 
     def lasts(self, now: Search, is_rolling: bool) -> bool:
-        """Return whether its plans may still be used for the present round."""
-        # With `rolling`, a plan on an earlier belief is used.
+        """Return whether the plans still apply: same belief, free agents, no changes."""
+        # With `rolling`, plans on an earlier belief apply as well.
         return (
             (is_rolling or self.belief == now.belief)
             and {*self.agents} <= {*now.agents}
@@ -82,18 +82,17 @@ Plans = dict[DeploymentKey, Plan]
 class PlannedRound:
     """The result of a search."""
 
-    # The plans of a round.
     plans: Plans
-    # Reason why the plans' gain ends the mission; empty if it does not.
+    # Reason why the gain of the plans ends the mission; empty if it does not.
     why_not_worth: str
-    # Reason why no plan is worth a robot; empty if one is.
+    # Reason why no plan is worth a robot; empty if any plan is.
     why_worthless: str
     # Duration of the search, seconds.
     seconds: float
 
 
 class Rounds:
-    """A planner of rounds, each on a belief."""
+    """A planner of rounds of robots, given a belief."""
 
     def __init__(
         self,
@@ -111,7 +110,7 @@ class Rounds:
         self._visited = count_visits(grid, [])
 
     def count_path(self, path: NDArray[np.intp], robots: int = 1) -> None:
-        """Add the visits of a path, shape (steps + 1,); robots=-1 removes those of a refusal."""
+        """Add the visits of a path, shape (steps + 1,); robots=-1 removes a refused path."""
         np.add.at(self._visited, path[1:], robots)
 
     def search(
@@ -131,7 +130,7 @@ class Rounds:
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = self._knowledge.goal, make_stop(self._values)
         options = search_options(self._values)
-        # Gains of other objectives and of goals are not in nats of information.
+        # Loss costs are in nats: gains of other objectives and of goals are not.
         is_mapping = goal is None and options.objective == 'information'
         loss_cost = options.loss_cost if is_mapping else 0.0
         plan = partial(
@@ -176,9 +175,9 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         at_base: Container[DeploymentKey] = (),
     ) -> Plans:
-        """Return the plans of a round whose paths are missing in the log."""
+        """Return the plans of a round for the agents whose paths are missing in the log."""
         if self._knowledge.goal is not None:
-            # Draws of a past belief are not kept: those robots leave in the next round.
+            # Draws of a past belief are not kept: the missing robots leave in the next round.
             return {}
         agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]
         if len(recorded) >= len(agents):
