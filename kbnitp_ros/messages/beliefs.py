@@ -2,9 +2,9 @@
 """
 The belief message, and the rules of its estimator.
 
-Its joint is the belief, bit for bit; the hazard, target and kappa maps are derived from it. The
-message also contains the grid, the rules, the method and the sensor model, and names the evidence
-that was assimilated, so the belief can be computed again from the deployments.
+The field `joint` is the belief, bit for bit; the fields hazard, target and kappa are derived from
+`joint`. The message also contains the grid, the rules, the method and the sensor model, and names
+the evidence that was assimilated, so the belief can be computed again from the deployments.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Snapshot:
     model: SensorModel
     # Robot types that differ from the common one, by agent.
     robot_types: Mapping[str, RobotType]
-    # The learnt numbers of that model and of the prior.
+    # The learnt numbers of the sensor model and of the prior.
     unknowns: Unknowns
     # The inference method.
     method: str
@@ -81,7 +81,7 @@ class Snapshot:
     newest: DeploymentKey | None
     # The belief given these deployments.
     belief: Belief
-    # In the first message the prior as given by parameters: the first belief is its average over
+    # In the first message, the prior set by parameters; the first belief averages this prior over
     # learnt numbers and clustered hazards.
     prior: Belief
 
@@ -90,7 +90,7 @@ class Snapshot:
         return self.grid.at(self.robot_types.get(agent, ORDINARY).base).base
 
     def rules(self) -> dict[str, Any]:
-        """Return the rules of an estimator by name, the same in all its beliefs."""
+        """Return the rules of an estimator by name: the fields that its beliefs share."""
         unknowns = self.unknowns.priors
         model = {each: value for each, value in asdict(self.model).items() if each not in unknowns}
         return {
@@ -127,7 +127,7 @@ def belief_fields(
     since: int = 0,
     assimilated: Iterable[DeploymentKey] | None = None,
 ) -> Fields:
-    """Return the fields of the message of a ledger's belief."""
+    """Return the message fields of a ledger's belief."""
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
@@ -197,7 +197,7 @@ def belief_maps(
     since: int = 0,
     assimilated: Iterable[DeploymentKey] | None = None,
 ) -> BeliefMaps:
-    """Return the message of `belief_fields`."""
+    """Return the belief message with the fields of `belief_fields`."""
     from kbnitp_msgs.msg import BeliefMaps, Evidence, OwnNumber, UnknownNumber
 
     content = belief_fields(ledger, started, mission, since, assimilated)
@@ -225,7 +225,7 @@ def read_belief_maps(message: Any) -> Snapshot:
     if message.deployments and not message.agent:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the agent of the "
-            'newest one'
+            'newest deployment'
         )
     if message.dynamics not in HAZARDS:
         raise ValueError(
@@ -282,7 +282,7 @@ def read_joint(name: str, values: Any, grid: Grid) -> Belief:
 
 
 def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
-    """Return the clustering: 0 for none, NaN for a coupling that is learnt."""
+    """Return the clustering; the coupling is 0 without clustering, and NaN if it is learnt."""
     if coupling == 0.0:
         return None
     try:

@@ -79,7 +79,7 @@ def read_path_name(message: Any) -> int:
 def report_message(
     key: DeploymentKey, observation: Observation, stamp: int, source: Source = Source.AGENT
 ) -> DeploymentReport:
-    """Return the report of a deployment that ended at a time."""
+    """Return the report of a deployment that ended, stamped in nanoseconds."""
     from kbnitp_msgs.msg import DeploymentReport, TargetReading
 
     readings = () if observation.readings is None else observation.readings.tolist()
@@ -180,8 +180,8 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
     state = OrderState(message.state)
     if (state is OrderState.REFUSED) != bool(message.reason):
         raise ValueError(
-            f'reason is {shown(message.reason)} and state is {state.name}: a reason must be given '
-            'for a refused order only'
+            f'reason is {shown(message.reason)} and state is {state.name}: a refused order must '
+            'have a reason, and another order none'
         )
     if len(message.reason) > MAX_REASON:
         raise ValueError(

@@ -27,14 +27,14 @@ YAW_DECIMALS = 12
 
 
 def rounded_resolution(resolution: float) -> float:
-    """Return a cell's side in metres, rounded to a float32 of messages: 0.1 stays 0.1."""
+    """Return a cell's side in metres, rounded as by the float32 of a message; 0.1 stays 0.1."""
     return float(str(np.float32(resolution)))
 
 
 def rounded_yaw(yaw: float) -> float:
     """Return an angle in rad, in (-pi, pi], rounded to the precision of a quaternion."""
     rounded = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
-    # A half turn in either direction is the same angle, and would be rounded to more than pi.
+    # A half turn may be rounded to more than pi; in either direction it is the same angle.
     return abs(rounded) if abs(rounded) > pi else rounded
 
 
@@ -67,7 +67,7 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
         if not isfinite(value):
             raise ValueError(f'{name} is {value}: it must be finite, in metres')
     turn = origin.orientation
-    # Publishers that do not rotate the origin may leave all four at 0.
+    # Publishers that do not rotate the origin may leave all four numbers at 0.
     is_turned = turn.z != 0.0
     if turn.x or turn.y or (is_turned and not abs(hypot(turn.z, turn.w) - 1.0) < UNIT):
         raise ValueError(
@@ -95,7 +95,7 @@ def occupancy_fields(grid: Grid, probabilities: ArrayLike, stamp: int) -> Fields
 
 
 def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> OccupancyGrid:
-    """Return the message of `occupancy_fields`."""
+    """Return the occupancy map with the fields of `occupancy_fields`."""
     from nav_msgs.msg import OccupancyGrid
 
     return filled(OccupancyGrid(), occupancy_fields(grid, probabilities, stamp))
@@ -139,13 +139,13 @@ KEEPOUT, SPEED_PERCENT, SPEED_ABSOLUTE = range(3)
 
 
 def check_filter(filter_type: int, base: float, multiplier: float) -> None:
-    """Check that a Nav2 filter of this type accepts these numbers."""
-    given = f'filter.base is {base} and filter.multiplier {multiplier}'
+    """Check base and multiplier of a Nav2 costmap filter of this type."""
+    given = f'filter.base is {base} and filter.multiplier is {multiplier}'
     if filter_type == KEEPOUT and (base, multiplier) != (0.0, 1.0):
         raise ValueError(f'{given}: with filter.type 0, a KeepoutFilter, they must be 0 and 1')
     if filter_type == KEEPOUT:
         return
-    # A SpeedFilter takes 0 percent of hazard as no limit, so limits begin at 1 percent.
+    # At 0 percent of hazard a SpeedFilter sets no limit, so limits begin at 1 percent.
     limits = [base + multiplier * percent for percent in (1, 100)]
     unit, most = ('%', 100.0) if filter_type == SPEED_PERCENT else ('m/s', float('inf'))
     if not (min(limits) >= 0.0 and max(limits) <= most):
@@ -160,7 +160,7 @@ def check_filter(filter_type: int, base: float, multiplier: float) -> None:
 def filter_info(
     filter_type: int, base: float, multiplier: float, mask_topic: str, stamp: int
 ) -> CostmapFilterInfo:
-    """Return the message that makes the map of a topic the mask of Nav2's filters."""
+    """Return the message that announces a topic's map as the mask of a Nav2 costmap filter."""
     from nav2_msgs.msg import CostmapFilterInfo
 
     fields = Fields(

@@ -22,9 +22,9 @@ FRAME = 'map'
 SECOND = 10**9
 HOUR = 3600 * SECOND
 
-# Whole seconds are an int32. Stamps of deployments are the next free nanosecond after a belief or
-# another stamp, so the last hours stay free for them: times of messages are at most `LATEST`, new
-# stamps follow stamps of at most `LAST_COUNTED_ON`, and all stamps are at most `LAST_NAME`.
+# Whole seconds are an int32. The stamp of a deployment is the next free nanosecond after a belief
+# or after another stamp, so the last hours are reserved: times of messages are at most `LATEST`,
+# stamps follow other stamps only up to `LAST_COUNTED_ON`, and all stamps are at most `LAST_NAME`.
 END = 2**31 * SECOND
 LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
 
@@ -41,7 +41,7 @@ def stamp_fields(nanoseconds: int) -> Fields:
 
 
 def to_stamp(nanoseconds: int) -> Time:
-    """Return the message of a time; raise errors as `stamp_fields` does."""
+    """Return the message of a time; raise the errors of `stamp_fields`."""
     from builtin_interfaces.msg import Time
 
     return filled(Time(), stamp_fields(nanoseconds))
@@ -76,7 +76,7 @@ def read_name(name: str, stamp: Any) -> int:
 
 
 def next_name(earliest: int, *names: int) -> int:
-    """Return the first stamp from a time on, in nanoseconds, that follows all given ones."""
+    """Return the first stamp, in nanoseconds, not before a time and after all given stamps."""
     return max([earliest, *(each + 1 for each in names if each <= LAST_COUNTED_ON)])
 
 
@@ -115,12 +115,12 @@ Fields = SimpleNamespace
 
 
 def filled(message: M, fields: Fields) -> M:
-    """Return a message with these fields set."""
+    """Set the fields of a message, and return the message."""
     for name, value in vars(fields).items():
         if isinstance(value, Fields):
             filled(getattr(message, name), value)
         elif isinstance(value, np.ndarray):
-            # rclpy does not check each value of an array.array.
+            # rclpy checks each value of a list, but not of an array.array.
             setattr(message, name, array(value.dtype.char, value.tobytes()))
         elif not (isinstance(value, list) and value and isinstance(value[0], Fields)):
             setattr(message, name, value)
@@ -161,12 +161,12 @@ def _encoded(value: Any) -> Iterator[bytes]:
         for element in elements:
             yield from _encoded(element)
     else:
-        raise TypeError(f'a field has type {type(value)}, which is none of a ROS message')
+        raise TypeError(f'a field has type {type(value)}, unknown in ROS messages')
 
 
 @lru_cache
 def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
-    """Return a message's field names as defined, and as bytes; empty for other objects."""
+    """Return a message's field names, each with its encoding; empty for other objects."""
     if hasattr(kind, 'get_fields_and_field_types'):
         names = tuple(kind.get_fields_and_field_types())
     else:
@@ -186,7 +186,7 @@ def mission_of_path(message: Any) -> int:
 
 
 def check_mission(stated: int, own: int | None) -> None:
-    """Check that a message belongs to a node's mission; `own` is None before it has joined one."""
+    """Check that a message belongs to a node's mission; `own` is None before the first mission."""
     if own not in (None, stated):
         raise ValueError(
             f'it belongs to {named(stated)}, and not to {named(own)}: play bags in another ROS '

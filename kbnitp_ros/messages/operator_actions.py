@@ -52,7 +52,7 @@ class OperatorAction:
     robots_left: int
     # Paths of the robots concerned.
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
-    # Number of steps that a robot given up is known to have survived.
+    # Number of steps that the robot has survived at least, if it is given up.
     steps_survived: int = 0
 
     def __str__(self) -> str:
@@ -79,7 +79,7 @@ def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorA
 
 
 def read_action_name(message: Any) -> int:
-    """Return the time of an action, which names it, in nanoseconds."""
+    """Return the stamp of an action, which identifies the action, in nanoseconds."""
     check_frame('header.frame_id', message.header.frame_id)
     return read_name('header.stamp', message.header.stamp)
 
@@ -91,7 +91,8 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')
     action = Action(message.action)
     if len(message.agents) != len(message.paths):
-        raise ValueError(f'agents has {len(message.agents)} names, and paths {len(message.paths)}')
+        names, paths = len(message.agents), len(message.paths)
+        raise ValueError(f'agents has {names} names, but paths has {paths}')
     if bool(message.agents) != (action in OF_ROBOTS):
         needed = 'some' if action in OF_ROBOTS else 'none'
         raise ValueError(
@@ -125,7 +126,7 @@ class OperatorState:
         self.is_paused = False
         # Whether the operator has ended the mission.
         self.is_ended = False
-        # Robots given up, with the number of steps that each is known to have survived.
+        # Robots given up, with the number of steps that each has survived at least.
         self.given_up: dict[DeploymentKey, int] = {}
 
     @property
@@ -147,7 +148,7 @@ class OperatorState:
         return True
 
     def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:
-        """Return the rounds refused since the last robot left."""
+        """Return the paths of each round that was refused since the last robot left."""
         return [
             list(each.paths.values())
             for each in self.actions.values()
@@ -156,7 +157,7 @@ class OperatorState:
 
     def is_approved(self, robots_left: int, paths: Paths) -> bool:
         """Return whether paths were approved since the last robot left."""
-        # Compared without stamps, which differ if the same plan was found again.
+        # Paths are compared without stamps, which differ if a search found the same plan again.
         sent = {key.agent: path.tolist() for key, path in paths.items()}
         return any(
             each.action == Action.APPROVE

@@ -53,7 +53,7 @@ def progress_message(
     out: int,
     status: MissionStatus = NOT_KNOWN,
 ) -> msg.Progress:
-    """Return a ledger's progress message; `before` is its estimator one deployment earlier."""
+    """Return a ledger's progress message; `before` is its estimator before the last deployment."""
     from kbnitp_msgs import msg
 
     belief, gained, expected = ledger.belief, nan, nan
@@ -93,7 +93,7 @@ class Known:
     # Mean and standard deviation of the number.
     mean: float
     sd: float
-    # One for each of `QUANTILES`.
+    # Quantiles of the number at the percentages `QUANTILES`.
     quantiles: tuple[float, ...]
     # Number of independent draws of equal precision.
     effective_samples: float
@@ -135,7 +135,7 @@ def model_fields(ledger: Ledger, stamp: int) -> Fields:
 
 
 def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
-    """Return the message of `model_fields`."""
+    """Return the model message with the fields of `model_fields`."""
     from kbnitp_msgs.msg import ModelBelief
 
     return filled(ModelBelief(), model_fields(ledger, stamp))
@@ -183,7 +183,7 @@ def decision_fields(decision: Decision, deployments: int) -> Fields:
 def decision_message(
     grid: Grid, decision: Decision, deployments: int, stamp: int, mission: int
 ) -> DecisionMessage:
-    """Return the message of a decision; deployments, stamp and mission are those of its belief."""
+    """Return the message of a decision, with deployments, stamp and mission of its belief."""
     from kbnitp_msgs.msg import Decision as DecisionMessage
 
     return DecisionMessage(
