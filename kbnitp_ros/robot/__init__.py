@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deployments, walk and position of a real robot, without ROS; its only file is the journal."""
+"""Deployments, walk and position of a real robot, without ROS; writes only the journal."""

@@ -93,7 +93,7 @@ class Journal:
         self.deployments: list[Deployment] = []
         # Refused orders by the stamps of their paths: time, nanoseconds, and reason.
         self.refusals: dict[int, tuple[int, str]] = {}
-        # Description of the bytes cut off on opening; empty if none were.
+        # Description of the bytes cut off on opening; empty if the file was whole.
         self.corruption = ''
         # Records that could not be written yet.
         self._unwritten: deque[dict[str, Any]] = deque()
@@ -111,7 +111,7 @@ class Journal:
             self._set_aside()
 
     def _set_aside(self) -> None:
-        """Move the file to a folder named after its mission, and begin another."""
+        """Move the file to a folder named after its mission, and begin a new file."""
         kept = self.path.parent / str(self.mission or 0) / self.path.name
         while kept.exists():
             kept = kept.with_name(f'{kept.name}.again')
@@ -138,7 +138,7 @@ class Journal:
             ) from error
 
     def _read(self) -> bool:
-        """Read the file, cut off its corrupt end; return whether it is of this field."""
+        """Read the file and cut off its corrupt end; return whether it is for this field."""
         no_journal = (
             f'{self.path} is not the journal of a robot: set the parameter journal to another '
             'file, or move this one away'
@@ -162,7 +162,7 @@ class Journal:
                 break
             self._check = int(line[:8], 16)
             self._size += len(line) + 1
-        # A power loss can leave the start of the first line, or zeros in place of the rest.
+        # After a power loss the first line may be cut, or continue with zeros.
         if not lines and not journal_line(heading, 0)[0].startswith(rest.rstrip(b'\0')):
             raise ValueError(no_journal)
         differing = [name for name, wanted in self._heading.items() if heading[name] != wanted]
@@ -224,7 +224,7 @@ class Journal:
 
     @property
     def mission(self) -> int | None:
-        """Return the start of its mission, nanoseconds; None without deployments."""
+        """Return the start of the journal's mission, nanoseconds; None without deployments."""
         return self.deployments[-1].mission if self.deployments else None
 
     @property
@@ -253,7 +253,7 @@ class Journal:
         self.refusals[stamp] = time, reason
 
     def step(self, deployment: Deployment, number: int) -> None:
-        """Record a step of a deployment, or a reading in the last one."""
+        """Record a step of a deployment; record it again when its reading changes."""
         step = deployment.steps[number - 1]
         self._unwritten.append(
             {

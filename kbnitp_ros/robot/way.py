@@ -11,7 +11,7 @@ from math import hypot
 from kbnitp_ros.core import Grid
 import numpy as np
 
-# The cells of one goal, the robot's cell first; for a stay, that cell twice.
+# The cells of a goal, the robot's cell first; for a stay, the robot's cell twice.
 Leg = tuple[int, ...]
 
 
@@ -48,9 +48,9 @@ def without_loops(cells: Iterable[int]) -> list[int]:
 
 
 def steps_within(cells: Sequence[int], most: int) -> list[int]:
-    """Return the numbers of the steps of a walk to report, at most `most`."""
-    # The start of the walk as far as possible, and then, from each cell, the step by which the
-    # robot last left it: these lead home without loops.
+    """Choose at most `most` steps of a walk to report; return their numbers."""
+    # Report the start of the walk as far as possible, and then, for each cell, the step by which
+    # the robot last left the cell: these steps lead home without loops.
     steps = len(cells) - 1
     if steps <= most:
         return list(range(1, steps + 1))
@@ -96,7 +96,7 @@ class Itinerary:
         self._grid = grid
         self._legs = split_legs(path) if path else []
         self._attempts = attempts
-        # Number of tries of the leg without progress, and of its cells entered.
+        # Number of tries of the leg without progress, and number of the leg's cells entered.
         self._tried = 0
         self._entered = 1
         self.heads_home = not self._legs
@@ -163,7 +163,7 @@ class Walk:
     def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
         self.grid = grid
         self.cell = cell
-        # The last impossible jump, which makes the cells of the walk uncertain; empty without any.
+        # Description of the last impossible jump, after which the cell is uncertain; else empty.
         self.doubt = ''
         self._patience = patience
         self._max_speed = max_speed
@@ -173,7 +173,7 @@ class Walk:
         self._away_since: float | None = None
 
     def follow(self, x: float, y: float, time: float) -> list[int]:
-        """Return the cells entered on the way to a position, metres, at a time, seconds."""
+        """Return the cells entered on the way to a position (metres) at a time (seconds)."""
         if self._off_middle(x, y) <= 0.5 + MARGIN:
             return self._come_to(self.cell, x, y, time)
         cell = self.cell_at(x, y)
@@ -222,7 +222,7 @@ class Walk:
         return self._off_middle(x, y) <= 0.5 - MARGIN
 
     def settle(self, x: float, y: float) -> list[int]:
-        """Return the cells entered by a robot that stands still, without the margin."""
+        """Return the cells entered by a robot that stands still; its place needs no margin."""
         cell = self.cell_at(x, y)
         way = shortest_way(self.grid, self.cell, cell)[1:]
         self.cell = cell

@@ -29,8 +29,8 @@ class Place(NamedTuple):
     y: float
     # The time of the oldest transform used, nanoseconds.
     stamp: int
-    # The time of the first transform from the robot that is not static, usually the odometry.
-    # Later transforms correct it, may be rare, and may be dated ahead.
+    # The time of the first non-static transform from the robot up, usually the odometry.
+    # Transforms above correct the odometry, may be rare, and may be dated ahead.
     odometry: int
 
 
@@ -91,7 +91,7 @@ class Transforms:
         )
 
 
-# Values of sensor_msgs/NavSatFix: the lowest status of a fix, and no known covariance.
+# Values of sensor_msgs/NavSatFix: lowest status with a fix, and type of an unknown covariance.
 FIX, UNKNOWN = 0, 0
 
 
@@ -163,7 +163,7 @@ class Whereabouts:
         self._spans: deque[Span] = deque()
 
     def note(self, time: int, step: int) -> None:
-        """Record the step, from 1, or `NO_STEP`, of the robot at a time."""
+        """Record the robot's step at a time: its number from 1, or `NO_STEP`."""
         spans = self._spans
         if spans and time < spans[-1][1]:
             spans.clear()
@@ -178,7 +178,7 @@ class Whereabouts:
             spans.popleft()
 
     def step_within(self, since: int, until: int) -> int | None:
-        """Return the step between two times, or `NO_STEP`; None if not known yet."""
+        """Return the step from `since` to `until`, or `NO_STEP`; None while it is unknown."""
         if not self._spans or until > self._spans[-1][1]:
             return None
         for first, last, step in reversed(self._spans):
