@@ -72,7 +72,8 @@ def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
             own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
             if name in values['learn.numbers'] and kind not in (own, 'learn'):
                 raise ValueError(
-                    f'dynamics is {kind}, but learn.numbers has {name}: only {own} hazards have it'
+                    f'dynamics is {kind}, but learn.numbers has {name}: only {own} hazards have '
+                    'this rate'
                 )
             is_open = kind == 'learn' and not rates.get(name)
             if name in rates and (is_open or name in values['learn.numbers']):
@@ -89,7 +90,7 @@ def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
         dynamics.known_rates()
     except ValueError as error:
         raise ValueError(
-            f'parameter hazards.{error}, for agents; give the estimator another one, such as '
+            f'parameter hazards.{error}, for agents; give the estimator another value, such as '
             'estimator:hazards.dynamics=learn'
         ) from error
     return dynamics
@@ -102,7 +103,7 @@ def make_clustering(values: Mapping[str, Any], grid: Grid) -> Clustering | None:
 
 
 def make_execution(values: Mapping[str, Any]) -> Execution:
-    """Return how simulated robots deviate from their orders."""
+    """Return the deviations of simulated robots from their orders."""
     if values['silent_loss'] and values['contact_probability'] > 0.0:
         raise ValueError(
             f'contact_probability is {values["contact_probability"]}, and silent_loss is true: '
@@ -142,7 +143,7 @@ def agent_names(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
 
 
 def value_for(values: Mapping[str, Any], name: str, agent: str) -> Any:
-    """Return an agent's value of a parameter: its own, or else the common one."""
+    """Return an agent's own value of a parameter, or else the common value."""
     return values.get(f'team.{agent}.{name}', values[name])
 
 
@@ -159,7 +160,7 @@ def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
 
 
 def own_base(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
-    """Return an agent's own base; None if it has the common one."""
+    """Return an agent's own base; None if it has the common base."""
     name = f'team.{agent}.base'
     cell, position = values.get(name), values.get(f'{name}_position')
     if cell is not None and position:
@@ -191,6 +192,6 @@ def make_robot_types(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotTy
 
 
 def own_robot_types(values: Mapping[str, Any], grid: Grid) -> dict[str, RobotType]:
-    """Return the robot types of agents that differ from the common one."""
+    """Return the robot types of agents that differ from the common type."""
     types = make_robot_types(values, grid)
     return {agent: robot_type for agent, robot_type in types.items() if robot_type.own}

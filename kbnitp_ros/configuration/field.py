@@ -89,7 +89,7 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
         if grid.steps_to_base[base] == grid.cells:
             raise ValueError(
                 f'parameter team.{agent}.base: base is {base}, which obstacles cut off from the '
-                f'base {grid.base} of the mission: choose a cell connected to that one'
+                f'base {grid.base} of the mission: choose a cell connected to it'
             )
     return grid
 

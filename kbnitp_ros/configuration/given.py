@@ -2,7 +2,7 @@
 """
 Parameters that users give, in files and on the command line, checked against the table.
 
-ROS passes only values to a node, and silently ignores misspelt names and parameters of others.
+ROS passes only values to a node; it ignores misspelt names and parameters of other nodes.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _leaves(tree: Any, section: str, above: str = '') -> Iterator[tuple[str, Any
 
 
 def _nodes_in(section: str, names: Mapping[str, str]) -> Sequence[str]:
-    """Return the executables that a section, or the node of a rule, applies to."""
+    """Return the executables to which a section, or a rule with a node name, applies."""
     name = section.rpartition('/')[2]
     if name in WILDCARDS:
         return NODES
@@ -105,7 +105,7 @@ def values_for(sections: Sections, node: str) -> dict[str, Any]:
 
 
 def _fits(section: str, node: str) -> bool:
-    """Return whether rclpy applies a section to the node of this full name."""
+    """Return whether a section's name, with wildcards as in rclpy, matches a node's full name."""
     return bool(re.fullmatch(f'/{section.removeprefix("/")}'.replace('/*', r'(/\w+)'), node))
 
 
@@ -125,7 +125,7 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
             raise ValueError(f'-p {rule}: this node is not {node!r}: {meant}it is {called}')
         check_known(parameter, nodes)
         if not node:
-            # ROS applies it like a line of section /**.
+            # ROS treats the rule like a line of section /**.
             own = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
             check_counts(sections, '/**', own, {parameter: rule.partition(':=')[2]}, '-p ')
 

@@ -21,7 +21,7 @@ def node_parameters(name: str) -> dict[str, Parameter]:
 
 
 def find_parameter(node: str, name: str) -> Parameter | None:
-    """Return a node's parameter of this name, or of one agent; None if there is none."""
+    """Return a node's parameter by name or by ``team.AGENT.NAME``; None if there is none."""
     known = node_parameters(node)
     own = own_name(name)
     if own is None:

@@ -121,7 +121,7 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
 
 MAPS = ('hazard', 'target', 'kappa')
 
-# Properties that two fields must share, if the belief in one is to be the prior in the other.
+# Properties that a field must share with the field of the mission that gives its prior.
 SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
 

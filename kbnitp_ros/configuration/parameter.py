@@ -23,8 +23,8 @@ def own_name(name: str) -> tuple[str, str] | None:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return the nearest known names as a question; empty if none is near."""
-    # Compared without groups, since lethality is far from sensor.lethality.
+    """Return a question with the known names that are most similar; empty if none is similar."""
+    # Compare without the group first, since lethality differs much from sensor.lethality.
     meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
     meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
     return f'did you mean {" or ".join(meant)}? ' if meant else ''
@@ -68,14 +68,14 @@ class Parameter:
 
     @property
     def kind(self) -> str:
-        """Describe its type."""
+        """Describe the type of the value."""
         if self.element is None:
             return KINDS[type(self.default)] + (self.word and f' or {self.word}')
         return f'a list, each {KINDS[self.element]}'
 
     @property
     def allowed(self) -> str:
-        """Describe the further limits of its values; empty if there are none."""
+        """Describe the limits of the value besides the type; empty if there are none."""
         if self.limits is not None:
             off_or = '' if self.off is None else f'{self.off} or '
             return f'{off_or}from {self.limits[0]} to {self.limits[1]}'
@@ -85,17 +85,17 @@ class Parameter:
 
     @property
     def must_be(self) -> str:
-        """Describe what a value must be."""
+        """Describe the type and the limits of the value."""
         return ', '.join(filter(None, (self.kind, self.allowed)))
 
     @property
     def changeable(self) -> str:
-        """Describe whether it can change while the node runs; empty if it cannot."""
+        """Describe whether the value can change while the node runs; empty if it cannot."""
         return '' if self.read_only else ' Can be changed while the node runs.'
 
     @property
     def summary(self) -> str:
-        """Describe its type, default and limits."""
+        """Describe the parameter with its default, type and limits."""
         return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
 
     def read(self, text: str) -> Any:

@@ -32,7 +32,7 @@ LEARN = {
     'hazard_density': ('prior.hazard', (0.0, 1.0, 1.5, 5.0)),
     'kappa': ('prior.kappa', (0.0, 1.0, 4.0, 1.5)),
     'target_background': (
-        'the probability of a target where there is no hazard',
+        'the probability of a target in a cell without a hazard',
         (0.0, 1.0, 1.5, 8.0),
     ),
     'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
@@ -46,20 +46,20 @@ LEARN = {
 SENSOR = {
     'lethality': (
         0.5,
-        'Probability that a hazard strikes a robot that steps into its cell. The sensor '
-        'parameters of the agent are the truth, those of the estimator the belief of estimator '
-        'and planner.',
+        'Probability that a hazard strikes a robot that enters its cell. Sensor parameters of the '
+        'agent are the truth; sensor parameters of the estimator are the belief of estimator and '
+        'planner.',
     ),
     'malfunction': (0.05, 'Probability that a robot is lost in a step without any hazard.'),
     'false_negative': (0.05, 'Probability that a robot survives a hazard that strikes it.'),
-    'true_positive': (0.95, 'Probability that a target is reported where there is one.'),
-    'false_positive': (0.05, 'Probability that a target is reported where there is none.'),
+    'true_positive': (0.95, 'Probability that a target in the cell is reported.'),
+    'false_positive': (0.05, 'Probability that a target is reported in a cell without a target.'),
 }
 
 # Rates of hazards: events per deployment.
 RATES = {
-    'appear': 'a free cell gets a hazard, for changing hazards; with a learnt hazards.vanish, 0 '
-    'is the rate that keeps the expected number of hazards constant',
+    'appear': 'a free cell gets a hazard, for changing hazards; if hazards.vanish is learnt, 0 '
+    'means the rate that keeps the expected number of hazards constant',
     'vanish': 'a hazard disappears, for changing hazards',
     'move': 'a hazard goes to a free neighbouring cell, for moving hazards',
 }
@@ -68,12 +68,12 @@ RATES = {
 PRIOR = {
     'hazard': (0.5, 'a hazard in each cell'),
     'target': (0.45, 'a target in each cell'),
-    'kappa': (0.8, 'a target where there is a hazard,'),
+    'kappa': (0.8, 'a target in a cell with a hazard,'),
 }
 DRAWN = {
     'hazard_density': (0.15, 'a hazard in each cell of a drawn world except the bases'),
-    'kappa': (0.8, 'a target in a cell of a drawn world that has a hazard'),
-    'target_background': (0.1, 'a target in a cell of a drawn world that has no hazard'),
+    'kappa': (0.8, 'a target in each cell with a hazard, in a drawn world'),
+    'target_background': (0.1, 'a target in each cell without a hazard, in a drawn world'),
 }
 
 # Defaults of await_nodes: waiting nodes, awaited nodes, and descriptions.
@@ -81,12 +81,12 @@ AWAITED = (
     (
         ('planner',),
         ('agent', 'estimator'),
-        'Nodes that must subscribe to paths before the planner sends the first one',
+        'Nodes that must subscribe to paths before the planner sends the first path',
     ),
     (
         ('estimator',),
         ('planner',),
-        'Nodes that must subscribe to beliefs before the estimator publishes the first one',
+        'Nodes that must subscribe to beliefs before the estimator publishes the first belief',
     ),
     (
         ('agent', 'robot'),
@@ -132,7 +132,7 @@ TABLE = (
         'grid.base',
         0,
         'Base cell, where paths start and end, by number: row * width + column, row 0 at the '
-        'bottom. For a single agent team.AGENT.base.',
+        'bottom. Set team.AGENT.base for the base of a single agent.',
         GRID,
         limits=(0, MAX_CELLS - 1),
         per_agent=True,
@@ -141,7 +141,7 @@ TABLE = (
         'grid.base_position',
         (),
         'Position of the base: x and y of a point in its cell, metres in the frame map, in place '
-        'of grid.base; empty for none. For a single agent team.AGENT.base_position.',
+        'of grid.base; empty for none. Set team.AGENT.base_position for a single agent.',
         GRID,
         element=float,
         per_agent=True,
@@ -149,8 +149,8 @@ TABLE = (
     Parameter(
         'grid.resolution',
         0.0,
-        'Side of a cell in metres, at least the resolution of the map; 0 for the resolution of '
-        'the map, or for 1 without a map.',
+        'Side of a cell in metres, at least the resolution of the map; 0 means the resolution of '
+        'the map, or 1 m without a map.',
         GRID,
         limits=(0.0, 1000.0),
     ),
@@ -166,7 +166,7 @@ TABLE = (
         'datum',
         (),
         'Geographic datum: latitude and longitude of the origin of the frame map, WGS84 in '
-        'degrees, and the angle from east to its x axis, counterclockwise, in rad, as for '
+        'degrees, and the angle from east to the x axis, counterclockwise, in rad, as for '
         'robot_localization; empty for none.',
         ('estimator', 'robot'),
         element=float,
@@ -182,8 +182,8 @@ TABLE = (
     Parameter(
         'grid.corners',
         'auto',
-        'Whether diagonal steps may touch blocked cells: cut allows it, as in the paper; avoid '
-        'forbids it; auto is avoid with a map and cut without one.',
+        'Whether diagonal steps may touch blocked cells: cut allows such steps, as in the paper; '
+        'avoid forbids them; auto means avoid with a map, and cut without a map.',
         GRID,
         choices=('auto', 'avoid', 'cut'),
     ),
@@ -199,8 +199,8 @@ TABLE = (
         'max_distance',
         0.0,
         'Maximum length of a path in metres: a diagonal step is 1.41 times as long as a straight '
-        'one, and a stay has length 0. For the planners beam and relaxed with the goal map; 0 for '
-        'no limit.',
+        'step, and a stay has length 0. Only for the planners beam and relaxed with the goal map; '
+        '0 for no limit.',
         limits=(0.0, 1e9),
         per_agent=True,
     ),
@@ -345,7 +345,7 @@ TABLE = (
         'bound',
         False,
         'Whether to compute, with each plan, an upper bound on the value of any path, for '
-        'progress and the report; for a single agent that seeks information.',
+        'progress and the report; only for a single agent that seeks information.',
     ),
     changeable(
         'max_visits', 3, 'Maximum number of visits of a path to a cell.', limits=(1, 10_000)
@@ -413,8 +413,8 @@ TABLE = (
     changeable(
         'stop.gain',
         0.0,
-        'Minimum gain of the best deployment for each robot that it is expected to lose: below it '
-        'the mission ends. In nats, or for the goal lane a probability; 0 for never.',
+        'Minimum gain of the best deployment per expected lost robot, in nats, or for the goal '
+        'lane as a probability: the mission ends when the gain is lower; 0 for never.',
         limits=(0.0, 1e9),
     ),
     changeable(
@@ -426,8 +426,8 @@ TABLE = (
     changeable(
         'minimum_survival',
         0.0,
-        'Minimum survival probability of a path: other paths are refused, and the mission is over '
-        'when none is left.',
+        'Minimum survival probability of a path: paths with a lower probability are not sent, and '
+        'the mission ends when no path is left.',
         limits=PROBABILITY,
     ),
     changeable(
@@ -468,8 +468,8 @@ TABLE = (
     Parameter(
         'contact_probability',
         0.0,
-        'Probability that the base receives the progress of a robot after each step that it '
-        'survives, so that silence tells where it was lost; 0 to infer nothing from silence.',
+        'Probability that the base receives the progress of a robot after a step that the robot '
+        'survives, so that the place of a loss can be inferred; 0 to infer nothing from silence.',
         ('planner', 'agent'),
         limits=PROBABILITY,
     ),
@@ -553,8 +553,8 @@ TABLE = (
         'journal',
         '',
         'Journal of the robot: a file on its own disk with its orders, its way and its readings. '
-        'When a mission begins, the journal of the last one is moved to a folder beside it. Empty '
-        'for .ros/kbnitp_ros/AGENT.journal in the home folder.',
+        'When a mission begins, the journal of the last mission is moved to a folder beside it. '
+        'Empty for .ros/kbnitp_ros/AGENT.journal in the home folder.',
     ),
     for_robot(
         'driver',
@@ -565,7 +565,7 @@ TABLE = (
     for_robot(
         'nav_namespace',
         '',
-        "Namespace of the robot's Nav2 and its actions; / for none, empty for that of this node.",
+        "Namespace of the robot's Nav2; / for none, empty for the namespace of this node.",
         pattern='/|(/?[A-Za-z][A-Za-z0-9_]*)*',
     ),
     for_robot(
@@ -584,15 +584,15 @@ TABLE = (
     for_robot(
         'tf_timeout',
         2.0,
-        'Maximum age of a transform, a fix or a detection, seconds. A jump of more than a cell is '
-        'accepted once it has lasted that long.',
+        'Maximum age of a transform, a fix or a detection, seconds. A jump by more than a cell is '
+        'accepted once the new position has lasted for this time.',
         limits=(1e-3, 1e6),
     ),
     for_robot(
         'max_speed',
         0.0,
-        'Maximum speed of the robot, in m/s: after a faster jump its position is uncertain, and '
-        'later readings of that deployment do not count; 0 for no check.',
+        'Maximum speed of the robot, in m/s: after a faster jump the position is uncertain, and '
+        'later readings of the deployment do not count; 0 for no check.',
         limits=(0.0, 1e6),
     ),
     for_robot(
@@ -604,7 +604,7 @@ TABLE = (
     for_robot(
         'stay_time',
         2.0,
-        'Seconds that a robot waits in a cell for each step in which its path stays.',
+        'Seconds that a robot waits for each step of its path that stays in a cell.',
         limits=(0.0, 1e6),
     ),
     for_robot(
