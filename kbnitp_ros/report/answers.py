@@ -21,7 +21,7 @@ FREE, SUSPECTED = 0.05, 0.5
 # Minimum P(target) of a target found, and of a target listed.
 FOUND, LISTED = 0.95, 0.5
 
-# Reports that give the pace of a mission: this last part of them, and at least this number.
+# Last reports that give the pace of a mission: share of all reports, and minimum number.
 LAST, MIN_ROBOTS = 0.25, 5
 
 
@@ -49,7 +49,7 @@ class Finding:
 class Cells:
     """Classes of cells by the last belief, each of shape (cells,)."""
 
-    # A robot was sent into the cell, or came from it.
+    # The cell is on the path of a robot that was sent, its base included.
     entered: NDArray[np.bool_]
     # Free of a hazard with a probability of at least 95 %.
     free: NDArray[np.bool_]
@@ -58,7 +58,7 @@ class Cells:
 
 
 def classify_cells(mission: Mission) -> Cells:
-    """Return the free, the suspected and the entered cells, none of them blocked."""
+    """Return the free, the suspected and the entered cells, without blocked cells."""
     hazard, inside = mission.moments[-1].belief.hazard, mission.grid.free
     entered = mission.visited() & inside
     return Cells(entered, inside & (hazard <= FREE), entered & (hazard >= SUSPECTED))
@@ -177,7 +177,7 @@ def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
 
 
 def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the probability of a loss in each step, given the survival of each."""
+    """Return the probability of a loss in each step, given the survival of each step."""
     after_contact = np.arange(seen.steps) >= seen.steps_survived
     fits = after_contact if seen.lost_at is None else seen.lost_at
     reached = np.concatenate([[1.0], np.cumprod(survival[:-1])])
@@ -201,7 +201,7 @@ def advice(mission: Mission) -> tuple[str, str]:
 
 
 def pace(mission: Mission) -> tuple[str, str]:
-    """Estimate the number of further robots for the undecided cells, and explain it."""
+    """Estimate the number of further robots for the undecided cells, and explain the estimate."""
     moments = mission.moments
     left = undecided(mission, -1)
     if not left:
@@ -227,7 +227,7 @@ def pace(mission: Mission) -> tuple[str, str]:
 
 
 def undecided(mission: Mission, moment: int) -> int:
-    """Return the number of cells neither free nor hazardous with 95 % at a moment."""
+    """Return the number of cells that are neither free nor hazardous with 95 % at a moment."""
     hazard = mission.moments[moment].belief.hazard[mission.grid.free]
     return int(((hazard > FREE) & (hazard < 1.0 - FREE)).sum())
 
@@ -256,7 +256,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
         f'{cells.free.sum()} of {counted(int(inside.sum()), "cell")}',
         'free of a hazard with 95 % or more; '
         + (f'{untouched} of them were not entered' if untouched else 'all of them were entered')
-        + f'. {among:.2g} hazards are expected in all of them',
+        + f'. {among:.2g} hazards are expected in these cells',
         'safe-title',
     )
     found = list_findings(mission)
@@ -345,7 +345,7 @@ def risk(mission: Mission) -> str:
 
 
 def fit(mission: Mission) -> Tile:
-    """Describe the recorded truth and the model check, by which to trust the answers."""
+    """Describe the recorded truth and the model check, which show how reliable the answers are."""
     question, (_, kinds, check) = 'Can I trust it?', mission.moments[-1].state
     right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
@@ -376,7 +376,7 @@ def by_truth(mission: Mission, world: World) -> str:
 
 
 def where_lost(mission: Mission, lost: int) -> Tile:
-    """Return the cells that took half of the lost robots."""
+    """Describe the cells in which half of the losses are expected."""
     question = 'Where were robots lost? (x, y in m)'
     if not lost:
         return Tile(question, 'No robot was lost', 'every robot that reported returned')
@@ -397,7 +397,7 @@ def where_lost(mission: Mission, lost: int) -> Tile:
 
 
 def places(findings: list[Finding]) -> str:
-    """Return the first places of findings."""
+    """Return the places of the first findings."""
     if not findings:
         return 'none'
     return some((spot(each.x, each.y) for each in findings), NAMED)

@@ -42,7 +42,7 @@ Pair = tuple[Mission, Curves]
 
 
 def check_one_field(first: Mission, second: Mission) -> None:
-    """Check that the cells of two missions are the same places."""
+    """Check that the cells of two missions cover the same places."""
     fields = [
         f'{grid.width}x{grid.height} cells of {grid.resolution:g} m from '
         f'({grid.origin[0]:g}, {grid.origin[1]:g})'
@@ -92,7 +92,7 @@ def true_differences(first: Mission, second: Mission) -> tuple[int, int]:
 
 
 def differences(first: Pair, second: Pair) -> Iterator[str]:
-    """Yield the differences for each tile of two missions; empty where there is none."""
+    """Yield the difference of two missions in each tile; empty if a tile has none."""
     missions, curves = (first[0], second[0]), (first[1], second[1])
     one, other = map(classify_cells, missions)
     yield alone(one.free, other.free, 'free')
@@ -110,7 +110,7 @@ def differences(first: Pair, second: Pair) -> Iterator[str]:
     lost = [sum(not seen.survived for seen in each.ended) for each in missions]
     yield f'B sent {more(sent[1] - sent[0], "robots")} and lost {more(lost[1] - lost[0])}.'
     yield where(*missions)
-    # The recommended action is for each mission alone.
+    # Recommended actions are not compared.
     yield ''
 
 
@@ -123,7 +123,7 @@ def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str
 
 
 def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str:
-    """Describe findings with at least a probability, in both missions and in only one."""
+    """Describe the findings of at least a probability that both missions have, or only one."""
     one, other = (
         {
             each.cell: each
@@ -268,7 +268,7 @@ def comparison_data(
     """Return the data of the maps for the page, as JSON values."""
     scales: dict[str, Any] = colour_scales(first)
     for name in MAPS:
-        # No change, half way between -1 and 1, has the colour of the paper.
+        # The middle of the scale from -1 to 1, no change, has the colour of the paper.
         scales[f'change-{name}'] = {
             'light': stops(MAPS[name], 0.5),
             'dark': stops(DARK_MAPS[name], 0.5),

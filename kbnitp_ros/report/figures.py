@@ -21,7 +21,7 @@ Lines = dict[str, NDArray[np.float64]]
 
 
 def mission_panels(curves: Curves) -> dict[str, Lines]:
-    """Return the curves of each panel of a mission, by its title with the unit."""
+    """Return the curves of each panel of a mission, by the panel's title with the unit."""
     log_loss = {'hazard map': curves.hazard_loss, 'target map': curves.target_loss}
     return {
         'entropy (nats)': {
@@ -130,7 +130,7 @@ def maps_figure(mission: Mission, note: str = '') -> Figure:
 
 
 def caption(mission: Mission) -> str:
-    """Return the caption of the hatching, if there is any."""
+    """Return the caption of the hatching; empty without hatching."""
     unvisited = int((~mission.visited() & mission.grid.free).sum())
     cells = counted(unvisited, 'cell')
     return f'hatched: {cells} that no robot was sent into' if unvisited else ''

@@ -63,7 +63,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     new = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
     try:
         yield new
-        # Only the owner can read temporary folders, unlike others.
+        # A temporary folder is readable by its owner only: give it the usual permissions.
         mask = os.umask(0)
         os.umask(mask)
         new.chmod(0o777 & ~mask)

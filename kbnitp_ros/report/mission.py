@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
-# Maximum part of a cell by which a map may be smaller than the field.
+# Maximum amount by which a map may be smaller than the field, in cells.
 PART = 1e-3
 
 
@@ -41,7 +41,7 @@ def recorded_datum(parameters: Parameters) -> Datum | None:
 
 
 def map_site(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
-    """Return the image of a mission's map; or None, and the reason why it is not shown."""
+    """Return the image of a mission's map, or None and the reason why the map is not shown."""
     name = next((each['map'] for each in parameters.values() if each.get('map')), '')
     if not name:
         return None, ''
@@ -72,7 +72,7 @@ class DeploymentSummary:
     # Times at which its path and its first report were received, nanoseconds; None if unknown.
     sent: int | None
     reported: int | None
-    # The last moment that assimilated a report of it; None if no recorded belief holds it.
+    # The last moment that assimilated its report; None if no recorded belief holds the report.
     moment: int | None
 
 
@@ -141,7 +141,7 @@ class Mission:
         return 0.0
 
     def visited(self) -> NDArray[np.bool_]:
-        """Return the cells that a robot was sent into or came from, shape (cells,)."""
+        """Return the cells on the paths of robots that were sent, shape (cells,)."""
         visited = np.zeros(self.grid.cells, dtype=bool)
         for deployment in self.deployments:
             ended = deployment.outcome
@@ -154,7 +154,7 @@ def read_mission(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     namespace: str | None = None,
 ) -> Mission:
-    """Return the mission of a log, or the one in a namespace."""
+    """Return the mission of a log, or the mission in a namespace."""
     log = MissionLog(path, namespace)
     history = read_history(log, progress)
     evidence = history.evidence
@@ -193,7 +193,7 @@ def read_mission(
 def recorded_moments(
     log: MissionLog, history: History, keys: Sequence[DeploymentKey]
 ) -> tuple[list[Moment], list[str]]:
-    """Return the recorded beliefs as moments, and remarks on missing ones."""
+    """Return the recorded beliefs as moments, and remarks on missing beliefs."""
     place = {key: number for number, key in enumerate(keys)}
     ends = list(accumulate(part.stat().st_size for part in log_parts(log.path)))
     is_any_left_out = any(log.roles.by_topic[topic].name == 'belief' for topic, _ in log.left_out)
@@ -306,7 +306,7 @@ def log_notes(log: str | Path, history: History, in_flight: int) -> Iterator[str
 
 
 def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict[str, float]:
-    """Return the true values of the learnable numbers, as far as these parameters have them."""
+    """Return the true values of the learnable numbers, as far as the parameters state them."""
     numbers = {
         name: agent[f'sensor.{name}']
         for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')

@@ -165,7 +165,7 @@ def mission_page(mission: Mission, curves: Curves, *, is_live: bool = False) -> 
         if kept.size == 2:
             raise ValueError(
                 f'a page of {mission.grid.cells} cells has {size / 1e6:.1f} MB with two beliefs: '
-                f'at most {MAX_BYTES / 1e6:.0f} MB can be'
+                f'at most {MAX_BYTES / 1e6:.0f} MB are allowed'
             )
         fixed = len(library())
         stride = min(moments, max(stride + 1, int(stride * (size - fixed) / (MAX_BYTES - fixed))))
@@ -179,7 +179,7 @@ def filled(
     left_out: str,
     is_live: bool,
 ) -> str:
-    """Return the page with some of the moments; a live one follows its log."""
+    """Return the page with some of the moments; a live page follows its log."""
     table = rows(mission, curves)
     shown = deployments_shown(mission, kept)
     labels, panels = zip(*curve_plots(mission, curves, kept))
@@ -226,7 +226,7 @@ def filled(
                 allow_nan=False,
             ).encode()
         ),
-        # Differences modulo 256: negative ones wrap around, as they do in the page.
+        # Differences modulo 256: negative differences wrap around, as in the script of the page.
         frames=packed(np.diff(frames, axis=0, prepend=np.zeros_like(frames[:1])).tobytes()),
         plots=in_json(plots),
     )
@@ -255,7 +255,7 @@ def in_json(plots: Mapping[str, str]) -> str:
 
 
 def mission_title(log: Path) -> str:
-    """Return a mission's name: its log's, or its folder's if the log has the usual name."""
+    """Return the name of a mission's log, or of its folder if the log has the default name."""
     path = log.resolve()
     return path.parent.name if path.name == NAME else path.name
 
@@ -266,7 +266,7 @@ def asset(name: str) -> str:
 
 
 def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
-    """Return the deployments listed on a page: all, or those of its moments."""
+    """Return the deployments listed on a page: all, or the deployments of its moments."""
     if kept.size == len(mission.moments):
         return list(range(len(mission.deployments)))
     shown = {mission.moments[place].deployment for place in kept}
@@ -396,7 +396,7 @@ def field_data(grid: Grid) -> dict[str, Any]:
 
 
 def first_visits(mission: Mission) -> NDArray[np.intp]:
-    """Return the index of the moment at which each cell was first visited, or of none."""
+    """Return the index of the moment of each cell's first visit, past the last if unvisited."""
     times = [each.time for each in mission.moments]
     first = np.full(mission.grid.cells, len(times), dtype=np.intp)
     for deployment in mission.deployments:
@@ -438,7 +438,7 @@ def moment_data(
 
 
 def likely_steps(seen: Observation | None) -> tuple[int, int] | None:
-    """Return the first and last likely step of a loss; None if all steps are alike."""
+    """Return the first and last likely step of a loss; None if no step is known to be likelier."""
     if seen is None or seen.lost_at is None:
         return None
     (likely,) = np.nonzero(seen.lost_at >= LIKELY)
@@ -453,7 +453,7 @@ def describe_moment(mission: Mission, place: int) -> str:
     of = f'{moment.held} of {counted(len(mission.deployments), "deployment")} assimilated'
     agent = mission.deployments[moment.deployment].key.agent
     if moment.outcome is None:
-        return f'{of}: the report of the last one, by {agent}, is not on record.'
+        return f'{of}: the report of the last deployment, by {agent}, is not on record.'
     ending = 'returned' if moment.outcome.survived else 'was lost'
     late = ' after it had been given up' if moment.is_late and moment.outcome.survived else ''
     return f'{of}: no. {moment.deployment + 1}, {agent}, {ending}{late}.'

@@ -129,7 +129,7 @@ def map_plot(
 
 
 def as_drawn(grid: Grid) -> Grid:
-    """Return a grid as a page draws it."""
+    """Return a grid as a page draws it: without its rotation."""
     return replace(grid, origin=(0.0, 0.0), yaw=0.0) if grid.yaw else grid
 
 
@@ -148,7 +148,7 @@ def arrow(name: str, angle: float) -> dict[str, Any]:
 
 
 def heatmap(grid: Grid, image: NDArray[np.float64]) -> graph_objects.Heatmap:
-    """Return a heatmap of values by cell, NaN for none, in the field's place."""
+    """Return a heatmap of the values of cells, NaN for no value, at the place of the field."""
     left, _, bottom, _ = extent(grid)
     half = grid.resolution / 2
     return graph_objects.Heatmap(

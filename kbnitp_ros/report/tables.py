@@ -41,8 +41,8 @@ class Curves:
     # Y) in nats. NaN at first, for a return that replaces a loss, and where the belief before is
     # missing.
     expected: Numbers
-    # Decrease of H(Z, X), nats: the expected information on average, but not for each robot;
-    # negative if entropy rose. NaN at first and where the belief before is missing.
+    # Decrease of H(Z, X), nats; negative if entropy rose. It equals the expected information on
+    # average, not for each robot. NaN at first and where the belief before is missing.
     gained: Numbers
     # Gap between the upper bound given the belief before and the value of the chosen path, nats.
     # NaN without a bound.
