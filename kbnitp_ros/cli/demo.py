@@ -22,7 +22,7 @@ that was killed.
 Estimator and planner know neither the lethality nor the hazard density. They learn both, unless
 you name a method that learns nothing or give --set learn.numbers=[].
 
---set overrides the other options, and these override the file of --params.
+--set overrides the other options, and all options override the file of --params.
 """
 
 EXAMPLES = (
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
-    """Return the options; those that were not given are None."""
+    """Return the options; options that were not given are None."""
     table = {name: each for node in NODES for name, each in node_parameters(node).items()}
     parser = command_parser('demo', DESCRIPTION, *EXAMPLES)
     for option, name in OPTIONS.items():
@@ -90,9 +90,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         action='append',
         default=[],
         help='set a parameter of every node that has it, or of one NODE: planner, estimator, '
-        'recorder or agent. The sensor parameters of agent are the true ones, those of planner '
-        'and estimator the assumed ones. Can be repeated; `python3 -m kbnitp_ros NODE --help` '
-        'lists the parameters with their defaults and ranges',
+        'recorder or agent. Sensor parameters of agent are the truth; sensor parameters of '
+        'planner and estimator are the belief. Can be repeated; `python3 -m kbnitp_ros NODE '
+        '--help` lists the parameters with their defaults and ranges',
     )
     parser.add_argument(
         '--page',

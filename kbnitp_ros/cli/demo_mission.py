@@ -75,7 +75,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from tqdm import tqdm
 
-# Nodes that must subscribe before a node publishes, so that they miss nothing.
+# Nodes that must subscribe before a node publishes, so that they miss no message.
 AWAITED = {
     'estimator': ['planner', 'recorder'],
     'agent': ['planner', 'estimator', 'recorder'],
@@ -85,8 +85,8 @@ AWAITED = {
 # Seconds per step with `silent_loss`, which needs a step_period above 0.
 SILENT_STEP = 0.01
 
-# How the planner's reason begins when only an operator can continue the mission; seconds until
-# the demo then ends, and until it ends without the message that the mission is over.
+# Starts of the planner's reason if only an operator can continue the mission, or a belief is
+# missing; seconds until the demo then ends, and seconds until it ends after the last report.
 OPERATOR_AWAITED = 'waiting for the operator'
 BELIEF_AWAITED = 'waiting for a belief'
 OPERATOR_WAIT = 3.0
@@ -217,7 +217,7 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def how_to_go_on(log: Path) -> str:
-    """Return the command that resumes a mission, or why it cannot be resumed."""
+    """Return the command that resumes a mission, or the reason why it cannot be resumed."""
     try:
         recorded_parameters(log)
     except (ValueError, OSError):
@@ -291,16 +291,16 @@ def observed(domain: int) -> Iterator[tuple[Node, deque[Progress]]]:
 
 
 def most_left(progress: Progress | None, robots: int) -> float:
-    """Return the longest wait for the next change, in seconds."""
+    """Return the maximum wait for the next change of progress, in seconds."""
     now = progress or Progress()
-    # The planner gives this reason only if the estimator refuses evidence.
+    # The planner gives this reason only if the estimator has refused evidence.
     if now.reason.startswith(BELIEF_AWAITED):
         return OPERATOR_WAIT
     if now.out:
         return inf
     if now.state in (MissionState.DONE, MissionState.ENDED):
         return 0.0
-    # Nobody calls the planner's services, but it may search again by itself.
+    # Nobody calls the planner's services, but the planner may search again by itself.
     if now.reason.startswith(OPERATOR_AWAITED):
         return OPERATOR_WAIT
     return END_WAIT if progress and now.deployments >= robots else inf

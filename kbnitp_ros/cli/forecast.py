@@ -34,11 +34,11 @@ from tqdm import tqdm
 
 DESCRIPTION = """
 Forecast a mission: how many robots it takes, how many of them are lost, and how sure the belief
-becomes. Fields are drawn from the prior of the parameters, or from the posterior of a log. A
-mission is run in each, with the planner, the method and the goal of the parameters.
+becomes. Fields are drawn from the prior of the parameters, or from the posterior of a log. In
+each field a mission is run, with the planner, the method and the goal of the parameters.
 
-Each number has its 5 and 95 % quantiles over these missions. They hold if the model is right:
-robots keep to their paths, and hazards are as the prior and the sensor model say.
+Each number has its 5 and 95 % quantiles over these missions. The quantiles hold if the model is
+right: robots keep to their paths, and hazards agree with the prior and the sensor model.
 """
 
 EXAMPLES = (
@@ -93,15 +93,15 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--params',
         metavar='FILE',
         help='YAML file with parameters of planner and estimator, such as config/mission.yaml; '
-        'if LOG is given, only those of the planner, in place of the recorded ones',
+        'with LOG, only parameters of the planner are used, in place of the recorded values',
     )
     parser.add_argument(
         '--set',
         metavar='[NODE:]NAME=VALUE',
         action='append',
         default=[],
-        help='set a parameter of planner and estimator, or of one NODE; with LOG of the planner '
-        'only. Can be repeated; `python3 -m kbnitp_ros NODE --help` lists the parameters',
+        help='set a parameter of planner and estimator, or of one NODE (with LOG, of the planner '
+        'only). Can be repeated; `python3 -m kbnitp_ros NODE --help` lists the parameters',
     )
     parser.add_argument(
         '--worlds',

@@ -23,13 +23,13 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 # time, but processes on a busy machine do.
 RETURN_DEADLINE = 1.0
 
-# Defaults of the demo. Methods that can learn neither the lethality nor the hazard density are
-# given both: under a wrong density the learnt lethality is wrong as well, since fewer hazards that
-# are more lethal destroy as many robots.
+# Defaults of the demo. A method learns both lethality and hazard density, or is given both: under
+# a wrong density the learnt lethality is wrong as well, since fewer but more lethal hazards
+# destroy as many robots.
 LEARNT = ('lethality', 'hazard_density')
 DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
 
-# Options that set the parameter of that name in every node that has it.
+# Options, each with the parameter that it sets in every node that has this parameter.
 OPTIONS = {
     'robots': 'robots',
     'lethality': 'sensor.lethality',
@@ -91,7 +91,7 @@ def set_parameter(
 
 def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
     """Return the recorded values of a node, with defaults for parameters not recorded."""
-    # The default of a parameter added later is the behaviour of the versions before.
+    # The default of a parameter added later gives the behaviour of earlier versions.
     values = {
         name: parameter.default if recorded.get(name) is None else recorded[name]
         for name, parameter in node_parameters(node).items()

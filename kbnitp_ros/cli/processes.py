@@ -113,7 +113,7 @@ class Processes:
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
             arguments += ['--remap', f'{name}:={other}']
         for name, value in (parameters or {}).items():
-            # JSON is the YAML that ROS parses values as.
+            # ROS parses values as YAML, which includes JSON.
             arguments += ['--param', f'{name}:={json.dumps(value)}']
         for logger, level in (levels or {}).items():
             arguments += ['--log-level', f'{logger}:={level}']
@@ -148,7 +148,7 @@ class Processes:
         return self.ended()
 
     def __enter__(self) -> Processes:
-        """Return itself."""
+        """Return this object."""
         return self
 
     def __exit__(self, *_: object) -> None:

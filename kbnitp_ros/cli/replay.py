@@ -28,8 +28,8 @@ DESCRIPTION = """
 Compute the beliefs of a mission's log again from the evidence in it, and say whether they are
 identical, equal within 1e-9 as on another kind of processor, or different.
 
-The exit code is 0 if none is different, 1 if one is, and 2 if the log is corrupt, cannot be used
-or repaired.
+The exit code is 0 if no belief is different, 1 if any is different, and 2 if the log is corrupt,
+cannot be used or cannot be repaired.
 """
 
 EXAMPLES = (
@@ -142,7 +142,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
 
 
 def first_few(what: str, found: Sequence[object], most: int = FINDINGS) -> Iterator[str]:
-    """Yield the first findings, and a line that counts the others."""
+    """Yield the first findings, and a line with the number of further findings."""
     for finding in found[:most]:
         yield f'{what}: {finding}'
     if len(found) > most:

@@ -22,8 +22,8 @@ DESCRIPTION = """
 Run a study: missions without ROS, by every method, at every lethality, in the same worlds. It
 writes a table, figures and a summary.
 
-After an interruption the same command continues. The scenario benchmark is no study: it compares
-planners and methods, also those of other packages, on frozen beliefs and in the same worlds.
+After an interruption the same command continues. The scenario benchmark is not a study: it
+compares planners and methods, including plug-ins, on frozen beliefs and in the same worlds.
 """
 
 EXAMPLES = (

@@ -36,8 +36,8 @@ EXAMPLES = (
 
 HOST, PORT = '127.0.0.1', 8080
 
-# Seconds between two reads of the log, and seconds without growth after which that is reported:
-# a recorder writes diagnostics every second.
+# Seconds between two reads of the log, and seconds without growth after which the page reports the
+# standstill: a recorder writes diagnostics every second.
 LOOK, STILL = 0.5, 5.0
 
 # Maximum seconds between two messages to a browser, so that it notices a dead server.
@@ -136,7 +136,7 @@ class Follower:
         self._file = 0
         self._grown_at = time.monotonic()
         self._show(self._waiting())
-        # A file that is no log is refused; a log that breaks later is reported.
+        # A file that is not a log is refused; a log that becomes unreadable later is reported.
         with suppress(FileNotFoundError):
             self._look()
 
@@ -162,11 +162,11 @@ class Follower:
         now = time.monotonic()
         if state == self._state:
             if is_finished(self.log):
-                self._describe('The log is finished. If the mission is resumed, so is the page.')
+                self._describe('The log is finished. The page goes on if the mission is resumed.')
             elif now > self._grown_at + STILL:
                 self._describe(
                     f'The log has not grown for {now - self._grown_at:.0f} s: its recorder has '
-                    'ended or was killed. If the mission is resumed, so is the page.'
+                    'ended or was killed. The page goes on if the mission is resumed.'
                 )
             return
         is_replaced = self._file not in (0, state[0][0])
