@@ -73,7 +73,7 @@ ARGUMENTS = (
         'file',
         '',
         None,
-        'Log to write. Empty: the one named in params_file, or else runs/TIME/mission.mcap.',
+        'Log to write. Empty: the file named in params_file, or else runs/TIME/mission.mcap.',
     ),
     ('resume', '', None, 'Log of an interrupted mission to resume; empty for a new mission.'),
     ('rviz', 'false', SWITCH, 'Whether to show the mission in RViz.'),
@@ -93,7 +93,7 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
 
 
 def launch_argument(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
-    """Return the launch argument of a parameter's name."""
+    """Return the launch argument with the name of a parameter."""
     description = f'{parameter.description} Empty: the value in params_file.'
     return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
 
@@ -125,7 +125,7 @@ def respawned(make: Callable[[], Node]) -> TimerAction:
 
 
 def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
-    """Check that no argument of this file is misspelt; an including file may have others."""
+    """Check that no argument of this file is misspelt; including files may have more."""
     known = context.get_locals_as_dict()
     ours = Path(known['current_launch_file_path']).resolve()
     for entity in getattr(known['event'], 'launch_description', LaunchDescription()).entities:
@@ -169,7 +169,7 @@ class MissionArguments:
 
     @property
     def poses(self) -> list[tuple[str, str]]:
-        """Return the remapping of poses, which separates robots of one name in two teams."""
+        """Return the remapping of poses, which separates equally named robots of two teams."""
         return [('/tf', self._full_name('tf'))] if self._namespace else []
 
     def base(self, **of_real_robots: str) -> list[Action]:
@@ -219,7 +219,7 @@ class MissionArguments:
         params_file = self.argument('params_file')
 
         def end(event: Any, context: LaunchContext) -> Shutdown | TimerAction | None:
-            """Restart this node, or end the mission; with an error if any node has failed."""
+            """Restart this node or end the mission, with an error if any node has failed."""
             if log and event.returncode not in FINAL and not context.is_shutdown:
                 return respawned(lambda: make(str(log) if log.exists() else ''))
             if event.returncode not in (ENDED if context.is_shutdown else (0,)):
@@ -250,7 +250,7 @@ class MissionArguments:
 
 
 def agents_named(given: str) -> list[str]:
-    """Return the agents of an argument: their number, or names; () if empty."""
+    """Return the agents of an argument, which is their number, their names, or empty."""
     if given.isdecimal() and int(given):
         return [f'scout_{number}' for number in range(1, int(given) + 1)]
     names = given.split(',') if given else []

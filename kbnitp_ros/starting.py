@@ -58,7 +58,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         with extra(EXTRAS[name]) if name in EXTRAS else nullcontext():
             main: Callable[[Sequence[str] | None], int] = import_module(EXECUTABLES[name]).main
             if name in COMMANDS:
-                # A node handles signals itself, a command by default.
+                # A node handles signals itself; a command has Python's default handlers.
                 for number, each in before.items():
                     signal.signal(number, each)
             return main(argv)

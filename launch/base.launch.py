@@ -9,12 +9,12 @@ def generate_launch_description():
     agents = DeclareLaunchArgument(
         'agents',
         default_value='',
-        description='The names of the robots, with commas between them, or how many there are: '
-        'scout_1 and so on; empty for those that the parameters name.',
+        description='Names of the robots, separated by commas, or their number (scout_1 and so '
+        'on); empty for the names in the parameters.',
     )
-    # Of a real robot that is lost nothing is heard.
+    # A lost real robot sends no report.
     defaults = {'keep_running': 'false', 'silent_loss': 'true'}
-    # One of 0.4 m/s needs 3.5 s for the diagonal of a cell of 1 m.
+    # A robot at 0.4 m/s needs 3.5 s for the diagonal of a cell of 1 m.
     of_real_robots = {'step_period': '5.0', 'return_deadline': '60.0'}
     return mission_description(
         [agents, *arguments_of_missions(**defaults)],

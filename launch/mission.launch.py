@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch a mission of simulated robots, recorded unless told not to, which ends by itself."""
+"""Launch a mission of simulated robots, which is recorded by default and ends by itself."""
 
 from kbnitp_ros.launching import arguments_of_missions, mission_description
 from launch.actions import DeclareLaunchArgument
@@ -9,8 +9,8 @@ def generate_launch_description():
     agents = DeclareLaunchArgument(
         'agents',
         default_value='1',
-        description='How many agents, each a process of its own: scout_1 and so on, whatever the '
-        'parameters name; or their names, with commas between them.',
+        description='Number of agents (scout_1 and so on, whatever the parameters name), or their '
+        'names, separated by commas. Each agent is a process.',
     )
     return mission_description([agents, *arguments_of_missions(keep_running='false')], nodes)
 
@@ -25,7 +25,7 @@ def nodes(mission):
                 {'agent': name},
                 awaits=['planner', 'estimator'],
                 namespace=name,
-                # The others of a team carry on.
+                # The other agents of a team continue.
                 ends_mission=len(mission.agents) == 1,
             )
             for name in mission.agents

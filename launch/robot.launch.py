@@ -35,7 +35,7 @@ def generate_launch_description():
             'nav_namespace',
             default_value='',
             description="Namespace of the robot's Nav2: of its actions, tf, tf_static, fix and "
-            'detections; / for none, empty for that of the agent.',
+            'detections; / for none, empty for the namespace of the agent.',
         ),
         DeclareLaunchArgument(
             'params_file',
@@ -62,7 +62,7 @@ def robot(context):
     parameters |= {name: given[name] for name in OPTIONS if given[name]}
 
     def end(event, context):
-        """Start the robot again when it died: its journal has all that it needs."""
+        """Restart the node if it died: it resumes from its journal."""
         is_final = event.returncode in FINAL or context.is_shutdown
         return Shutdown() if is_final else respawned(node)
 
