@@ -23,7 +23,7 @@ with extra('report'):
     from matplotlib.path import Path as Outline
     from matplotlib.transforms import Affine2D, Transform
 
-# Number of markers on a line, by which it is recognized without colour.
+# Number of markers on a line, which distinguish lines without colour.
 MARKERS = 8
 
 
@@ -71,7 +71,7 @@ Scale = tuple[str, str, str, str, str]
 
 
 def stops(scale: Scale, prior: float) -> list[tuple[float, str]]:
-    """Return the position of each colour, from 0 to 1, with the third at the prior."""
+    """Return the position of each colour, from 0 to 1, with the third colour at the prior."""
     middle = min(max(prior, MIN_HALF), 1.0 - MIN_HALF)
     return list(zip((0.0, middle / 2, middle, (1.0 + middle) / 2, 1.0), scale))
 
@@ -140,10 +140,10 @@ def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path
     return files
 
 
-# Maximum cells along a side with which lines between cells are drawn.
+# Maximum number of cells along a side up to which lines between cells are drawn.
 MAX_LINED = 20
 
-# Opacity of a single path; many show through each other.
+# Opacity of a single path, low enough to see overlapping paths.
 MAX_OPACITY = 0.9
 
 

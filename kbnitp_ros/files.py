@@ -27,7 +27,7 @@ def share(relative: str) -> Path:
     source = PACKAGE.parent / relative
     if source.exists():
         return source
-    # pip and colcon both install share/ beside lib/, which site-packages is in.
+    # pip and colcon install share/ beside lib/, the folder above site-packages.
     return PACKAGE.parents[3] / 'share/kbnitp_ros' / relative
 
 
@@ -143,7 +143,7 @@ def repeated_key(node: yaml.Node, seen: set[int]) -> str:
                 line = key.start_mark.line + 1
                 if key.value in lines:
                     return (
-                        f'the key {key.value!r} stands in line {line} and in line '
+                        f'the key {key.value!r} appears in line {line} and in line '
                         f'{lines[key.value]}'
                     )
                 lines[key.value] = line

@@ -24,7 +24,7 @@ def extra(name: str) -> Iterator[None]:
 
 
 def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], NoReturn]:
-    """Return the ``__getattr__`` of a module that refuses old names with the new ones."""
+    """Return the ``__getattr__`` of a module, which refuses old names and states the new names."""
 
     def refuse(name: str) -> NoReturn:
         if name in names:
@@ -70,12 +70,12 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     @property
     def added(self) -> tuple[str, ...]:
-        """Return the names that other packages add."""
+        """Return the names of entries from other packages."""
         return tuple(name for name in self if name not in self.own)
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Return the names that are refused, and why."""
+        """Return the names of refused entries, with the reasons."""
         self._search()
         return self._refused
 
@@ -115,7 +115,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             self._entries, self._sources = before
 
     def find(self, given: str | Callable[..., Any]) -> Entry:
-        """Return the entry of a name; an entry itself is returned as it is."""
+        """Return the entry of a name; return an entry itself unchanged."""
         if callable(given):
             try:
                 return self.check(given)
@@ -126,7 +126,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return self[given]
 
     def why_not(self, name: object, *others: str) -> str:
-        """Explain why a name has no entry: it is refused, or unknown."""
+        """Explain why a name has no entry: the name is refused, or unknown."""
         known = f'known are {", ".join((*self, *others))}'
         reason = self._refused.get(name) if isinstance(name, str) else None
         return f'{reason}; {known}' if reason else known
@@ -155,7 +155,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """Load the entry points of other packages, once."""
         if self._is_searched:
             return
-        # Set first, since an imported module may ask for names: it gets the names found so far.
+        # Set first, since an imported module may request names: it gets the names found so far.
         self._is_searched = True
         points = sorted(entry_points(group=f'{PACKAGE}.{self.kind}s'), key=entry_source)
         count = Counter(point.name for point in points)

@@ -71,8 +71,8 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     ):
         raise ValueError(
             f'parameter goal.mask: {mask} has {columns} x {rows} pixels of {marked.resolution} m, '
-            f'and the field {grid.width} x {grid.height} cells of {grid.resolution} m: draw a '
-            'pixel for each cell'
+            f'but the field has {grid.width} x {grid.height} cells of {grid.resolution} m: draw '
+            'a pixel for each cell'
         )
     is_marked = (marked.data.ravel() >= MARKED) & grid.free
     return [int(cell) for cell in np.flatnonzero(is_marked)]

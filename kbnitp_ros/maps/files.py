@@ -22,7 +22,7 @@ from PIL import Image, UnidentifiedImageError
 import yaml
 
 # Formats of Nav2's map_saver, PGM, PNG and BMP, by Pillow's names. Other decoders are excluded,
-# since the one of EPS starts another program.
+# since the decoder of EPS starts another program.
 FORMATS = ('PPM', 'PNG', 'BMP')
 
 MODES = ('trinary', 'scale', 'raw')
@@ -73,7 +73,7 @@ def darkness(gray: NDArray[np.uint8], negate: bool) -> NDArray[np.float32]:
 
 
 def scaled(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.float32]:
-    """Return the position of each pixel between `free_thresh` and `occupied_thresh`, in [0, 1]."""
+    """Return the darkness of each pixel, scaled: `free_thresh` to 0, `occupied_thresh` to 1."""
     width = np.float32(max(file.occupied_thresh - file.free_thresh, 1e-30))
     result: NDArray[np.float32] = (dark - np.float32(file.free_thresh)) / width
     return result
@@ -103,7 +103,7 @@ def read_map_file(path: Path) -> MapFile:
 
     def value(name: str, *default: Any) -> Any:
         if name not in said and not default:
-            raise MapError(f'{path} has no {name}: a map needs one')
+            raise MapError(f'{path} has no {name}, which a map needs')
         return said.get(name, *default)
 
     def number(name: str, found: Any) -> float:
@@ -255,8 +255,8 @@ def read_probabilities(
         if (rows, columns) != (grid.height, grid.width) and not resample:
             is_transposed = (columns, rows) == (grid.height, grid.width)
             raise MapError(
-                f'{path} has {rows} rows and {columns} columns, and the field {grid.height} and '
-                f'{grid.width}: '
+                f'{path} has {rows} rows and {columns} columns, but the field has {grid.height} '
+                f'and {grid.width}: '
                 + ('transpose it' if is_transposed else 'set prior.resample to true to take means')
             )
         resolution = (
@@ -274,8 +274,8 @@ def read_probabilities(
         resolution = (file.resolution, file.resolution)
         if abs(remainder(file.yaw - grid.yaw, tau)) * max(grid.width, grid.height) > ON_THE_EDGE:
             raise MapError(
-                f'origin of {path} has a yaw of {file.yaw} rad, and the field one of {grid.yaw}: '
-                'a map of the prior must be turned like the field'
+                f'origin of {path} has a yaw of {file.yaw} rad, but the field has {grid.yaw}: a '
+                'map of the prior must have the yaw of the field'
             )
         rows, columns = probability.shape
         image = Grid(columns, rows, resolution=file.resolution, origin=file.origin, yaw=grid.yaw)

@@ -22,7 +22,7 @@ ON_THE_EDGE = 1e-6
 def pixels_under(
     cells: int, cell_size: float, first: float = 0.0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the first pixel under each cell and the one after the last, shape (cells,) each."""
+    """Return the first pixel under each cell and the first pixel after it, shape (cells,) each."""
     edges = first + np.arange(cells + 1) * cell_size
     start = np.floor(edges[:-1] + ON_THE_EDGE).astype(np.intp)
     stop = np.ceil(edges[1:] - ON_THE_EDGE).astype(np.intp)
@@ -105,7 +105,7 @@ OCCUPIED = 100
 
 
 class MapError(ValueError):
-    """A map that cannot be used; the text names the file and what to change."""
+    """A map cannot be used; the text names the file and the remedy."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws that every method, planner and allocation obeys, as checks for those of other packages."""
+"""Laws that every method, planner and allocation obeys, as checks for plug-ins."""
 
 from kbnitp_ros.testing.allocations import check_allocation
 from kbnitp_ros.testing.methods import check_method

@@ -26,7 +26,7 @@ class RoundCase(Field):
 
     # Two to four robots, some with limits and numbers of their own.
     robots: tuple[TeamMember, ...]
-    # The same robots, after another one has left.
+    # The same robots, planned after another robot has left.
     after: tuple[TeamMember, ...]
 
 
@@ -81,7 +81,7 @@ def plans_one_as_alone(allocation: Allocation, given: RoundCase) -> None:
         best = robot.finder.candidates(robot.objective)[0].path
         require(
             np.array_equal(path, best),
-            f'The path is {np.asarray(path).tolist()}, and the best one {best.tolist()}',
+            f'The path is {np.asarray(path).tolist()}, the best path is {best.tolist()}',
         )
 
 
@@ -95,7 +95,7 @@ def is_reproducible(allocation: Allocation, given: RoundCase) -> None:
         for robot in given.robots
     }
     second = allocated_paths(allocation, [again[robot] for robot in given.robots])
-    require(first == second, f'The first paths are {first}, the second ones {second}')
+    require(first == second, f'The first paths are {first}, the second paths are {second}')
 
 
 def allocated_paths(allocation: Allocation, robots: Sequence[TeamMember]) -> list[list[int]]:

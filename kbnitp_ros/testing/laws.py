@@ -27,7 +27,7 @@ def hold(
     cases: int,
     seed: int,
 ) -> None:
-    """Check laws in random cases with the seeds from `seed` on; a docstring states each law."""
+    """Check laws, stated in their docstrings, in random cases with the seeds from `seed` on."""
     name = f'{registry.kind} {given!r}'
     if isinstance(given, str):
         subject = registry.find(given)

@@ -161,7 +161,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
         f'robot_{n}': robot_type for n, (_, robot_type) in enumerate(mission.deployments)
     }
     longest = max(each.steps for each, _ in mission.deployments)
-    # A ledger calls only methods of an estimator that an inference has, too.
+    # A ledger calls only methods of an estimator that an inference also has.
     ledger = Ledger(mission.grid, longest, cast(Estimator, start(method, mission)), robot_types)
     rng = np.random.default_rng(mission.seed)
     said: list[tuple[DeploymentKey, object]] = []

@@ -90,7 +90,7 @@ def tells_the_value(planner: Planner, search: SearchCase) -> None:
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
         value = plan.information - search.objective.loss_cost * (1.0 - plan.survival)
-        words = f'Path {list(found.path)} has a value of {value} nats, and {found.value} is stated'
+        words = f'Path {list(found.path)} has a value of {value} nats, not {found.value} as stated'
         require(abs(found.value - value) <= VALUE, words)
 
 
@@ -101,7 +101,7 @@ def is_reproducible(planner: Planner, search: SearchCase) -> None:
     again = replace(search.objective, belief=Belief(search.prior.joint.copy()))
     second = planner(replace(search.finder), again)
     one, other = ([(each.value, list(each.path)) for each in found] for found in (first, second))
-    require(one == other, f'The first search finds {one}, the second one {other}')
+    require(one == other, f'The first search finds {one}, the second search {other}')
 
 
 def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> None:

@@ -72,7 +72,7 @@ def test_a_goal_out_of_reach_is_refused(given, complaint):
 
 
 @for_each('occupied, resolution, complaint', [
-    ([[0, 1]], 0.5, '2 x 1 pixels of 0.5 m, and the field 3 x 2 cells'),
+    ([[0, 1]], 0.5, '2 x 1 pixels of 0.5 m, but the field has 3 x 2 cells'),
     ([[0, 1], [0, 1], [0, 0]], 0.5, '2 x 3 pixels'),
     ([[0, 1, 0], [0, 1, 0]], 0.25, 'pixels of 0.25 m, .* cells of 0.5 m'),
     ([[0, 0, 0], [0, 0, 0]], 0.5, 'without cells'),
@@ -211,7 +211,7 @@ def test_the_first_row_is_the_top_row(write_world):
 
 @for_each('text, told', [
     ('hazard: ["...", "..."', 'is not YAML'),
-    ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' stands in line 3 and in line 1"),
+    ('hazard: []\ntarget: []\nhazard: []', "the key 'hazard' appears in line 3 and in line 1"),
     ('', 'must have hazard and target and nothing else'),
     ('hazard: ["...", 100]\ntarget: []', "hazard is ['...', 100]: it must be a list of texts"),
     ('hazard: ["..."]\ntarget: []', 'hazard has 1 rows: the grid has 2'),

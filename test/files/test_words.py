@@ -109,11 +109,11 @@ def test_aliases_and_merges_are_resolved():
 
 
 @for_each('text, complaint', [
-    ('a: 1\nb: 2\na: 3\n', "the key 'a' stands in line 3 and in line 1"),
-    ('x:\n  - {a: 1, a: 1}\n', "the key 'a' stands in line 2 and in line 2"),
-    ('x:\n  "a": 1\n  a: 2\n', "the key 'a' stands in line 3 and in line 2"),
-    ('? [a]\n: 1\na:\n  b:\n    c: 1\n    c: 2\n', "the key 'c' stands in line 6"),
-    ('a: &a 1\nb: *a\nc: *a\nb: *a\n', "the key 'b' stands in line 4 and in line 2"),
+    ('a: 1\nb: 2\na: 3\n', "the key 'a' appears in line 3 and in line 1"),
+    ('x:\n  - {a: 1, a: 1}\n', "the key 'a' appears in line 2 and in line 2"),
+    ('x:\n  "a": 1\n  a: 2\n', "the key 'a' appears in line 3 and in line 2"),
+    ('? [a]\n: 1\na:\n  b:\n    c: 1\n    c: 2\n', "the key 'c' appears in line 6"),
+    ('a: &a 1\nb: *a\nc: *a\nb: *a\n', "the key 'b' appears in line 4 and in line 2"),
 ])  # fmt: skip
 def test_a_key_that_stands_twice_is_refused(text, complaint):
     with pytest.raises(ValueError, match=complaint) as refusal:

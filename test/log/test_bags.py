@@ -137,7 +137,7 @@ def add_a_log_without_a_list(folder):
 
 
 @for_each('change, told', [
-    (repeat_a_key, r"metadata\.yaml: the key '\w+' stands in line 3 and in line 2"),
+    (repeat_a_key, r"metadata\.yaml: the key '\w+' appears in line 3 and in line 2"),
     (lambda folder: (folder / 'bag_1.mcap').unlink(), 'bag_1.mcap of the log .*bag_0.* missing'),
     (lambda folder: (folder / 'bag_0.mcap').rename(folder / 'x.mcap'), 'yaml lists, is missing'),
     (hide_a_file, 'bag_1.mcap of the log .*bag_0.* missing'),

@@ -103,7 +103,7 @@ def test_a_map_turned_with_its_grid_has_the_same_values(tmp_path, seed):
 
 def test_a_map_turned_differently_is_refused(tmp_path):
     path = write(tmp_path, [[0]], yaw=0.2)
-    with pytest.raises(MapError, match='yaw of 0.2 rad, and the field one of 0.1.*turned like'):
+    with pytest.raises(MapError, match='yaw of 0.2 rad, but the field has 0.1.*have the yaw'):
         read_probabilities(path, Grid(2, 2, yaw=0.1), 0.5)
 
 
@@ -123,7 +123,7 @@ def test_an_array_lies_over_the_whole_grid(tmp_path):
 def test_arrays_of_another_shape_are_refused(tmp_path, width, height, remedy):
     path = tmp_path / 'prior.npy'
     np.save(path, [[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    told = f'has 2 rows and 3 columns, and the field {height} and {width}: .*{remedy}'
+    told = f'has 2 rows and 3 columns, but the field has {height} and {width}: .*{remedy}'
     with pytest.raises(MapError, match=told):
         read_probabilities(path, Grid(width, height), 0.9)
 

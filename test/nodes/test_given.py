@@ -55,7 +55,7 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
 
 @for_each('text, told', [
     ('/**: {', 'it is not YAML'),
-    ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' stands in line 1"),
+    ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' appears in line 1"),
     ('/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}', 'called team.scout_1.max_ste'),
     ('/**: {ros__parameters: {goal: lane}}', 'parameter goal is called goal.kind now'),
     ('/**: {ros__parameters: {team.scout_1.max_step: 9}}', 'did you mean team.scout_1.max_st'),

@@ -57,7 +57,7 @@ def test_one_error_names_the_key_the_value_and_what_is_allowed(tmp_path, key, va
 
 @for_each('text, complaint', [
     (b'seed: [', 'not YAML'),
-    (b'seed: 1\nseed: 2', "the key 'seed' stands in line 2 and in line 1"),
+    (b'seed: 1\nseed: 2', "the key 'seed' appears in line 2 and in line 1"),
     (b'\xff\xfe\xff', 'not YAML'),
     (b'', 'it is None: it must have the keys seed'),
 ])  # fmt: skip
