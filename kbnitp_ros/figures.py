@@ -247,7 +247,7 @@ def draw_field(axes: Axes, grid: Grid) -> None:
 
 
 def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Outline:
-    """Return the outlines of some cells as one path with one hatching."""
+    """Return the outlines of some cells as one path, so that one hatching covers all of them."""
     around = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)])
     row, col = np.divmod(np.flatnonzero(cells), grid.width)
     corners = np.stack([col, row], axis=-1).reshape(-1, 1, 2) + around
@@ -257,7 +257,7 @@ def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Outline:
 
 
 def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
-    """Hatch some cells, with dark lines within light ones, visible on light and dark maps."""
+    """Hatch some cells with dark lines inside light lines, visible on light and dark maps."""
     if cells.any():
         for colour, width in zip(UNVISITED, (1.4, 0.5)):
             axes.add_patch(

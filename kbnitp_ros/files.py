@@ -49,7 +49,7 @@ NAMED = 3
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
     """Add a file name to every OSError without one."""
-    # An OSError names a file that cannot be opened, but not one that cannot be written.
+    # An OSError names a file that cannot be opened, but not a file that cannot be written.
     try:
         yield
     except OSError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registries of named entries: the package's own, and those of other packages."""
+"""Registries of named entries: entries of this package, and plug-ins of other packages."""
 
 from __future__ import annotations
 

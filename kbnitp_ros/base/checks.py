@@ -113,5 +113,5 @@ def check_robots(robots: int, sent: int) -> None:
     if robots < sent:
         raise ValueError(
             f'parameter robots is {robots}: it must be at least {sent}, the number of robots sent '
-            f'so far; {sent} ends the mission'
+            f'so far; robots={sent} ends the mission'
         )

@@ -146,7 +146,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         if not is_known:
             remember(self._unknown, key, status)
             raise ValueError(
-                f'status {status.state.name} of deployment {key}: this planner has no path of it'
+                f'status {status.state.name} of deployment {key}: this planner has not sent it'
             )
         if not self.departures.take(key, status):
             return False

@@ -65,8 +65,8 @@ class MissionTracker:
         if snapshot.deployments > most and not is_first_of_one:
             why = f'; {remedy}' if authors > 1 else ''
             raise MissingError(
-                f'the belief holds {snapshot.deployments} deployments, and this planner knows '
-                f'the paths of {most}{why}'
+                f'the belief holds {snapshot.deployments} deployments, but this planner knows '
+                f'the paths of only {most}{why}'
             )
         if self._rules is None or authors <= 1:
             return

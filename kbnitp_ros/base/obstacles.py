@@ -56,7 +56,7 @@ class PlannerState:
     unrecorded_action: str
     # Number of robots sent, including those known only from the belief.
     sent: int
-    # Number of deployments in the newest belief; None before the first.
+    # Number of deployments in the newest belief; None before the first belief.
     newest: int | None
     # Number of deployments in the last belief received; lower after the estimator restarted.
     last_received: int
@@ -268,8 +268,8 @@ def report(now: PlannerState) -> str:
     if now.values['silent_loss']:
         deadline = now.values['return_deadline']
         return (
-            f'{wait}: without it the robot is given up {deadline} s after its expected return '
-            '(parameter return_deadline)'
+            f'{wait}: without a report the robot is given up {deadline} s after its expected '
+            'return (parameter return_deadline)'
         )
     return f'{wait}, without a time limit (parameter silent_loss is false)'
 

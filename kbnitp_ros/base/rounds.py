@@ -185,7 +185,7 @@ class Rounds:
         first = next_name(planned_on.stamp, planned_on.mission)
         noted = [path for key, path in recorded.items() if key not in at_base]
         planned = self.search(planned_on, agents, {}, first, refused, noted)().plans
-        # Recorded paths that differ show that agents or parameters have changed since.
+        # If recorded paths differ from the plans, agents or parameters have changed since then.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)
             for key, path in recorded.items()

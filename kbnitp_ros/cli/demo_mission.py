@@ -168,7 +168,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 
 def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
-    """Yield the parameters that options other than --set give."""
+    """Yield the parameters set by options other than --set."""
     for option, name in OPTIONS.items():
         if (value := getattr(options, option)) is not None:
             yield name, value
@@ -241,7 +241,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
                 )
             raise ValueError(
                 f'{log} does not record the parameters of /{node}: resume its mission with the '
-                'launch file, which takes them from params_file'
+                'launch file, which reads parameters from params_file'
             )
         parameters[node] = recorded_values(recorded[f'/{node}'], node)
         if 'resume' in parameters[node]:

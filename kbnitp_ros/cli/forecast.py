@@ -47,7 +47,7 @@ EXAMPLES = (
     'python3 -m kbnitp_ros forecast runs/small --set robots=60 --worlds 50',
 )
 
-# Numbers of robots with a row in the table, besides the last one.
+# Numbers of robots with a row in the table, besides the last number.
 AFTER = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 
 QUANTILES = (0.05, 0.5, 0.95)
@@ -146,7 +146,7 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
         )
     grid = make_grid(planner)
     if make_grid(estimator) != grid:
-        raise ValueError('planner and estimator have different fields: give both the same')
+        raise ValueError('planner and estimator have different fields: give both the same field')
     believed = make_robot_types(estimator, grid)
     return partial(
         forecast,

@@ -136,7 +136,7 @@ class Processes:
         return {name: code for name, code in codes.items() if code is not None}
 
     def stop(self, patience: float = PATIENCE) -> dict[str, int]:
-        """Interrupt all nodes, and kill those that do not end in time."""
+        """Interrupt all nodes, and kill nodes that do not end in time."""
         for process in self.started.values():
             process.send_signal(signal.SIGINT)
         deadline = time.monotonic() + patience

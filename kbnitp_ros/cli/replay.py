@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compute the beliefs of a log again, and report those that differ."""
+"""Compute the beliefs of a log again, and report beliefs that differ."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar='OUT.mcap',
         type=Path,
         help='copy the intact part of each file, up to its cut or first error, to a new log and '
-        'replay that; its folder is made if needed',
+        'replay the new log; its folder is made if needed',
     )
     options = parser.parse_args(argv)
     log = options.log

@@ -67,7 +67,7 @@ def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
         for name, prior in make_priors(values).items() if 'learn.numbers' in values else ():
             if name in values['learn.numbers'] and rates.get(name):
                 raise ValueError(
-                    f'{name} is {rates[name]}, but learn.numbers has it: leave it at 0'
+                    f'{name} is {rates[name]}, but learn.numbers names {name}: leave it at 0'
                 )
             own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
             if name in values['learn.numbers'] and kind not in (own, 'learn'):

@@ -407,7 +407,7 @@ TABLE = (
     changeable(
         'stop.confidence',
         0.0,
-        'Probability of the goal at which it is reached and the mission ends; 0 for never.',
+        'Probability of the goal at which the mission ends as successful; 0 for never.',
         limits=(0.0, 1.0 - 1e-6),
     ),
     changeable(
@@ -617,7 +617,7 @@ TABLE = (
         'time_budget',
         0.0,
         'Maximum seconds from departure to return; 0 for no limit. The robot turns back when the '
-        'way back, at the pace of its steps so far, takes the rest of that time.',
+        'rest of the time is needed for the way back, at the pace of its steps so far.',
         limits=(0.0, 1e9),
     ),
     for_robot(

@@ -39,7 +39,7 @@ class Moment:
     deployment: int | None = None
     # The outcome of this deployment; None for the prior.
     outcome: Observation | None = None
-    # Whether its report replaced an earlier report of this deployment.
+    # Whether the report replaced an earlier report of this deployment.
     is_late: bool = False
     # Whether beliefs are missing before this moment.
     is_after_gap: bool = False

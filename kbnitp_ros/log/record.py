@@ -209,7 +209,7 @@ class RecordedMission(MissionRecord):
         # Time of receipt of each path, and of each report by its stamp, nanoseconds.
         self.sent: dict[DeploymentKey, int] = {}
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
-        # Messages that no estimator accepts, and why.
+        # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
         # All paths and reports by hashes of their messages; reports that match a path by stamp.
         self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}

@@ -55,7 +55,7 @@ def replay(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     asked: RecordedGoal | None = None,
 ) -> ReplayReport:
-    """Compute a log's beliefs and decisions again, and compare them with the recorded ones."""
+    """Compute a log's beliefs and decisions again, and compare them with the record."""
     log = log if isinstance(log, MissionLog) else MissionLog(log)
     first = required_belief(log)
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
@@ -128,7 +128,7 @@ class Fold:
                 self._ledger = None
                 self._begin(logged.said)
             elif self._ledger is None:
-                raise ValueError('the prior it started from is not on record')
+                raise ValueError('the prior of its estimator is not on record')
             elif (belief.since and not follows) or not self._assimilate(
                 newest, read_assimilated(belief), not belief.since, stamp
             ):
@@ -162,7 +162,7 @@ class Fold:
         is_complete: bool,
         stamp: int,
     ) -> bool:
-        """Assimilate the named evidence; return False if the log lacks a belief before it."""
+        """Assimilate the named evidence; return False if the log lacks an earlier belief."""
         if newest not in named:
             raise ValueError(f'taken_in does not name {newest}, the deployment assimilated last')
         if is_complete and self._assimilated.items() - named.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings of a replay: recorded views and models compared with computed ones."""
+"""Findings of a replay: recorded views and models compared with computed views and models."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ TOLERANCE = 1e-9
 
 
 class Grade(IntEnum):
-    """The result of comparing a log's beliefs with computed ones."""
+    """The result of comparing a log's beliefs with computed beliefs."""
 
     IDENTICAL = 0
     EQUAL = 1
@@ -168,7 +168,7 @@ class ReplayReport:
     check: ModelCheck | None = None
     # Number of messages compared, by topic: beliefs and their views.
     compared: Counter[str] = field(default_factory=Counter)
-    # Messages that differ, and those equal to `TOLERANCE` but not to the bit.
+    # Messages that differ, and messages equal within `TOLERANCE` but not to the bit.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
     # Beliefs whose evidence is not in the log, and beliefs recorded twice.

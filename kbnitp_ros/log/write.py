@@ -104,7 +104,7 @@ class LogWriter:
             )
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add or change a metadata record, in this file and all later ones."""
+        """Add or change a metadata record, in this file and all later files."""
         known = self._metadata.get(name, {})
         new = {key: value for key, value in values.items() if known.get(key) != value}
         if name in self._metadata and not new:

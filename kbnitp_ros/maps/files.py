@@ -47,7 +47,7 @@ class MapFile:
     yaw: float
     # Whether white is occupied.
     negate: bool
-    # Minimum darkness of an occupied pixel, and maximum darkness of a free one.
+    # Minimum darkness of an occupied pixel, and maximum darkness of a free pixel.
     occupied_thresh: float
     free_thresh: float
     # One of `MODES`.

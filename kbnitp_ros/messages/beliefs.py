@@ -62,7 +62,7 @@ class Snapshot:
     max_steps: int
     # The current sensor model of robots of the common type, to plan with.
     model: SensorModel
-    # Robot types that differ from the common one, by agent.
+    # Robot types that differ from the common type, by agent.
     robot_types: Mapping[str, RobotType]
     # The learnt numbers of the sensor model and of the prior.
     unknowns: Unknowns

@@ -94,7 +94,7 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         names, paths = len(message.agents), len(message.paths)
         raise ValueError(f'agents has {names} names, but paths has {paths}')
     if bool(message.agents) != (action in OF_ROBOTS):
-        needed = 'some' if action in OF_ROBOTS else 'none'
+        needed = 'agents' if action in OF_ROBOTS else 'no agents'
         raise ValueError(
             f'agents is {shown(", ".join(message.agents))}: {action.name} must have {needed}'
         )

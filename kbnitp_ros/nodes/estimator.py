@@ -217,7 +217,7 @@ class EstimatorNode(FieldNode):
         return (is_newer and not self._started) or 0 < mission == self._started != self._mission
 
     def _join(self, mission: int) -> None:
-        """Begin a mission, or check that it is the current one."""
+        """Begin a mission, or check that it is the current mission."""
         if self._is_begun_by(mission):
             ledger = self._prior.copy()
             ledger.copy_pending(self._ledger)

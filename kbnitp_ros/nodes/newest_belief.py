@@ -23,7 +23,7 @@ from rclpy.subscription import Subscription
 
 
 class NewestBelief:
-    """A subscription to beliefs that passes each newest one to `take`."""
+    """A subscription to beliefs that passes each newest belief to `take`."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class NewestBelief:
                 f'the belief holds {counted(unknown, "deployment")} that this planner does not '
                 'know: a former planner sent them, and their paths are no longer published; '
                 'before you restart the estimator, set its parameter resume to the log, or it '
-                'loses them, too'
+                'loses these deployments, too'
             )
             self.sent_unknown = unknown
         held = self.last_received = snapshot.deployments

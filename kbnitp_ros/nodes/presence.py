@@ -51,7 +51,7 @@ class Recorders:
         self._own = {INSTANCE: uuid4().hex, LOG: str(log), BEGUN: str(time.time_ns())}
         node.diagnostics.values |= self._own
         self._looks_until = time.monotonic() + LOOK
-        # Other recorders by identifier: node, last diagnostics, and time of these in seconds.
+        # Other recorders by identifier: node, last diagnostics, and their time in seconds.
         self._others: dict[str, tuple[str, Mapping[str, str], float]] = {}
         node.subscribe_to_diagnostics(self._on_diagnostics)
 

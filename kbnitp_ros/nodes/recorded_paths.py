@@ -28,7 +28,7 @@ ASK_FIRST, ASK_LAST = 1.0, 60.0
 
 
 class RecordedPaths(Generic[P]):
-    """The paths sent to an agent, each passed on once it is recorded."""
+    """The paths sent to an agent; a path is passed on once it is recorded."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class RecordedPaths(Generic[P]):
         self._node.diagnostics.refuse(f'{self.agent}/path', error)
 
     def _ask_again(self) -> None:
-        """Request acknowledgements again that arrived before their paths."""
+        """Request acknowledgements again, since some have arrived before their paths."""
         if self._unacknowledged and self._has_missed and time.monotonic() > self._ask_at:
             self._interval = min(2 * self._interval, ASK_LAST)
             self._node.destroy_subscription(self._recorded)

@@ -412,7 +412,7 @@ class RecorderNode(MissionNode):
             topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
 
     def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
-        """Note a path or action; return the hash of the first one with its stamp and mission."""
+        """Note a path or action; return the hash of the first with this stamp and mission."""
         key = name, stamp, mission
         if key not in self._first and role.name == 'path':
             self._paths[mission] += 1

@@ -16,7 +16,7 @@ from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
 
-# Maximum P(hazard) of a free cell, and minimum P(hazard) of a suspected one.
+# Maximum P(hazard) of a free cell, and minimum P(hazard) of a suspected hazard.
 FREE, SUSPECTED = 0.05, 0.5
 # Minimum P(target) of a target found, and of a target listed.
 FOUND, LISTED = 0.95, 0.5
@@ -37,7 +37,7 @@ class Finding:
     y: float
     # Probability, in [0, 1].
     probability: float
-    # Number of readings in the cell, and of positive ones.
+    # Number of readings in the cell, and number of positive readings.
     looks: int
     seen: int
     # Centre on the earth, WGS84 in degrees; None without a datum.

@@ -123,7 +123,7 @@ def alone(first: NDArray[np.bool_], second: NDArray[np.bool_], what: str) -> str
 
 
 def found_alone(first: Mission, second: Mission, kind: str, least: float) -> str:
-    """Describe the findings of at least a probability that both missions have, or only one."""
+    """Describe the findings of at least this probability: in both missions, and in only one."""
     one, other = (
         {
             each.cell: each

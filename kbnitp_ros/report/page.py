@@ -156,7 +156,7 @@ def mission_page(mission: Mission, curves: Curves, *, is_live: bool = False) -> 
         if stride > 1:
             left_out = (
                 f'The page shows {kept.size} of {moments} moments, one in {stride}, to stay below '
-                f'{MAX_BYTES // 10**6} MB; deployments.csv and belief.npz have all of them.'
+                f'{MAX_BYTES // 10**6} MB; deployments.csv and belief.npz have all moments.'
             )
         page = filled(mission, curves, frames[kept], kept, left_out, is_live)
         size = len(page.encode())

@@ -83,7 +83,7 @@ def with_type(error: Exception) -> str:
     return f'{type(error).__name__}: {error}'
 
 
-# Seeds of the generators of cases, which differ from those of worlds.
+# Seeds of the generators of cases, different from the seeds of worlds.
 MISSIONS, PLANS = 0x4C415753, 0x4C415754
 
 
@@ -138,7 +138,7 @@ def draw_model(rng: np.random.Generator) -> SensorModel:
 
 
 def draw_robot_type(rng: np.random.Generator) -> RobotType:
-    """Draw a robot type with some numbers of its own, or none."""
+    """Draw a robot type, with or without numbers of its own."""
     drawn = vars(draw_model(rng))
     return RobotType(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
 
@@ -164,7 +164,7 @@ def draw_outcome(
 
 
 def draw_mission(seed: int, robots: int = 6) -> MissionCase:
-    """Draw a mission whose last two robots are a lost one and a returned one."""
+    """Draw a mission; its last two robots are a lost robot and a returned robot."""
     rng = np.random.default_rng([MISSIONS, seed])
     field = draw_field(rng)
     below = np.cumsum(field.prior.joint.reshape(-1, 4), axis=1)

@@ -171,7 +171,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (
         Obstacle.UNREPORTED,
         {'silent': ['scout_1']},
-        'on /a/scout_1/report: without it the robot is given up 10.0 s after its expected return',
+        'on /a/scout_1/report: without a report the robot is given up 10.0 s after its expected',
     ),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
     (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
@@ -364,7 +364,7 @@ def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
     for known, snapshot in enumerate(told):
         tracker.accept_belief(snapshot, known)
     with pytest.raises(
-        ValueError, match='holds 40 deployments, and this planner knows the paths of 3'
+        ValueError, match='holds 40 deployments, but this planner knows the paths of only 3'
     ):
         tracker.check_belief(replace(told[-1], deployments=40), authors, known=3)
     assert tracker.newest is told[-1]
@@ -372,13 +372,13 @@ def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
 
 def test_the_first_belief_of_a_restarted_planner_may_hold_deployments_of_the_one_before():
     tracker, told = MissionTracker(), snapshots()
-    with pytest.raises(ValueError, match='the paths of 0; 2 nodes publish beliefs: stop'):
+    with pytest.raises(ValueError, match='the paths of only 0; 2 nodes publish beliefs: stop'):
         tracker.check_belief(told[2], authors=2, known=0)
     tracker.check_belief(told[2], authors=1, known=0)
     tracker.accept_belief(told[2], known=0)
     # One robot has been sent since.
     tracker.check_belief(told[3], authors=1, known=1)
-    with pytest.raises(ValueError, match='this planner knows the paths of 2$'):
+    with pytest.raises(ValueError, match='this planner knows the paths of only 2$'):
         tracker.check_belief(told[3], authors=1, known=0)
 
 

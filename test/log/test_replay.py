@@ -474,7 +474,7 @@ CHANGES = {
     'a belief twice': (heard_again(4), 0, 9, [], [], ['repeated: ']),
     'the last belief twice': (heard_again(8), 0, 9, [], [], ['repeated: ']),
     'the prior': (drop('/belief', 0), 1, 8, [*range(8)], [], [
-        'method not on record', 'prior it started from is not on record']),
+        'method not on record', 'prior of its estimator is not on record']),
     'a path': (drop('/scout_1/path', 3), 1, 5, [4], [*range(5, 9)], [
         'not reproduced: /belief message 4 (after {3}): path of deployment {3} is not on record',
         'deployment {3} has no path on record']),

@@ -199,7 +199,7 @@ def test_paths_from_each_base_are_refused_by_operators():
 
 @for_each('fields, told', [
     ({'action': 0}, 'action is 0: it must be from 1 to 6'),
-    ({'action': Action.REFUSE}, "agents is '': REFUSE must have some"),
+    ({'action': Action.REFUSE}, "agents is '': REFUSE must have agents"),
     ({'agents': ['scout_1']}, 'agents has 1 names, but paths has 0'),
 ])  # fmt: skip
 def test_bad_actions_are_refused(fields, told):

@@ -144,7 +144,7 @@ def test_bad_statuses_are_refused_by_name_and_counted(field):
     key = read_path(GRID, 'scout_1', base.paths['scout_1'][0])[0]
     unknown = status_message(DeploymentKey('scout_1', 5), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(unknown)
-    assert ': this planner has no path of it' in field.until_refused('/planner', 1)
+    assert ': this planner has not sent it' in field.until_refused('/planner', 1)
     other = status_message(DeploymentKey('scout_2', key.stamp), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(other)
     assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)

@@ -401,7 +401,7 @@ class FieldNode(MissionNode):
             if self._grid not in (None, grid):
                 raise ValueError(
                     'the map has changed: this mission continues with its first map; begin '
-                    'another mission for the new one'
+                    'another mission for the new map'
                 )
         except ValueError as error:
             self.diagnostics.refuse(self._topic, error)
