@@ -237,8 +237,8 @@ def test_a_path_for_another_field_or_an_earlier_mission_is_refused(field):
     key = fleet.send(2, [0, 1, 0], mission=4)
     journal = fleet.journal('scout_1')
     why = (
-        f'it belongs to the mission begun at 0.000000004, and journal {journal} to the mission '
-        'begun at 0.000000005, which is later'
+        f'it belongs to the mission begun at 0.000000004, but journal {journal} belongs to '
+        'the mission begun at 0.000000005, which is later'
     )
 
     def refusals():
