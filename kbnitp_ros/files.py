@@ -69,7 +69,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def in_words(error: BaseException) -> str:
-    """Return an error as one line; an error of the system with file, reason and remedy."""
+    """Return an error as one line; a system error with file, reason and remedy."""
     if isinstance(error, OSError) and error.strerror:
         about = [error.filename] if error.filename is not None else []
         remedy = REMEDIES.get(error.errno or 0)

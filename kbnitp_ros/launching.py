@@ -227,7 +227,7 @@ class MissionArguments:
                     f'{event.process_name} ended with exit code {event.returncode}'
                 )
             if self._failures and (ends_mission or context.is_shutdown):
-                # Only an exception makes launch end with another exit code than 0.
+                # After an exception, and only then, the exit code of launch is not 0.
                 failures = ', '.join(self._failures)
                 self._failures.clear()
                 raise RuntimeError(f'the mission failed: {failures}; see the output above')

@@ -115,7 +115,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             self._entries, self._sources = before
 
     def find(self, given: str | Callable[..., Any]) -> Entry:
-        """Return the entry of a name; return an entry itself unchanged."""
+        """Return the entry of a name; return an entry given in place of a name unchanged."""
         if callable(given):
             try:
                 return self.check(given)
@@ -209,6 +209,6 @@ def entry_source(point: EntryPoint) -> str:
 
 
 def in_words(error: BaseException) -> str:
-    """Return an error as one line, with its type if that is no ValueError or TypeError."""
+    """Return an error as one line, with its type unless it is a ValueError or TypeError."""
     words = ' '.join(str(error).split())
     return words if type(error) in (ValueError, TypeError) else f'{type(error).__name__}: {words}'

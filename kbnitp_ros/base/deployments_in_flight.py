@@ -183,7 +183,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         for key, robot in list(self.items()):
             if not self.has_departed(key):
                 continue
-            # Move the timeout with a clock that was set back.
+            # Shift the timeout if the clock was set back.
             if robot.due is None:
                 away = longest_absence(self._values, key.agent, robot.path)
                 robot.due = now + round(away * SECOND)

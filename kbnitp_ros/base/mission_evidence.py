@@ -25,7 +25,7 @@ from kbnitp_ros.messages.beliefs import Snapshot
 import numpy as np
 from numpy.typing import ArrayLike
 
-# A path or a report, applied to a ledger.
+# A function that records a path or a report.
 Event = Callable[[MissionRecord], bool]
 
 
@@ -81,7 +81,7 @@ class MissionEvidence:
         return len(self._events)
 
     def draws(self, known: Snapshot) -> HazardDraws | None:
-        """Return draws of the hazards for a belief; None if the recorded evidence differs."""
+        """Return draws of the hazards for a belief; None if it does not match the evidence."""
         # Reading existing draws needs no lock.
         drawn = self._drawn
         if drawn and is_same(drawn[0], known.belief):

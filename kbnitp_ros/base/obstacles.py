@@ -112,7 +112,7 @@ class PlannerState:
 
     @property
     def mute(self) -> list[str]:
-        """Return the agents without reports of departures, if the parameters require these."""
+        """Return the agents that do not report departures; empty if reports are not required."""
         if self.values['presume_departure'] or not self.values['silent_loss']:
             return []
         return [agent for agent in self.silent if agent not in self.absent]

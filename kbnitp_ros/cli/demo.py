@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run a whole mission, or resume an interrupted one: four nodes in four processes, over DDS."""
+"""Run a whole mission, or resume an interrupted mission: four nodes in four processes."""
 
 from __future__ import annotations
 

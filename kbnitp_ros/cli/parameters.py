@@ -67,7 +67,7 @@ def node_values(
 def set_parameter(
     parameters: Mapping[str, dict[str, Any]], rule: str, command: str, own: Collection[str] = ()
 ) -> None:
-    """Apply a rule [NODE:]NAME=VALUE to all nodes that have the parameter, or to one."""
+    """Apply a rule [NODE:]NAME=VALUE to all nodes that have the parameter, or to NODE."""
     target, is_rule, text = rule.partition('=')
     node, of_one, name = target.rpartition(':')
     if not is_rule:

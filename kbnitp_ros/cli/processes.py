@@ -34,7 +34,7 @@ PATIENCE = 30.0
 
 
 def environment(domain: int) -> dict[str, str]:
-    """Return the environment of a process in a ROS domain of this machine only."""
+    """Return the environment of a process in a ROS domain that is limited to this machine."""
     paths = [str(Path(__file__).parents[2]), os.environ.get('PYTHONPATH', '')]
     # The user's DDS profiles and peers are for nodes on other machines.
     local = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
@@ -90,7 +90,7 @@ def _bind(to_bind: socket.socket, port: int) -> bool:
 
 
 class Processes:
-    """Child processes that all end with the ``with`` statement."""
+    """Child processes, which end with the ``with`` statement."""
 
     def __init__(self, domain: int) -> None:
         self._environment = environment(domain)

@@ -23,7 +23,7 @@ def own_name(name: str) -> tuple[str, str] | None:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a question with the known names that are most similar; empty if none is similar."""
+    """Return 'did you mean' with the known names most similar to a name; empty if none is."""
     # Compare without the group first, since lethality differs much from sensor.lethality.
     meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
     meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
@@ -39,7 +39,7 @@ class Parameter:
 
     # Name in ROS, with a dot for each level.
     name: str
-    # Default value, whose type is that of the parameter.
+    # Default value, which has the type of the parameter.
     default: Any
     # One sentence, with the unit.
     description: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A single MCAP file of a log: writing it, and repairing a cut or damaged one."""
+"""A single MCAP file of a log: writing, and repair of cut or damaged files."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class FileWriter:
         if contents.last < contents.first:
             self.preamble = self.size
         if len(data) > CHUNK:
-            # A large message gets its own chunk: with others the chunk could be too large to read.
+            # A large message gets its own chunk: a shared chunk could be too large to read.
             self.flush()
         self._writer.add_message(channel, log_time, data, publish_time, sequence)
         topic['message_count'] += 1

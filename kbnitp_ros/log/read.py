@@ -137,7 +137,7 @@ def read_log(
 def read_metadata(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, str]]:
-    """Return metadata records by name: a later file replaces, a later record adds values."""
+    """Return metadata records by name: records add values, but a later file replaces a record."""
     records: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}

@@ -38,7 +38,7 @@ class MissingError(ValueError):
 
 
 class Departures:
-    """The state of all orders by the agents' statuses and reports."""
+    """The state of all orders, derived from the agents' statuses and reports."""
 
     def __init__(self) -> None:
         # Robots that have departed and have no report yet.

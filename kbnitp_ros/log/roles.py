@@ -99,7 +99,7 @@ ADDED = {'move'}
 
 
 class Role(NamedTuple):
-    """The role of a topic, such as `path`, and its agent; '' if the topic is of the mission."""
+    """The role of a topic, such as `path`, and its agent; '' if the topic has no agent."""
 
     name: str
     agent: str
@@ -108,7 +108,7 @@ class Role(NamedTuple):
 
 @dataclass(frozen=True)
 class Roles:
-    """The roles of a mission, `belief` or `scout_1/path`, with the full names of their topics."""
+    """The roles of a mission, such as `scout_1/path`, with the full names of their topics."""
 
     namespace: str
     names: Mapping[str, str]

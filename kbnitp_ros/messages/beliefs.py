@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 class Snapshot:
     """A belief message in terms of the core."""
 
-    # Time at which the last evidence arrived, or for a prior the estimator started, nanoseconds.
+    # Time of the last evidence, or for a prior of the estimator's start, nanoseconds.
     stamp: int
     # Start of the mission, nanoseconds.
     mission: int

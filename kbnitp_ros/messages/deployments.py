@@ -79,7 +79,7 @@ def read_path_name(message: Any) -> int:
 def report_message(
     key: DeploymentKey, observation: Observation, stamp: int, source: Source = Source.AGENT
 ) -> DeploymentReport:
-    """Return the report of a deployment that ended, stamped in nanoseconds."""
+    """Return the report of a deployment that ended, with a stamp in nanoseconds."""
     from kbnitp_msgs.msg import DeploymentReport, TargetReading
 
     readings = () if observation.readings is None else observation.readings.tolist()

@@ -155,7 +155,7 @@ class Dispatch:
         self._await_late(key, path)
 
     def give_up_overdue(self) -> None:
-        """Report robots that have timed out as lost."""
+        """Report timed-out robots as lost."""
         if self._values['silent_loss']:
             for key in self.in_flight.overdue(self._node.elapsed()):
                 self.give_up(key, Source.SILENCE)

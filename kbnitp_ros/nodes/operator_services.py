@@ -45,7 +45,7 @@ Response = Any
 
 
 class Operator:
-    """The operator's services, one action at a time, with proposals and hold."""
+    """The operator's services (one action at a time), the proposals, and the hold."""
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class Operator:
         if now > self._contradicted_at + MAX_UNNAMED:
             return
         others = self._node.named_authors(self._holds.topic_name, BOOL)
-        # Without another author, the message was a late one of this planner.
+        # Without another author, the message was a late message of this planner.
         if len(others) > 1:
             self._contradicted_at = -inf
             self._node.diagnostics.refuse(
@@ -142,7 +142,7 @@ class Operator:
 
     @property
     def awaited(self) -> str:
-        """Describe the record that an operator action waits for; empty if none is pending."""
+        """Describe the acknowledgement that an action waits for; empty if none is pending."""
         if self._pending is None:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')

@@ -33,7 +33,7 @@ MAX_TIME = 20
 LOOK = 1.5
 
 # Seconds without diagnostics after which a recorder counts as dead: DDS lists a killed node for
-# much longer, and a live one publishes every second.
+# much longer, and a live recorder publishes every second.
 SILENT = 3.0
 
 # Maximum number of other recorders remembered, the newest.

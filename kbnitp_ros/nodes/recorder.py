@@ -402,7 +402,7 @@ class RecorderNode(MissionNode):
 
     def _check_status(self, topic: RecordedTopic, key: DeploymentKey, status: AgentStatus) -> None:
         """Check an agent's status, and acknowledge a departure once it is on disk."""
-        # If two robots of one name report a departure, only the first report is acknowledged.
+        # If two robots with the same name report a departure, only the first is acknowledged.
         if key not in self._ordered:
             raise MissingError(
                 f'status {status.state.name} of deployment {key}: its path is not on record'

@@ -29,8 +29,8 @@ class Place(NamedTuple):
     y: float
     # The time of the oldest transform used, nanoseconds.
     stamp: int
-    # The time of the first non-static transform from the robot up, usually the odometry.
-    # Transforms above correct the odometry, may be rare, and may be dated ahead.
+    # The time of the first non-static transform on the way from the robot's frame to the map,
+    # usually odometry. Later transforms correct odometry, may be rare, and may be dated ahead.
     odometry: int
 
 

@@ -192,7 +192,7 @@ class MissionNode(Node):
         )
 
     def named_authors(self, topic: str, type_name: str) -> list[str]:
-        """Return the authors of a topic; empty while a name is unknown, for `MAX_NAMELESS`."""
+        """Return the authors of a topic; empty while a name is unknown, up to `MAX_NAMELESS`."""
         # DDS discovers the publishers of a node a moment before its name.
         authors, now = self.authors(topic, type_name), time.monotonic()
         if NAMELESS not in authors:
@@ -250,7 +250,7 @@ class MissionNode(Node):
             self.executor.create_task(self.guarded(callback))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a callback: `spin_once` raises its errors, but only refuses errors in rclpy."""
+        """Wrap a callback: `spin_once` raises its errors; errors in rclpy itself are refused."""
         # EventsExecutor crashes if the callback of a future or a task raises, and logs a fatal
         # error for other callbacks.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import ctypes
 import signal
 
-# The signals that end a node, and those received, in order.
+# The signals that end a node, and the signals received, in order.
 ENDING = (signal.SIGINT, signal.SIGTERM)
 SIGNALS: list[int] = []
 
