@@ -28,8 +28,7 @@ class MissionTracker:
         self.newest: Snapshot | None = None
         # The rules of the newest belief; None before the first belief.
         self._rules: dict[str, Any] | None = None
-        # Missions of all priors received: a restarted estimator publishes a prior of a new
-        # mission.
+        # Missions of all priors received: a restarted estimator publishes a new mission's prior.
         self._priors: set[int] = set()
         # Number of deployments in the first belief whose paths this planner did not know.
         self._unknown: int | None = None

@@ -72,8 +72,7 @@ def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
             own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
             if name in values['learn.numbers'] and kind not in (own, 'learn'):
                 raise ValueError(
-                    f'dynamics is {kind}, but learn.numbers has {name}: only {own} hazards have '
-                    'this rate'
+                    f'dynamics is {kind}, but learn.numbers has {name}, a rate of {own} hazards'
                 )
             is_open = kind == 'learn' and not rates.get(name)
             if name in rates and (is_open or name in values['learn.numbers']):

@@ -91,8 +91,7 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')
     action = Action(message.action)
     if len(message.agents) != len(message.paths):
-        names, paths = len(message.agents), len(message.paths)
-        raise ValueError(f'agents has {names} names, but paths has {paths}')
+        raise ValueError(f'agents has {len(message.agents)} names for {len(message.paths)} paths')
     if bool(message.agents) != (action in OF_ROBOTS):
         needed = 'agents' if action in OF_ROBOTS else 'no agents'
         raise ValueError(

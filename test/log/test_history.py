@@ -70,8 +70,7 @@ def test_a_refused_path_displaces_no_other(tmp_path):
 
 def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
     log = record(tmp_path / 'mission.mcap', whole_mission.sent)
-    wrong = r'a mission on Grid\(width=5, .* describe Grid\(width=9'
-    with pytest.raises(ValueError, match=wrong):
+    with pytest.raises(ValueError, match=r'a mission on Grid\(width=5, .* set Grid\(width=9'):
         read_resumed(MissionLog(log), Grid(9, 9), MAX_STEPS)
 
 

@@ -200,7 +200,7 @@ def test_paths_from_each_base_are_refused_by_operators():
 @for_each('fields, told', [
     ({'action': 0}, 'action is 0: it must be from 1 to 6'),
     ({'action': Action.REFUSE}, "agents is '': REFUSE must have agents"),
-    ({'agents': ['scout_1']}, 'agents has 1 names, but paths has 0'),
+    ({'agents': ['scout_1']}, 'agents has 1 names for 0 paths'),
 ])  # fmt: skip
 def test_bad_actions_are_refused(fields, told):
     message = operator_action_message(WITH_BASES, OperatorAction(7, Action.PAUSE, 3, {}, 0))

@@ -18,10 +18,9 @@ PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 def udp_only(environment: Mapping[str, str], config: Path) -> dict[str, str]:
     """Return environment variables that make rmw_fastrtps use UDP and no shared memory."""
-    # A killed process leaves locked shared memory behind, which may prevent the discovery of the
-    # next process. With the range LOCALHOST rmw_fastrtps adds shared memory despite the profile,
-    # so a profile that binds UDP to 127.0.0.1 replaces that range, unless ROS_STATIC_PEERS names
-    # other computers.
+    # A killed process leaves locked shared memory behind, which may hide the next process. With
+    # the range LOCALHOST rmw_fastrtps adds shared memory despite the profile, so a profile that
+    # binds UDP to 127.0.0.1 replaces that range, unless ROS_STATIC_PEERS names other computers.
     if environment.get(PROFILES):
         return {}
     is_local = (
