@@ -73,7 +73,7 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         # Checked first, since ROS describes a missing file badly.
         check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
-        faulthandler.dump_traceback_later(STARTUP, file=sys.__stderr__)
+        faulthandler.dump_traceback_later(STARTUP, file=2)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except KeyboardInterrupt:
