@@ -30,8 +30,8 @@ def reference_page() -> str:
         'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
         'says that it can be changed. Other packages may add methods, planners and allocations.',
         '',
-        'An agent may have values of its own, as `team.AGENT.NAME`, of these; see',
-        '[Maps](maps.md#robots-that-differ): '
+        'An agent may have its own values, as `team.AGENT.NAME` (see',
+        '[Maps](maps.md#robots-that-differ)), of '
         f'{", ".join(dict.fromkeys(f"`{each.of_agent}`" for each in TABLE if each.per_agent))}.',
     ]
     for name in NODES:

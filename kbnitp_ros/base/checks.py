@@ -41,7 +41,7 @@ def reach_note(
         needed = f'max_steps to {most} and max_distance to {metres}'
     return (
         f'paths of {limits} reach {reached.sum()} of the {joined.sum()} cells connected to the '
-        f'base (within {extent}): to reach all, set {needed}'
+        f'base (a box of {extent}): to reach all, set {needed}'
     )
 
 

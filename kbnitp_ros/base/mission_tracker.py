@@ -52,7 +52,7 @@ class MissionTracker:
         """Check that a belief fits this mission, its deployments and its estimator."""
         # A belief may arrive before its publisher is discovered, so the content is checked: a
         # belief must not hold more deployments than paths were sent. Only the first belief of a
-        # single estimator may hold more, whose paths were lost with an earlier planner.
+        # single estimator may: an earlier planner sent the other paths.
         if snapshot.deployments > MAX_ROBOTS:
             raise ValueError(
                 f'deployments is {snapshot.deployments}: a mission has at most {MAX_ROBOTS}'

@@ -89,7 +89,7 @@ def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
         dynamics.known_rates()
     except ValueError as error:
         raise ValueError(
-            f'parameter hazards.{error}, for agents; give the estimator another value, such as '
+            f'parameter hazards.{error}; to learn it, set it for the estimator only, such as '
             'estimator:hazards.dynamics=learn'
         ) from error
     return dynamics

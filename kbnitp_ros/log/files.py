@@ -69,7 +69,7 @@ def with_later_parts(first: Path) -> list[Path]:
 
 
 def numbered(first: Path) -> dict[int, Path]:
-    """Return the numbers of later parts by file name."""
+    """Return the files of later parts, by number."""
     pattern = re.compile(re.escape(base(first)) + NUMBER + re.escape(first.suffix))
     matches = ((file, pattern.fullmatch(file.name)) for file in first.parent.iterdir())
     return {int(match[1]): file for file, match in matches if match}

@@ -409,7 +409,7 @@ def read_ledger(log: MissionLog) -> Ledger:
     ledger, mission = begun(prior), read_mission(log)
     for role, logged in log.read('path', 'report'):
         if is_of_mission(role, logged, mission):
-            # The estimator has refused this evidence as well.
+            # Evidence that raises here was refused by the estimator, too.
             with suppress(ValueError):
                 record(ledger, role, logged)
     return ledger

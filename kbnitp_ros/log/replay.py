@@ -110,7 +110,7 @@ class Fold:
         belief = logged.message
         newest = newest_deployment(belief)
         digest = blake2b(logged.data, digest_size=16).digest()
-        # A restarted estimator counts from 0 again, so equal counts alone prove nothing.
+        # Equal counts do not suffice, since a restarted estimator counts from 0 again.
         follows = self._held == self._last and belief.since == len(self._assimilated)
         self._last = digest
         if digest in self._seen:

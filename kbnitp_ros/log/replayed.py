@@ -226,7 +226,7 @@ class ReplayedViews:
         self.unknown: Counter[int] = Counter()
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
-        """Keep a view (of a grid, the digest) until all beliefs are computed."""
+        """Keep a view until all beliefs are computed; of a grid, only its digest."""
         message = logged.message
         kept = message if role.name == 'model' else grid_digest(message)
         view = logged.index, from_stamp(message.header.stamp), kept

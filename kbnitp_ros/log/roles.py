@@ -204,7 +204,7 @@ def roles_of_old(
     nodes: Mapping[str, Mapping[str, str]],
     topics: Mapping[str, str],
 ) -> Roles:
-    """Return the roles of a log of 0.3, from its parameters and topics."""
+    """Return the roles of a log of version 0.3, from its parameters and topics."""
     above = {name.rpartition('/')[0] for name, own in nodes.items() if 'max_file_size' in own}
     above = above or {
         topic.removesuffix('/belief')

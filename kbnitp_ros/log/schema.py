@@ -20,7 +20,7 @@ import yaml
 
 ENCODING = 'ros2msg'
 
-# Metadata of a channel.
+# Keys of the metadata of a channel.
 QOS = 'offered_qos_profiles'
 TYPE_HASH = 'topic_type_hash'
 

@@ -90,7 +90,7 @@ class LogWriter:
         self._part: FileWriter | None = part
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
-        """Add a topic before its first message, and again whenever its QoS changes."""
+        """Add a topic: call this before its first message, and whenever its QoS changes."""
         text, type_hash = describe(type_name)
         definition = type_name, SchemaEncoding.ROS2, text.encode()
         self._topics[topic] = definition, {QOS: qos_profiles_yaml, TYPE_HASH: type_hash}

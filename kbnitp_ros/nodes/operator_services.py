@@ -115,7 +115,7 @@ class Operator:
         if now > self._contradicted_at + MAX_UNNAMED:
             return
         others = self._node.named_authors(self._holds.topic_name, BOOL)
-        # Without another author, the message was a late message of this planner.
+        # Without another author, the message was this planner's own, received late.
         if len(others) > 1:
             self._contradicted_at = -inf
             self._node.diagnostics.refuse(

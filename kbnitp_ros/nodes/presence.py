@@ -197,7 +197,7 @@ BOOL = 'std_msgs/msg/Bool'
 
 
 class HoldSubscription:
-    """A subscription to `hold`, which blocks departures until the planner alone allows them."""
+    """A subscription to `hold`: departures are blocked until its only publisher allows them."""
 
     def __init__(self, node: MissionNode, act: Callable[[], None] = lambda: None) -> None:
         self._node = node

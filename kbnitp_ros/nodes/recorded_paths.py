@@ -187,8 +187,8 @@ class PendingPaths(RecordedPaths[Deployment]):
             self._refuse_order(
                 deployment,
                 f'it belongs to {named(deployment.mission)}, but journal {self._journal.path} '
-                f'belongs to {named(own)}, which is later (was a clock set back?): for an earlier '
-                'mission set the parameter journal to another file',
+                f'belongs to {named(own)}, which is later (was a clock set back?): to drive for '
+                'the earlier mission, set the parameter journal to another file',
             )
             return
         self._pending[deployment.stamp] = deployment

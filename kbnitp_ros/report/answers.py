@@ -121,7 +121,7 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
         if mission.datum is not None:
             ((latitude, longitude),) = mission.datum.on_earth(np.array([[x, y]]))
             on_earth = {'latitude': latitude, 'longitude': longitude}
-            # Positions as in RFC 7946.
+            # Longitude before latitude, as in RFC 7946.
             around = mission.datum.on_earth(around)[:, ::-1]
         table.append(
             {
@@ -207,7 +207,8 @@ def pace(mission: Mission) -> tuple[str, str]:
     if not left:
         return 'Stop', 'All cells are decided: free or hazardous with 95 % or more.'
     if len(moments) < 2:
-        return 'Send robots', f'No robot was sent, and {counted(left, "cell")} are undecided.'
+        said = f'No report has changed the belief. Undecided: {counted(left, "cell")}.'
+        return 'Send robots', said
     robots = min(len(moments) - 1, max(MIN_ROBOTS, int(LAST * (len(moments) - 1))))
     decided = undecided(mission, -1 - robots) - left
     since = {each.deployment: each.outcome for each in moments[-robots:] if each.outcome}
@@ -256,7 +257,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
         f'{cells.free.sum()} of {counted(int(inside.sum()), "cell")}',
         'free of a hazard with 95 % or more; '
         + (f'{untouched} of them were not entered' if untouched else 'all of them were entered')
-        + f'. {among:.2g} hazards are expected in these cells',
+        + f'. {among:.2g} hazards are expected in the safe cells',
         'safe-title',
     )
     found = list_findings(mission)

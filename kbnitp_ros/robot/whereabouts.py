@@ -178,7 +178,7 @@ class Whereabouts:
             spans.popleft()
 
     def step_within(self, since: int, until: int) -> int | None:
-        """Return the step from `since` to `until`, or `NO_STEP`; None while it is unknown."""
+        """Return the step that spans `since` to `until`, or `NO_STEP`; None if not known yet."""
         if not self._spans or until > self._spans[-1][1]:
             return None
         for first, last, step in reversed(self._spans):

@@ -291,7 +291,7 @@ BY_PLANNER = Comparison(
     applies=lambda scenario: differ_only_in(scenario, 'planner'),
     caption=(
         'Differences from the planner `{first}`, paired by world: log loss by number of robots, '
-        'in nats, and robots lost at the end. Lost: the number of robots lost.'
+        'in nats, and robots lost at the end (more lost). Lost: the robots lost in the row.'
     ),
     columns={
         **METHOD,
@@ -308,7 +308,7 @@ BY_OBJECTIVE = Comparison(
     caption=(
         'Differences from the objective {first}, paired by world: log loss by number of robots, '
         'in nats, robots lost at the end, robots lost at equal log loss, and log loss at equal '
-        'losses. Lost: the number of robots lost at the end.'
+        'losses. Lost: the robots lost at the end in the row.'
     ),
     columns={
         'objective': ('objective', '{}'),
@@ -364,7 +364,8 @@ BY_KIND = Comparison(
     applies=differ_in_hazards,
     caption=(
         'Differences from `{first}`, paired by world: log loss of hazards and targets by number '
-        'of robots, in nats, and robots lost at the end. Lost: the number of robots lost.'
+        'of robots, in nats, and robots lost at the end (more lost). Lost: the robots lost in the '
+        'row.'
     ),
     columns={
         **METHOD,

@@ -185,7 +185,7 @@ class Strategy:
         return Team(self.agents, self.allocation, types)
 
 
-# Single robots at any loss cost.
+# Default strategy: one robot at a time, loss cost 0.
 ALONE = Strategy()
 
 
@@ -425,7 +425,7 @@ def team_labels(scenario: Scenario) -> dict[Strategy, str]:
 
 
 def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator[str]:
-    """Yield the words of a team's label."""
+    """Yield the parts of a team's label."""
     if differ & {'agents', 'allocation'}:
         yield 'one by one' if team.agents == 1 else f'{team.agents} {team.allocation}'
     if 'loss_cost' in differ:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws of allocations."""
+"""Laws that every allocation obeys, as checks."""
 
 from __future__ import annotations
 

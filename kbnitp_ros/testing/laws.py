@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random cases for laws, and the error of a broken law."""
+"""Random cases for the checks of laws, and the error of a broken law."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws of methods."""
+"""Laws that every inference method obeys, as checks."""
 
 from __future__ import annotations
 

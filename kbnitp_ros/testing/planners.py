@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws of planners."""
+"""Laws that every planner obeys, as checks."""
 
 from __future__ import annotations
 

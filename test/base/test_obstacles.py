@@ -237,13 +237,13 @@ def test_a_log_with_more_robots_is_refused():
     (
         Grid(30, 30),
         18,
-        'paths of 18 steps reach 100 of the 900 cells connected to the base (within 10x10 of '
+        'paths of 18 steps reach 100 of the 900 cells connected to the base (a box of 10x10 of '
         '30x30 cells): to reach all, set max_steps to 58',
     ),
     (
         Grid(5, 4, base=2, blocked=(10, 11, 12, 13, 14)),
         2,
-        'paths of 2 steps reach 6 of the 10 cells connected to the base (within 3x2 of 5x4 '
+        'paths of 2 steps reach 6 of the 10 cells connected to the base (a box of 3x2 of 5x4 '
         'cells): to reach all, set max_steps to 4',
     ),
     (Grid(9, 9), 18, ''),
@@ -257,8 +257,8 @@ def test_the_share_of_the_field_in_reach_is_stated(grid, max_steps, told):
 def test_the_share_of_the_field_within_a_distance_is_stated():
     grid = Grid(9, 9, resolution=0.5)
     told = (
-        'paths of 18 steps and 4 m reach 17 of the 81 cells connected to the base (within 5x5 of '
-        '9x9 cells): to reach all, set max_steps to 16 and max_distance to 11.4'
+        'paths of 18 steps and 4 m reach 17 of the 81 cells connected to the base (a box of 5x5 '
+        'of 9x9 cells): to reach all, set max_steps to 16 and max_distance to 11.4'
     )
     assert reach_note(grid, 18, max_distance=4.0) == told
     assert reach_note(grid, 18, max_distance=11.4) == ''

@@ -279,7 +279,7 @@ def test_lethality_and_hazard_density_are_learnt_by_default(options, method, lea
 def test_a_demo_states_its_reach_and_shows_two_learnt_numbers(whole):
     out, printed = whole
     assert printed.splitlines()[0] == (
-        'paths of 6 steps reach 16 of the 24 cells connected to the base (within 4x4 of 6x4 '
+        'paths of 6 steps reach 16 of the 24 cells connected to the base (a box of 4x4 of 6x4 '
         'cells): to reach all, set max_steps to 10.'
     )
     assert '/model: 7 of 7 messages reproduced' in printed

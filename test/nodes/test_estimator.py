@@ -57,7 +57,7 @@ BLIND_TARGETS = [
 BAD_REPORTS = [
     (in_frame(returned(3), ''), "header.frame_id is '': it must be 'map'"),
     (changed(returned(3), agent='scout_2'), "agent is 'scout_2': on this topic it must be"),
-    (returned(3, [0, 4, 5, 1, 0]), 'path enters a blocked cell: its cell 2 is 5'),
+    (returned(3, [0, 4, 5, 1, 0]), 'path enters a blocked cell: at index 2 it is 5'),
     (returned(3, [0] * 62), 'at most 10 * max_steps = 60 are allowed'),
     (changed(returned(3), readings=BLIND_TARGETS), 'readings[1] has detected and not_looked'),
     (changed(lost(3), steps_survived=2**32 - 1), 'of 4 steps survived at most 3'),

@@ -285,7 +285,7 @@ def test_a_mission_without_departures_is_reported(tmp_path):
     assert main([str(log), '--out', str(tmp_path / 'out')]) == 0
     page = (tmp_path / 'out' / 'report.html').read_text()
     assert '0 robots of 0 agents' in page
-    assert re.search(r'No robot was sent, and \d+ cells are undecided', page)
+    assert re.search(r'No report has changed the belief\. Undecided: \d+ cells\.', page)
 
 
 def test_an_existing_folder_is_left_alone(shown, tmp_path, capsys):

@@ -166,8 +166,8 @@ class Area:
         out = cells[~np.any(in_reach, axis=0)[cells]]
         if out.size:
             raise ValueError(
-                f'goal has cell {out[0]}, and {out.size - 1} more, from which no robot can return '
-                f'within max_steps = {max_steps}: raise max_steps or choose a smaller area'
+                f'goal has cells from which no robot can return within max_steps = {max_steps}, '
+                f'such as {out[0]}: raise max_steps or choose a smaller area'
             )
 
     def decide(
@@ -200,7 +200,7 @@ class Area:
 
 
 def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:
-    """Return the entropy that outcomes should remove, (flights,) nats (:eq:`area-value`)."""
+    """Return the expected entropy that outcomes remove, (flights,) nats (:eq:`area-value`)."""
 
     def entropies(chance: Floats, hazards: Floats) -> Floats:
         given = hazards / np.where(chance > 0.0, chance, 1.0)[:, None]
@@ -221,7 +221,7 @@ def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floa
 def expected_from_readings(
     here: Floats, returned: Floats, visits: Path, joint: Floats, model: SensorModel
 ) -> Floats:
-    """Return the entropy that readings should remove, (flights,) nats (:eq:`area-readings`)."""
+    """Return the expected entropy that readings remove, (flights,) nats (:eq:`area-readings`)."""
     chance = returned.sum(axis=1)
     hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)
     information = np.zeros_like(hazard)

@@ -31,8 +31,8 @@ def log_partition(
     if len(holes) > 1:
         raise ValueError(
             f'a field of {columns} x {rows} cells with {len(holes)} cells that cannot have a '
-            f'hazard is too wide for clustered hazards: with obstacles, at most {MAX_ACROSS} '
-            'cells across'
+            f'hazard is too wide for clustered hazards: with obstacles, its shorter side may have '
+            f'at most {MAX_ACROSS} cells'
         )
     # The hole is as far from the nearer edge in the strip as in the field.
     strip = np.ones((rows, STRIP), dtype=bool)
@@ -58,7 +58,7 @@ def _sums(
 
 # Maximum coupling: above the critical 1.763, hazards nearly fill large regions, or none occur.
 STRONGEST = 1.7
-# Number of couplings weighted if the coupling is learnt.
+# Number of bins of a learnt coupling.
 COUPLINGS = 17
 # Tolerance of the log odds of the density, and maximum number of secant steps.
 PRECISION = 1e-10

@@ -24,7 +24,7 @@ Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 PACKAGE = Path(__file__).parents[2]
 _CHECKS: list[Callable[[], None]] = []
 
-# Whether kernels run interpreted unless they are loaded already.
+# Whether kernels that are not loaded yet run interpreted.
 _INTERPRETED = ContextVar('interpreted', default=False)
 
 

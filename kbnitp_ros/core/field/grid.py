@@ -288,13 +288,13 @@ class Grid:
         outside = np.flatnonzero((cells < 0) | (cells >= self.cells))
         if outside.size:
             raise ValueError(
-                f'path leaves the grid: its cell {outside[0]} is {cells[outside[0]]}, '
+                f'path leaves the grid: its cell at index {outside[0]} is {cells[outside[0]]}, '
                 f'allowed are 0 to {self.cells - 1}'
             )
         blocked = np.flatnonzero(~self.free[cells])
         if blocked.size:
             raise ValueError(
-                f'path enters a blocked cell: its cell {blocked[0]} is {cells[blocked[0]]}'
+                f'path enters a blocked cell: at index {blocked[0]} it is {cells[blocked[0]]}'
             )
         for end, cell in (('start', cells[0]), ('end', cells[-1])):
             if cell != self.base:

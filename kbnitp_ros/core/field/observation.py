@@ -23,7 +23,7 @@ def as_path(path: ArrayLike) -> NDArray[np.intp]:
     array = np.asarray(path)
     if array.ndim != 1 or array.size < 2:
         raise ValueError(
-            f'path is {in_short(path)}: it must list at least two cells, the base twice'
+            f'path is {in_short(path)}: it must list at least two cells, the base first and last'
         )
     if not np.issubdtype(array.dtype, np.integer):
         raise ValueError(f'path is of type {array.dtype}: cells are whole numbers')

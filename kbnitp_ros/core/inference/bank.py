@@ -211,7 +211,7 @@ class Bank:
     def _drawn(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-        """Return hazards of all cells, shape (count, cells), and their particles."""
+        """Return hazards of all cells, shape (count, cells), and the particle of each draw."""
         particles = rng.choice(len(self._numbers), count, p=self.weights)
         hazard = self._joints[:, 1].sum(axis=1).T[particles]
         return rng.random(hazard.shape) < hazard, particles

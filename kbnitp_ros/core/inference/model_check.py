@@ -40,7 +40,7 @@ WORDS = {
 }
 SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
 
-# Weights of the alternatives in the average, higher for more harmful errors of the model; else 1.
+# Weights of the alternatives in the average ratio, higher for more harmful errors; 1 for others.
 WEIGHTS = {'used_up': 5, 'malfunction': 4, 'lethality': 3, 'static': 3, 'changing': 2, 'moving': 2}
 
 

@@ -93,7 +93,7 @@ class Steps:
         return cls(survival, loss, reading)
 
     def survived(self, most: int) -> list[Floats]:
-        """Return the effects of 0 to `most` survived visits, each like `survive`."""
+        """Return the effects of 0 to `most` survived visits, each in the form of `survive`."""
         if not self.visits:
             self.visits.append(np.eye(2)[..., None] + np.zeros_like(self.survive))
         while len(self.visits) <= most:

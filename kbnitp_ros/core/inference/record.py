@@ -256,7 +256,7 @@ class MissionRecord:
 
 
 def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
-    """Return a sort key of outcomes, which is greater for more evidence on the robot's end."""
+    """Return a sort key of outcomes: the more is known of how a deployment ended, the greater."""
     lost_at = [] if outcome.lost_at is None else outcome.lost_at.tolist()
     # The largest value is 1, so a smaller sum locates the loss more closely; without `lost_at` the
     # loss is not located at all.

@@ -26,7 +26,7 @@ class Walks(NamedTuple):
 
     # Ranks of the cells one step away, -1 for none, shape (cells, 9).
     neighbors: Any
-    # Number of cells within t steps of the base, by t up to max_steps / 2, shape (max_steps + 1,).
+    # Number of cells within min(t, max_steps - t) steps of the base, shape (max_steps + 1,).
     within: Any
     # W, r and r2 by number of visits, shape (cells, visits + 1, 3).
     added: Any

@@ -175,7 +175,7 @@ class LabelSearch:
         )
 
     def closed(self, count: int) -> tuple[Places, Places]:
-        """Search for closed paths; return paths and steps, the best and shortest first."""
+        """Return the `count` best paths and steps; if wider, also the best path of width 1."""
         problem, rows = self.problem, self.reach.start[-1]
         completions = np.empty((rows if self._width > 1 else 0, problem.weight.size + 5))
         paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)

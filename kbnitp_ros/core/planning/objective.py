@@ -36,8 +36,8 @@ WEIGHTS = np.array(
 ERROR = 1.95e-5
 
 
-# Maximum number of different cameras in one plan, and of combinations of numbers of readings of a
-# cell. Further readings by a camera are not counted, which changes plans very little.
+# Maximum number of different cameras in one plan, and of combinations of their numbers of readings
+# of a cell. Further readings by a camera are not counted, which changes plans very little.
 MAX_CAMERAS = 6
 MAX_WAYS = 1024
 

@@ -116,7 +116,7 @@ def one_walk(
     max_visits: int,
     rng: np.random.Generator,
 ) -> list[int]:
-    """Draw a walk by ranks, weighted by the number of `ways` home; a dead end ends it early."""
+    """Draw a walk, as ranks, weighted by the number of `ways` home; a dead end ends it early."""
     walk, entered = [0], np.zeros(len(neighbors), dtype=np.intp)
     for left in reversed(ways):
         onward = neighbors[walk[-1]]

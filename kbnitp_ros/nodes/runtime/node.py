@@ -250,7 +250,7 @@ class MissionNode(Node):
             self.executor.create_task(self.guarded(callback))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a callback: `spin_once` raises its errors; errors in rclpy itself are refused."""
+        """Wrap a callback: `spin_once` raises its errors; errors in rclpy are only reported."""
         # EventsExecutor crashes if the callback of a future or a task raises, and logs a fatal
         # error for other callbacks.
 

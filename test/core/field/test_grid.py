@@ -250,7 +250,7 @@ def test_other_couplings_are_refused(coupling):
 
 @for_each(
     'side, densities, message',
-    [(17, 1, 'with obstacles, at most 16 cells across'), (13, 2, 'hazard_density is unknown')],
+    [(17, 1, 'its shorter side may have at most 16 cells'), (13, 2, 'hazard_density is unknown')],
 )
 def test_wide_fields_with_obstacles_are_refused(side, densities, message):
     possible = np.ones(side**2, dtype=bool)
