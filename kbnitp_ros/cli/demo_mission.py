@@ -85,8 +85,8 @@ AWAITED = {
 # Seconds per step with `silent_loss`, which needs a step_period above 0.
 SILENT_STEP = 0.01
 
-# First words of the planner's reason if only an operator can continue the mission, or a belief is
-# missing; seconds until the demo then ends, and until it ends after the last report.
+# First words of the planner's reason to wait for an operator, and for a belief. Seconds of waiting
+# for an operator, and seconds after the last report, after which the demo ends.
 OPERATOR_AWAITED = 'waiting for the operator'
 BELIEF_AWAITED = 'waiting for a belief'
 OPERATOR_WAIT = 3.0

@@ -368,7 +368,7 @@ TABLE = (
         'alpha',
         1.0,
         'Prelec weight of the objective behavioral: 1 gives the information; below 1, '
-        'probabilities near 0 or 1 count as less certain, above 1 as more certain.',
+        'probabilities near 0 or 1 count as less certain; above 1, as more certain.',
         limits=ALPHAS,
     ),
     changeable(

@@ -137,7 +137,7 @@ def read_log(
 def read_metadata(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, str]]:
-    """Return metadata records by name: records add values, but a later file replaces a record."""
+    """Return metadata by name: in a file records add values, a later file replaces them."""
     records: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}
@@ -179,7 +179,7 @@ def read_parameters(
 
 
 def current_name(name: str) -> str:
-    """Return the present name of a parameter."""
+    """Return the current name of a parameter, which may have its name of 0.3.0."""
     for before, now in RENAMED.items():
         name = re.sub(f'^{before}', now, name)
     return name

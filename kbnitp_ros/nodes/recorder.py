@@ -176,10 +176,10 @@ class RecorderNode(MissionNode):
 
     def _discover(self) -> None:
         """Subscribe to new topics and publishers."""
-        # The estimator publishes once belief has its subscribers, so its maps must be subscribed
-        # to before belief. It creates their publishers earlier, and two equal scans of the graph
-        # show all publishers created before any publisher shown. In reverse order of names belief
-        # comes last.
+        # The estimator publishes once `belief` has its subscribers, so its maps are subscribed to
+        # first: in reverse order of names `belief` comes last. It creates the publisher of
+        # `belief` last, and two equal scans of the graph show all publishers created before any
+        # publisher shown.
         found: dict[str, Any] = {}
         others: list[str] = []
         looked = True
@@ -317,7 +317,7 @@ class RecorderNode(MissionNode):
         # Beliefs and statuses need no immediate sync, unless an acknowledgement is pending.
         is_seldom_awaited = role in ('belief', 'status')
         if is_seldom_awaited:
-            # They are checked against paths on record, and callbacks come in any order.
+            # Write paths first: beliefs and statuses are checked against them.
             self._write_arrived_on(
                 each for each in self._topics.values() if each.role and each.role.name == 'path'
             )

@@ -33,7 +33,7 @@ class NewEvidence:
     def __init__(self) -> None:
         self._keys: set[DeploymentKey] = set()
         self._published = 0
-        # Number of deployments in the belief that the next adds to; 0 if the next is complete.
+        # Number of deployments in the last belief; 0 if the next belief names all evidence.
         self._since = 0
         self._until_complete = COMPLETE_EVERY
 

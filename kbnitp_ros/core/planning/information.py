@@ -189,7 +189,7 @@ def behavioral_information(
     -------
     float
         Nats; if alpha is at most 1, at least 0 except for rounding. With alpha above 1 it may be
-        negative, since the weights make likely outcomes less certain.
+        slightly negative, since the entropies are then convex near certainty.
 
     """
     outcomes = nobody_deployed(belief) if outcomes is None else outcomes
