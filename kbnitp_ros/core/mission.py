@@ -111,7 +111,7 @@ class Truth:
 @dataclass(frozen=True)
 class Learning:
     """
-    The unknowns that a mission learns besides the maps: numbers and kinds of hazards.
+    The numbers that a mission learns besides the maps, and the clustering of hazards.
 
     Attributes
     ----------

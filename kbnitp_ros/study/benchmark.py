@@ -77,7 +77,7 @@ class Entry(NamedTuple):
     results: Results
 
     def final(self, *measures: str) -> Mean:
-        """Return the mean sum of measures after the last robot."""
+        """Return the mean over trials of a sum of measures after the last robot."""
         return bootstrap_mean(self.series(*measures)[:, -1])
 
     def series(self, *measures: str) -> NDArray[np.float64]:

@@ -40,7 +40,7 @@ Draw = Callable[[Axes, float | None, Contender, Style, str], None]
 
 
 def contender_labels(scenario: Scenario) -> dict[Contender, str]:
-    """Return a label for each contender, without what all contenders share."""
+    """Return a label for each contender, from the method and strategy fields that differ."""
     teams, are_named = team_labels(scenario), len(scenario.methods) > 1
     return {
         (method, team): ', '.join(filter(None, [method if are_named else '', teams[team]]))
@@ -176,7 +176,7 @@ def means_chart(
     scale: str = 'linear',
     points: Callable[[NDArray[np.float64], Strategy], NDArray[np.float64]] = lambda each, _: each,
 ) -> Figure:
-    """Draw the mean over trials of a sum of measures, with intervals, from the prior on."""
+    """Draw the mean over trials of a sum of measures, with intervals, starting with the prior."""
 
     def draw(
         axes: Axes, lethality: float | None, contender: Contender, style: Style, label: str
@@ -233,7 +233,7 @@ def draw_reliability(panels: NDArray[np.object_], results: Results, contender: C
         axes.set_xticks([0.0, 0.5, 1.0])
         axes.set_yticks([0.0, 0.5, 1.0])
         axes.grid(alpha=0.3)
-    # At most one lethality for each line style, evenly spread.
+    # Draw at most as many lethalities, evenly spread, as there are line styles.
     few = np.unique(np.linspace(0, len(lethalities) - 1, len(SERIES)).round().astype(int))
     for lethality, style in zip([lethalities[place] for place in few], SERIES):
         believed, truth = results.final_maps(lethality, *contender)

@@ -183,7 +183,7 @@ def lost(series: Series, first: Strategy, team: Strategy) -> Mean:
 
 
 def lost_more(series: Series, first: Strategy, team: Strategy) -> Mean:
-    """Return the mean difference of robots lost at the end from the first strategy."""
+    """Return the mean number of robots lost at the end, minus that of the first strategy."""
     return bootstrap_mean((series('robots_lost') - series('robots_lost', team=first))[:, -1])
 
 

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 
 def differ_in_size(scenario: Scenario) -> bool:
-    """Return whether the teams differ in size, and in nothing else but the allocation."""
+    """Return whether the teams differ in size, and otherwise at most in the allocation."""
     sizes = {team.agents for team in scenario.teams}
     return len(sizes) > 1 and differ_only_in(scenario, 'agents', 'allocation')
 
@@ -77,7 +77,7 @@ EQUAL = ('log_loss', 'sent_at_least', 'sent', 'lost_at_least', 'lost', 'differen
 def at_equal_log_loss(
     least: NDArray[np.float64], this: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Compare two mean missions at the lowest log loss that both reach; return `EQUAL`."""
+    """Return the fields `EQUAL` of two mean missions, at the lowest log loss that both reach."""
     lowest = [np.minimum.accumulate(log_loss) for _, log_loss in (least, this)]
     level = max(log_loss[-1] for log_loss in lowest)
     # In reverse, to find the first robot at which the level is reached.
@@ -124,7 +124,7 @@ def equal_rows(results: Results) -> Iterator[Row]:
 
 
 def base_rows(results: Results) -> Iterator[Row]:
-    """Yield the decrease of log loss by each second base, and the robots at equal log loss."""
+    """Yield the decrease of log loss by each second base, and a comparison at equal log loss."""
     one, *others = sorted(results.scenario.teams, key=lambda team: team.second_base)
     for row, two, series in results.missions(others):
         missions = trade(series, one), trade(series, two)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-# Function that sums measures by name, (trials, robots + 1); `team` selects the missions.
+# Function that returns the sum of named measures in the missions of `team`, (trials, robots + 1).
 Series = Callable[..., NDArray[np.float64]]
 
 # Maximum bytes of the mission in each worker, and of all results.
@@ -106,7 +106,7 @@ class Results:
     def missions(
         self, teams: Sequence[Strategy] | None = None
     ) -> Iterator[tuple[dict[str, Any], Strategy, Series]]:
-        """Yield lethality and method, the team, and the function of its series."""
+        """Yield lethality and method, the team, and the `Series` function of its missions."""
         scenario = self.scenario
         for lethality, method, team in product(
             scenario.lethalities, scenario.methods, scenario.teams if teams is None else teams
@@ -167,7 +167,7 @@ class Table:
         return str(texts.to_latex(index=False, caption=in_latex(self.caption)))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the table for pandas; HEAD low and HEAD high are the interval of a mean."""
+        """Return the table for pandas; a mean's interval has columns HEAD low and HEAD high."""
         rows = self._cells.map(attrgetter('value')).to_dict('records')
         known = [{head: value for head, value in row.items() if value is not None} for row in rows]
         return pandas.json_normalize(known, sep=' ').rename(
@@ -202,7 +202,7 @@ Row = dict[str, Any]
 
 
 class Mean(NamedTuple):
-    """A mean over trials with its 95 % interval; each field has the shape (...)."""
+    """A mean over trials with its 95 % interval; all three fields have the same shape."""
 
     mean: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -335,7 +335,7 @@ MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95)
 def of_number(
     results: Results, lethality: float | None, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the posterior of a number, (trials, robots + 1, learnt), and its truth."""
+    """Return the posterior of a number, (trials, robots + 1, learnt), and its true value."""
     known, truth = results.learnt(lethality, results.scenario.teams[0])
     place = NUMBERS.index(name)
     return known[:, :, place], truth[:, place, None]

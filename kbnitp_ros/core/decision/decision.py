@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 LANES = 48
 # Standard deviation of the log of the random factors by which the costs of cells are scaled.
 SCALE = 0.7
-# Number of draws averaged for the costs of a lane: an average of few keeps hazards dependent.
+# Number of draws averaged for the costs of a lane: few, to keep the dependence of hazards.
 TOGETHER = 16
 # Cost of each step besides its hazard: among equally free lanes the shortest is chosen.
 STEP_COST = 1e-4
@@ -45,7 +45,7 @@ class SafestPath:
 def cheapest_lanes(
     grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
 ) -> list[list[Path]]:
-    """Return the cheapest path for each limit of steps and each row of costs."""
+    """Return, for each limit of steps, the cheapest path for each row of costs."""
     goal, from_cells = np.broadcast_to(to, len(costs)), grid.neighbor_table.T
     most = min(max(limits), grid.cells - 1)
     together = max(1, MAX_TOGETHER // ((most + 1) * (grid.cells + 1)))
@@ -64,7 +64,7 @@ def cheapest_lanes(
 
 
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Trace a cheapest path to the goal for each lane, given the costs of paths of n steps."""
+    """Return the cheapest path to the goal of each lane, given the costs by number of steps."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))
@@ -158,7 +158,7 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
         )
 
 
-# Minimum expected number of independent draws beyond a confidence; fewer do not confirm it.
+# Minimum of (1 - confidence) * independent draws: below it, the draws are too few to decide.
 FEWEST_LEFT_OUT = 5.0
 
 
@@ -242,7 +242,7 @@ class Decision:
 
 
 def too_few_draws(confidence: float, independent: float) -> str:
-    """Explain why the draws are too few for a confidence; empty if not (:eq:`draws-needed`)."""
+    """Explain why the draws are too few for a confidence; empty if enough (:eq:`draws-needed`)."""
     if (1.0 - confidence) * independent >= FEWEST_LEFT_OUT:
         return ''
     needed = FEWEST_LEFT_OUT / (1.0 - confidence)

@@ -2,7 +2,7 @@
 """
 Goals: lanes and areas to be certified free of hazards, and flights that serve a goal.
 
-A goal computes the probability that it is reached, and the flight that raises it most. A new goal
+A goal computes the probability that it is reached, and the flight that serves it best. A new goal
 takes one file and one line here, or an entry point of another package. With the goal 'map' robots
 are sent for information.
 """
@@ -63,7 +63,7 @@ class FlightState:
     belief: Belief
     # The believed sensor model of the robot.
     model: SensorModel
-    # The limits of its path, with the minimum probability to survive it.
+    # The limits of the robot's path, and its minimum survival.
     options: SearchOptions
     # Joint probability of each draw and each outcome of the robots in flight, shape (outcomes,
     # draws).
@@ -74,7 +74,7 @@ class FlightState:
         survived = self.draws.survivals([path], model)[0]
         outcomes = np.concatenate([self.outcomes * survived, self.outcomes * (1.0 - survived)])
         if len(outcomes) > MAX_OUTCOMES:
-            # Sum over the outcome of the robot sent first, which alternates.
+            # Sum over the outcomes of the robot sent first, which alternate from row to row.
             outcomes = outcomes[0::2] + outcomes[1::2]
         return replace(self, outcomes=outcomes)
 
@@ -128,15 +128,15 @@ class Area:
     """
     An area: cells to be certified free of hazards.
 
-    A robot takes the path whose outcome and target readings are expected to lower the entropies of
-    the hazards in the area most, cell by cell.
+    A robot takes the path with the greatest expected decrease, by outcome and target readings, of
+    the entropy of hazards, summed over the cells of the area.
 
     Parameters
     ----------
     cells : iterable of int
         Cells of the area, at least one.
     confidence : float, optional
-        Probability, in (0, 1), that all cells are free at which the mission ends; optional.
+        The mission ends once all cells are free with this probability, in (0, 1).
 
     Raises
     ------
@@ -238,7 +238,7 @@ def expected_from_readings(
 def readings_given(
     joint: Floats, model: SensorModel, visits: Path
 ) -> Iterator[tuple[int, Floats, Floats]]:
-    """Yield each number of visits with P(readings | Z = 0) and P(readings | Z = 1), (cells, n)."""
+    """Yield each number n of visits with P(readings | Z = z), z = 0, 1, each (cells, n + 1)."""
     of_hazard = joint.sum(axis=2, keepdims=True)
     target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
     likelihood = positives(camera_rates(model), int(visits.max(initial=0)))
@@ -247,7 +247,7 @@ def readings_given(
         yield count, safe, hazardous
 
 
-# Maximum number of lanes combined to flights: of the longest lanes, of each shorter length.
+# Maximum number of lanes that flights combine: at the highest step limit, at each lower limit.
 OUT, BACK = 12, 4
 # Minimum P(the best lane is free) for flights that seek information on that lane alone.
 PROBABLE = 0.45
@@ -261,17 +261,16 @@ class Lane:
     """
     A lane from the base of the mission to a cell.
 
-    A robot flies to the goal on one lane and back on the same or another one. The pair is chosen
-    for the highest probability that the best lane is free, averaged over the robot's return and
-    loss. A robot of another base flies to cells of such lanes and back.
+    A robot flies to the goal on one lane and back on the same or another one; from another base it
+    flies to cells of lanes. The flight is chosen for the highest expected probability that the
+    best lane is free or, if this lane is probably free, for information on it.
 
     Parameters
     ----------
     to : int
         Cell that the lane leads to.
     confidence : float, optional
-        Probability, in (0, 1), that the lane is free at which the mission ends; by default it goes
-        on.
+        The mission ends once the safest lane is free with this probability, in (0, 1).
 
     Raises
     ------
@@ -332,7 +331,7 @@ class Lane:
         return situation.planned(paths[best], max(0.0, float(rise)))
 
     def _flights(self, situation: FlightState) -> tuple[list[Path], list[Path]]:
-        """Return lanes, and closed paths along lanes to the goal, or as far as the steps allow."""
+        """Return lanes to the goal, and the closed paths that a robot may fly."""
         grid, draws, options = situation.grid, situation.draws, situation.options
         start, most = situation.start, options.max_steps
         least = int(grid.steps_from(start, grid.free)[self.to])
@@ -349,7 +348,7 @@ class Lane:
             limits = longest, most - least, half, least
             lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
             far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # The order of two lanes does not change the outcome.
+            # Exchanging out and back changes no outcome, so the longest lanes are only flown out.
             paths = [
                 there_and_back(out, back)
                 for out in far + near

@@ -16,7 +16,7 @@ from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Number of draws for a decision: an event with a probability of 0.5 % occurs in about ten.
+# Number of draws for a decision: an event of probability 0.5 % occurs in about ten draws.
 DRAWS = 2048
 
 # Maximum number of bytes of the draws.
@@ -88,7 +88,7 @@ class HazardDraws:
         return float(np.clip(self.weight @ free, 0.0, 1.0))
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
-        """Return P(number of hazards in some cells), from 0 up (:eq:`hazards-remaining`)."""
+        """Return P(n of `cells` have a hazard) for n = 0, 1, ... (:eq:`hazards-remaining`)."""
         there = np.unique(cells)
         count = self.hazardous[:, there].sum(axis=1)
         chances: Floats = np.bincount(count, self.weight, there.size + 1).astype(np.float64)

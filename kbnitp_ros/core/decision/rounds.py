@@ -73,7 +73,7 @@ class Stop:
         return ''
 
     def why_not_worth(self, plans: Sequence[Plan]) -> str:
-        """Return why a round gains too little for its expected losses; empty if it does not."""
+        """Return why a round gains too little for its expected losses; empty if enough."""
         gain = sum(plan.information if plan.gain is None else plan.gain for plan in plans)
         lost = sum(1.0 - plan.survival for plan in plans)
         if gain >= self.gain * lost:

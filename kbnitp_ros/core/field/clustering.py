@@ -21,7 +21,7 @@ STRIP = 12
 def log_partition(
     free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ln Z and the expected hazards of each field (:eq:`transfer-matrix`, :eq:`strips`)."""
+    """Return ln Z and expected hazards for each field a (:eq:`transfer-matrix`, :eq:`strips`)."""
     if free.shape[1] > free.shape[0]:
         free = free.T
     rows, columns = free.shape
@@ -34,7 +34,7 @@ def log_partition(
             f'hazard is too wide for clustered hazards: with obstacles, its shorter side may have '
             f'at most {MAX_ACROSS} cells'
         )
-    # The hole is as far from the nearer edge in the strip as in the field.
+    # Place the hole as far from the nearer edge of the strip as it is in the whole field.
     strip = np.ones((rows, STRIP), dtype=bool)
     for row, column in holes:
         middle = STRIP // 2
@@ -50,7 +50,7 @@ def log_partition(
 def _sums(
     free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ln Z and the expected hazards of each field, summed by `transfer`."""
+    """Return ln Z and the expected hazards for each field a, summed by `transfer`."""
     log_z, count = np.empty_like(fields), np.empty_like(fields)
     transfer(np.ascontiguousarray(free), fields, coupling, log_z, count)
     return log_z, count
@@ -131,7 +131,7 @@ class Clustering:
     def fields(
         self, possible: NDArray[np.bool_], densities: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the field a and log Z of each coupling and density (:eq:`clustered-density`)."""
+        """Return the field a and log Z for each coupling and density (:eq:`clustered-density`)."""
         free = possible.reshape(self.grid.height, self.grid.width)
         if densities.size > 1 and min(free.shape) > STRIP and np.count_nonzero(~free) > 1:
             raise ValueError(

@@ -21,7 +21,7 @@ EPSILON = float(np.finfo(np.float64).eps)
 # Relative tolerance of a path's length, for rounded sums.
 ROUNDING = 1e-9
 
-# Offsets in rows and columns of the neighbour in each column of `Grid.neighbor_table`.
+# Row and column offsets of the neighbour in each column of `Grid.neighbor_table`, (2, 9).
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
 # Fields shown by `repr`, and maximum number of blocked cells shown.
@@ -261,7 +261,7 @@ class Grid:
         return distance
 
     def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
-        """Return a mask, (cells,), of cells that paths within the limits can visit (0 m: none)."""
+        """Return a mask, (cells,), of cells that paths in the limits can visit; 0 m: no limit."""
         steps = self.steps_to_base
         in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
         if max_distance:

@@ -228,7 +228,7 @@ class Dynamics:
         each hazard may move to a neighbouring cell that has no hazard and may have one.
         ``'learn'``: the kind is inferred from the evidence.
     appear : float
-        Chance in [0, 1] that a cell of a changing field without a hazard has one at the next
+        Chance in [0, 1] that a hazard-free cell of a changing field has a hazard at the next
         deployment. If it is 0 and `vanish` is unknown, hazards appear at the rate that keeps their
         expected number as in the prior.
     vanish : float, (float, float) or Beta
@@ -314,7 +314,7 @@ def as_rate(name: str, given: Rate) -> float | Beta:
     if name == 'appear' or np.shape(given) != (2,):
         raise ValueError(
             f'{name} is {given}: it must be a number'
-            + (' or low and high' if name != 'appear' else ', and is unknown with vanish')
+            + (' or low and high' if name != 'appear' else '; at 0 it follows an unknown vanish')
         )
     low, high = (probability(name, each) for each in given)
     if not 0.0 < low < high:

@@ -91,7 +91,7 @@ class Bank:
                 'nothing'
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
-        # Cached for the last numbers: change between deployments, `Steps` of each robot type.
+        # Cache: numbers, and for them the change between deployments and `Steps` by robot type.
         self._effects: tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Steps]] | None = (
             None
         )
@@ -237,7 +237,7 @@ class Bank:
         has_begun: bool = False,
         is_predicted: bool = False,
     ) -> tuple[Floats, Floats]:
-        """Fold deployments into joints; return these and log probabilities as in `assimilated`."""
+        """Fold deployments into joints; return joints and log chances, as `assimilated` does."""
         joints = np.array(joints)
         log_chances: Floats = np.zeros((1, len(numbers)))
         learnt = dict(zip(self._names, numbers.T))

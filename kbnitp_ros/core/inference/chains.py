@@ -97,7 +97,7 @@ class Chains:
         state: ChainState,
         rng: np.random.Generator,
     ) -> None:
-        # Cells are indexed by their place in the chains below.
+        # From here on, a cell is numbered by its place in the chains.
         self._cells = state.cells
         # Cells outside the chains have the joints of the prior with each chain's numbers.
         elsewhere = np.setdiff1d(np.arange(hypotheses.belief.cells), state.cells)
@@ -124,7 +124,7 @@ class Chains:
         self._prior_odds = {name: each.odds(*LIMITS[name]) for name, each in maps.items()}
         # Rates of each robot type, in the order of the tally.
         self._rates = [hypotheses.rates(robot_type) for robot_type in tally.robot_types]
-        # Factors of the readings if constant: if the numbers in OF_READINGS are known.
+        # Factors of the readings; None if they vary with an unknown number of OF_READINGS.
         self._of_readings = None if OF_READINGS & {*hypotheses.unknown} else self._given_readings()
         # Losses with the same robot type and number of steps share their factors.
         longest = tally.steps.max(initial=0)
@@ -212,7 +212,7 @@ class Chains:
 
     @property
     def state(self) -> ChainState:
-        """Return the state; it shares arrays with the chains, so end them before using it."""
+        """Return the state, which shares arrays with the chains: call after the last sweep."""
         return ChainState(self._place, self._cells, self._hazardous)
 
     def hazards(self) -> NDArray[np.bool_]:
@@ -354,7 +354,7 @@ class Chains:
             self._draw('malfunction', log_likelihood)
 
     def _weigh_by_located(self, endured: Floats, spared: Floats, likelihood: Floats) -> None:
-        """Multiply by located losses; chances have shape (1 or chains, types, 1 or values)."""
+        """Multiply `likelihood` by located losses; chances (1 or chains, types, 1 or values)."""
         if self._tally.located_steps.size:
             shape = (CHAINS, endured.shape[1], likelihood.shape[1])
             safe, exposed = (
@@ -364,7 +364,7 @@ class Chains:
             weigh_by_located(self._hazardous, self._factors.located, safe, exposed, likelihood)
 
     def _draw_the_rest(self, if_safe: Floats, if_hazardous: Floats) -> None:
-        """Draw (:eq:`target-conditional`, :eq:`map-conditional`, :eq:`count-conditional`)."""
+        """Draw all other unknown numbers (:eq:`map-conditional`, :eq:`count-conditional`)."""
         tally, hypotheses, maps = self._tally, self._hypotheses, self._maps
         unknown = hypotheses.unknown
         hazardous = self._hazardous.astype(bool)
@@ -377,7 +377,7 @@ class Chains:
             self._draw('hazard_density', log_likelihood)
         if self._of_readings is not None:
             return
-        # Cells without readings have no target evidence.
+        # Draw targets of cells with readings; others have no evidence (:eq:`target-conditional`).
         read = self._read
         hazardous, if_safe, if_hazardous = (
             np.take(each, read, axis=1) for each in (hazardous, if_safe, if_hazardous)

@@ -343,7 +343,7 @@ class Estimator:
 
 
 # Estimators are kept after each of the last 2 ** DENSE deployments, and after every second,
-# fourth, eighth and so on further back: a late deployment costs little more than its successors.
+# fourth, eighth and so on further back; few deployments before a late one are then repeated.
 DENSE = 2
 
 
@@ -411,7 +411,7 @@ class Ledger(MissionRecord):
         return other
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # Refer to the new message: no log may have the first if its publisher was lost.
+        # Refer to the new message: the first may be in no log if its publisher was lost.
         self.report_contents[key] = report.content
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:

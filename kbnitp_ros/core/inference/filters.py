@@ -306,7 +306,7 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """Assignments of each loss without malfunction to a different hazard."""
+    """An assignment of each loss that no malfunction explains to a different hazard."""
 
     # Cells that may have a hazard, and that no robot with a lethality of 1 has entered, shape
     # (cells,).

@@ -249,7 +249,7 @@ class Hypotheses:
         )
 
     def offset(self, name: str, place: Mapping[str, NDArray[np.intp]]) -> NDArray[np.intp]:
-        """Return the index of a prior map's offset in each chain, whose numbers are at `place`."""
+        """Return the index of a prior map's offset in each chain, given the numbers' `place`."""
         if name != 'hazard_density' or self.clusters is None:
             return place[name]
         return place['coupling'] * self.clusters.field.shape[1] + place['hazard_density']

@@ -25,7 +25,7 @@ from kbnitp_ros.core.inference.kinds import learning
 from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
-# Capabilities and properties of an inference.
+# Functions and attributes that an inference must have.
 CALLED = ('assimilate', 'copy')
 KNOWN = ('belief', 'model', 'parameters', 'sampling_error', 'is_converged')
 
@@ -52,7 +52,7 @@ class Inference(Protocol):
 
 
 class Method(Protocol):
-    """A method makes an inference from a prior, a sensor model, its unknowns and a seed."""
+    """A factory of inferences from a prior, a sensor model, its unknowns and a seed."""
 
     @property
     def learns(self) -> bool: ...
@@ -72,7 +72,7 @@ class Method(Protocol):
 
 
 def as_method(given: object) -> Method:
-    """Return a method for the registry."""
+    """Return `given`, checked to be an inference method."""
     takes(given, ('belief', 'model', 'unknowns', 'seed'))
     if dynamics := supported_dynamics(given):
         others = [kind for kind in dynamics if kind not in HAZARDS]
@@ -100,7 +100,7 @@ def supported_dynamics(method: object) -> tuple[str, ...]:
 def check_able(
     given: str | Callable[..., object], is_able: Callable[[Method], object], lack: str
 ) -> None:
-    """Check that a method has a capability; the error starts with `lack` and names methods."""
+    """Check that a method has a capability; if not, raise `lack` and the methods that have it."""
     if not is_able(METHODS.find(given)):
         able = [name for name, each in METHODS.items() if is_able(each)]
         raise ValueError(f'{lack}: use {" or ".join(able)}')

@@ -29,7 +29,7 @@ IN_DOUBT = 20.0
 RETURN_SHIFTS = (2.0, 0.5)
 
 # Maximum number of particles of an alternative with an unknown number, and of particles times
-# cells, which makes the check of a large field as fast as the search, but less sensitive.
+# cells: the check of a large field is then as fast as the search, but less sensitive.
 PARTICLES, MAX_CELLS = 64, 60_000
 
 WORDS = {

@@ -30,8 +30,8 @@ class Evidence:
     negative: NDArray[np.intp]
     # Number of earlier visits to the cell of each step, shape (steps,).
     before: NDArray[np.intp]
-    # Masks by cell and its number of earlier visits, and by step: of the cell that the step
-    # enters, and of all other cells; shape (n * (most visits + 1), steps).
+    # Indexed [(cell, number of earlier visits), step]: 1 if the cell has this number before the
+    # step, and the step enters it (`elsewhere`: another cell); (n * (most visits + 1), steps).
     inside: Floats
     elsewhere: Floats
     # Likelihood of a loss in each step, shape (steps,); None for a return.
@@ -77,7 +77,7 @@ class Steps:
 
     @classmethod
     def of(cls, rates: Mapping[str, Floats], false_negative: float, are_used_up: bool) -> Steps:
-        """Return the effects of steps at `RATES`, each of shape (particles,)."""
+        """Return the effects of a step, given the `RATES`, each of shape (particles,)."""
         lethality, malfunction, true_positive, false_positive = (rates[name] for name in RATES)
         endured, none = 1.0 - malfunction, np.zeros_like(malfunction)
         spared, deadly = lethality * false_negative, lethality * (1.0 - false_negative)

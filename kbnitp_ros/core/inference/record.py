@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 Self = TypeVar('Self', bound='MissionRecord')
 
-# Bytes: maximum of all pending reports, their total after dropping some, one report, one reading.
-MAX_PENDING = 50_000_000
-LEFT_PENDING = 45_000_000
+# Maximum bytes of pending reports, and bytes that are kept if the maximum is exceeded.
+MAX_PENDING, LEFT_PENDING = 50_000_000, 45_000_000
+# Approximate bytes of a report, and of each of its readings.
 REPORT, READING = 1000, 100
 
 # Maximum ratio of the steps of a robot's walk to those of its orders.
@@ -86,11 +86,11 @@ class MissionRecord:
     """
     The paths and reports of a mission, in any order, with one outcome for each deployment.
 
-    The first valid path of a deployment counts. The report that counts does not depend on the
-    order of arrival: a return counts rather than a loss, since the robot was only late; the loss
-    with the later contact, or at equal contacts with the narrower `lost_at`; the return with more
-    readings (returns differ only if two robots share a name). All evidence is validated here: a
-    refused report changes nothing.
+    The first valid path of a deployment counts. If reports differ, whichever came first, a return
+    counts rather than a loss, since the robot was only late; of two losses the one with the later
+    contact or, at equal contacts, the narrower `lost_at`; of two returns (of robots that share a
+    name) the one with more readings. All evidence is validated here: a refused report changes
+    nothing.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Lower limit of the likelihood of a located loss, so that a chain can leave states in which the
-# loss is impossible; lower than LEAST, since the likelihood is no difference.
+# loss is impossible; below LEAST, since a sum has no rounding error of 1 - 1.
 LEAST_FIT = 1e-100
 # Upper limit of products, within the range of floating point.
 LARGE = 1e300
@@ -130,7 +130,7 @@ def located_ratio(
     hazard: int,
     ratio: float,
 ) -> float:
-    """Multiply `ratio` by the located losses' likelihood ratio, `hazard` to its opposite."""
+    """Multiply `ratio` by located losses' likelihood with `hazard` over that with 1 - `hazard`."""
     for entry in range(located.first_entry[cell], located.first_entry[cell + 1]):
         now = located_chance(sums, located, hazardous, entry, hazard)
         other = located_chance(sums, located, hazardous, entry, 1 - hazard)
@@ -314,7 +314,7 @@ def tabulate_losses(
 
 @compiled
 def add_exposures(exposures: NDArray[np.int32], graph: LossGraph, cell: int, hazards: int) -> None:
-    """Add the exposures of lost paths to a cell, `hazards` times: 1 or, if a hazard goes, -1."""
+    """Update the exposures of lost paths as a cell gains (`hazards` 1) or loses (-1) a hazard."""
     for entry in range(graph.first_loss[cell], graph.first_loss[cell + 1]):
         exposures[graph.loss[entry]] += hazards * graph.visits[entry]
 
@@ -388,7 +388,7 @@ def draw_hazards(
     any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
-    # Indexed by number of hazardous neighbours: a power for each cell would dominate the time.
+    # By number of hazardous neighbours: computing a power for each cell would take most time.
     weight_around = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
         malfunction, strike = state.malfunction[chain], state.strike[chain]
@@ -462,7 +462,7 @@ def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float
             new = nth_cell(cells, hazardous, 0, int(numbers[2] * (cells.size - hazards)))
             ratio = odds[new] / odds[old]
             if any_coupled:
-                # Remove the old hazard, lest it count as a neighbour of the new cell.
+                # Count without the old hazard, which is no neighbour of the new cell after a swap.
                 hazardous[old] = 0
                 more = hazards_around(neighbors, hazardous, new)
                 more -= hazards_around(neighbors, hazardous, old)

@@ -30,11 +30,11 @@ class Tally:
     robot_types: tuple[RobotType, ...] = (ORDINARY,)
     # Number of deployments.
     deployments: int = 0
-    # Number of steps in which the robot may have been lost, and robot type, of each loss that is
-    # not located, shape (losses,).
+    # Of each loss that is not located: number of steps in which the robot may have been lost, and
+    # robot type, shape (losses,).
     steps: NDArray[np.int32] = field(default_factory=none_yet)
     robot_type: NDArray[np.int32] = field(default_factory=none_yet)
-    # Each cell of these steps, the index of its loss, and the number of visits, shape (entries,).
+    # For each cell of these steps: the cell, the index of its loss, its visits, shape (entries,).
     cell: NDArray[np.int32] = field(default_factory=none_yet)
     path: NDArray[np.int32] = field(default_factory=none_yet)
     visits: NDArray[np.int32] = field(default_factory=none_yet)

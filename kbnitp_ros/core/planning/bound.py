@@ -128,7 +128,7 @@ def inside(survival: float) -> float:
 def visit_sums(
     belief: Belief, model: SensorModel, cells: Places, max_visits: int
 ) -> tuple[Floats, Places]:
-    """Return W, r and r2 by number of visits, and the most survivable (:eq:`bound-terms`)."""
+    """Return W, r and r2 by visits, and the maximum survivable visits (:eq:`bound-terms`)."""
     visits = np.arange(max_visits + 1)
     hazard = belief.hazard[cells, None]
     log_mean = log_predicted_survival(hazard, visits, model.log_survival)

@@ -162,7 +162,7 @@ def greatest_sum(region: Region, survival: float, ratio: float) -> float:
 
 @compiled
 def touching_point(region: Region, survival: float, square: float) -> float:
-    """Return p0 of equation :eq:`bound-touching`, away from q; 0 where q is small."""
+    """Return p0 of equation :eq:`bound-touching`, at most 0.98 q; 0 if q < .01 or P >= q."""
     if region.safest < 0.01 or survival >= region.safest:
         return 0.0
     p0 = (region.safest * survival - square) / (region.safest - survival)
@@ -212,7 +212,7 @@ def next_cut(region: Region, survival: float, ratio: float, total: float, value:
 def bound_of_box(
     region: Region, low: float, high: float, least: float, most: float, enough: float
 ) -> float:
-    """Return the bound of `value_at` over a box, for its best cut (:eq:`bound-box`)."""
+    """Return the lowest bound that a cut gives on `value_at` in a box (:eq:`bound-box`)."""
     middle = 0.5 * (low + high)
     lost, lost_slope = surprisal(1.0 - middle), log(1.0 - middle) + 1.0
     kept, kept_slope = surprisal(middle), -log(middle) - 1.0

@@ -124,7 +124,7 @@ def added_information(
     alpha: float = SHANNON,
     interest: NDArray[np.float64] | None = None,
 ) -> float:
-    """Return the information added (:eq:`added-information`, :eq:`behavioral-information`)."""
+    """Return the information of a path (:eq:`added-information`, :eq:`behavioral-information`)."""
     cells = as_path(path)
     if cells.min() < 0 or cells.max() >= belief.cells:
         raise ValueError(
@@ -176,12 +176,14 @@ def behavioral_information(
     Return the information of a path with behavioral entropies instead of Shannon's.
 
     Equation :eq:`behavioral-information`: the information that a return or loss gives about the
-    hazards, plus the entropy of targets that the readings of a returned robot should remove.
+    hazards, plus the expected entropy of targets that readings of a returned robot remove.
 
     Parameters
     ----------
-    belief, model, path, alpha, interest
-        As of `added_information`.
+    belief, model, path
+        As of `path_information`.
+    alpha, interest
+        As of `Objective`.
     outcomes : JointOutcomes, optional
         Joint outcomes of robots sent before; by default none.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 class Readings(NamedTuple):
-    """Readings of a cell, by state: the number of readings by each camera so far."""
+    """Readings of a cell; a state is the number of readings by each camera so far."""
 
     # P(n visits survived | Z = z), indexed [n, z], shape (most visits + 1, 2).
     survival: NDArray[np.float64]

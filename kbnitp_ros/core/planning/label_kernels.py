@@ -38,8 +38,8 @@ class Reach(NamedTuple):
     neighbors: Places
     # Number of cells that a robot can be in after each number of steps, shape (max_steps + 1,).
     within: Places
-    # Index of each step's first cell in arrays by step and cell; last, their size; (max_steps +
-    # 2,).
+    # Index of each step's first cell in arrays by step and cell, and at the end their size, shape
+    # (max_steps + 2,).
     start: Places
     # Metres of a step to each column of `neighbors`, shape (9,); 0 if lengths are not limited.
     length: Floats
@@ -63,11 +63,9 @@ class Gains(NamedTuple):
 class LabelProblem(NamedTuple):
     """A label search: the cells, the gains of visits, and the weights in the value of a label."""
 
-    # The cells and their neighbours.
     reach: Reach
     # Random hash of each cell, shape (cells,): the sum over visits identifies the visits.
     marks: NDArray[np.int64]
-    # Gains of visits.
     gains: Gains
     # Weight of each moment, shape (powers,).
     weight: Floats
@@ -92,7 +90,7 @@ class Products(NamedTuple):
 
 
 class Labels(NamedTuple):
-    """The labels of one step. Each cell has `width` rows, and labels in the first `kept`."""
+    """The labels of one step. Each cell has `width` rows; its first `kept` rows are in use."""
 
     # Products and sums of the label in each row.
     products: Products
@@ -139,7 +137,7 @@ def surprisal(p: float) -> float:
 
 @inlined
 def averaged_value(brought: float, lost: float, lost_square: float, loss_cost: float) -> float:
-    """Return a value except for the hazards' entropy (:eq:`label-value`, :eq:`loss-surprisal`)."""
+    """Return a value without its last two terms (:eq:`label-value`, :eq:`loss-surprisal`)."""
     value = brought + surprisal(lost) - loss_cost * lost
     if lost > 0.0:
         value -= 0.5 * (lost_square - lost * lost) / lost
@@ -216,7 +214,7 @@ def new_ranking(places: int, is_limited: bool) -> Ranking:
 
 @inlined
 def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -> None:
-    """Insert a candidate into a ranking, unless it has an entry with the same score and hash."""
+    """Rank a candidate; of candidates with equal score and hash only the shortest is kept."""
     scores, marks, lengths, origins = best.score, best.mark, best.length, best.origin
     low, high = 0, scores.size
     while low < high:

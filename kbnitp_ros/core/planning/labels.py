@@ -115,10 +115,10 @@ def _powers(
     return power, times_log(power[..., 0], log_power)
 
 
-# Minimum number of closed paths ranked by exact value; otherwise twice `width`.
+# Closed paths ranked by exact value: twice `width`, but at least this number.
 MIN_RANKED = 8
 
-# Rounds of the local search: number of paths improved, maximum run of cells replaced.
+# By round of local search: number of paths improved, maximum number of cells in a gap.
 ROUNDS = ((16, 2), (4, 3))
 
 # Maximum bytes of a search.
@@ -175,7 +175,7 @@ class LabelSearch:
         )
 
     def closed(self, count: int) -> tuple[Places, Places]:
-        """Return the `count` best paths and steps; if wider, also the best path of width 1."""
+        """Return `count` best paths and their steps; if wider than 1, also the best of width 1."""
         problem, rows = self.problem, self.reach.start[-1]
         completions = np.empty((rows if self._width > 1 else 0, problem.weight.size + 5))
         paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)
@@ -192,7 +192,7 @@ class LabelSearch:
     def _traced(
         self, origins: NDArray[np.int32], values: Floats, count: int
     ) -> tuple[Places, Places]:
-        """Return the paths of the best `count` labels that end at the base."""
+        """Return the paths and steps of the best `count` labels that end at the base."""
         best = np.argsort(-values, axis=None, kind='stable')[:count]
         steps, slots = np.divmod(best[values.flat[best] > -inf], values.shape[1])
         paths = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)

@@ -2,7 +2,7 @@
 """
 Kernels of the local search that improves closed paths, and of exact values.
 
-Only the gap in a path changes, so the value of a label is that of the path with its cells in it.
+The value of a label is the value of the whole path with the label's cells in the gap.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class Gap(NamedTuple):
 
     # Maximum number of cells in the gap.
     most: int
-    # The cells before and after it.
+    # The cells before and after the gap.
     start: int
     end: int
-    # The first and last cells removed; -1 for none. They are not tried again in their places,
-    # since a shorter gap keeps them.
+    # The first and last cells removed; -1 for none. They are not tried in their old places: paths
+    # that keep them have a shorter gap.
     old_first: int
     old_last: int
     # Length of the path without the gap, metres.
@@ -92,7 +92,7 @@ def value_after(
 def visit_all(
     path: Places, first: int, last: int, gains: Gains, visits: Places, to: Products
 ) -> None:
-    """Extend the label in row 0 of `to`, and the counts, by the cells of a stretch of a path."""
+    """Extend the label in row 0 of `to`, and the visit counts, by a stretch of a path."""
     for step in range(first, last + 1):
         cell = path[step]
         visit(to, 0, gains, cell, visits[cell], to, 0)
@@ -188,7 +188,7 @@ def fill(problem: LabelProblem, gap: Gap, room: GapLabels, least: float) -> tupl
 
 @compiled
 def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
-    """Replace runs of cells of a closed path until no replacement improves it."""
+    """Replace runs of cells of a path until nothing improves it; return its steps."""
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between
     room = GapLabels(

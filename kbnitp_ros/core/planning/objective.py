@@ -17,7 +17,7 @@ from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# The first exponent is 1: its moment is the predicted survival.
+# Powers of :eq:`entropy-powers`; the first exponent is 1: its moment is the predicted survival.
 EXPONENTS = np.array([1.0, 2.026, 3.832, 9.407, 28.14, 101.5, 482.6, 4111.0])
 WEIGHTS = np.array(
     [
@@ -36,8 +36,8 @@ WEIGHTS = np.array(
 ERROR = 1.95e-5
 
 
-# Maximum number of different cameras in one plan, and of combinations of their numbers of readings
-# of a cell. Further readings by a camera are not counted, which changes plans very little.
+# Maximum number of different cameras in one plan, and of combinations of their reading counts in
+# a cell. Further readings by a camera are not counted, which changes plans very little.
 MAX_CAMERAS = 6
 MAX_WAYS = 1024
 
@@ -71,7 +71,7 @@ def check_cameras(cameras: int) -> None:
 
 @lru_cache(maxsize=8)
 def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Readings:
-    """Return the possible readings of up to `visits` visits, and of `earlier` robots."""
+    """Return the possible readings in up to `visits` visits, after up to `earlier` readings."""
     own = camera_rates(model)
     most = dict(earlier)
     before = tuple(count + 1 for count in most.values())

@@ -17,7 +17,7 @@ from kbnitp_ros.plugins import Registry, takes
 OBJECTIVES = ('information', 'behavioral', 'information_per_loss')
 
 
-# The package's planners are in planners.py.
+# The package's planners are registered in planners.py.
 PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     'planner',
     partial(takes, arguments=('finder', 'objective')),

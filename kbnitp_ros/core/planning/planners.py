@@ -101,7 +101,7 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
 
 
 def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
-    """Return the number of walks home in 0, 1, ... steps, over the largest (:eq:`walks`)."""
+    """Return the number of walks home from each cell, by steps, over the largest (:eq:`walks`)."""
     ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
     ways[0][0] = 1.0
     for _ in range(reach.within.size - 2):

@@ -334,7 +334,7 @@ def plan_team(
         Search options of the common robot type.
     in_flight : sequence of (array_like of int, RobotType)
         The path, shape (steps + 1,), and the type of each robot in flight. All allocations but
-        'independent' plan for the information added to their outcomes.
+        'independent' plan for the information added to the outcomes of these robots.
     keepout : sequence of int
         Cells that no robot may enter, in addition to blocked cells.
     bound : bool
@@ -349,8 +349,8 @@ def plan_team(
     Raises
     ------
     ValueError
-        As of `plan`; if the allocation is unknown, there are more robots than free cells, a path
-        in flight is invalid, a base is not one of the grid's, or the robots have too many
+        As of `plan`; also if the allocation is unknown, there are more robots than free cells, a
+        path in flight is invalid, a base is not one of the grid's, or the robots have too many
         different cameras.
 
     """
@@ -434,7 +434,7 @@ def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
 
 
 def team_size(grid: Grid, agents: int) -> int:
-    """Return the number of robots, at most one for each free cell."""
+    """Return `agents`, checked to be at most one robot for each free cell."""
     free = int(grid.free.sum())
     try:
         return whole_number('agents', agents, 1, free)

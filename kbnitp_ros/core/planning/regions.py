@@ -120,7 +120,7 @@ def divide(
 def _sector_centres(
     place: NDArray[np.complex128], mass: NDArray[np.float64], parts: int
 ) -> NDArray[np.complex128]:
-    """Return the centres of sectors around 0 of about equal mass; 0 for empty sectors."""
+    """Divide the plane around 0 into sectors of about equal mass; return centres, 0 if empty."""
     order = np.argsort(np.angle(place), kind='stable')
     middle = np.cumsum(mass[order]) - mass[order] / 2.0
     sector = np.empty(len(mass), dtype=np.intp)
