@@ -98,7 +98,7 @@ def checked(posterior: Callable[[], NDArray[np.float64]]) -> Callable[[], float]
 BENCHMARKS = (
     Benchmark(
         'What one loss says of 20 cells',
-        f'The same posterior by all, equal to {TOLERANCE:g}.',
+        f'All compute the same posterior, within {TOLERANCE:g}.',
         {
             '`update`': checked(by_update),
             'pyAgrum, `addNoisyORNet`': checked(by_pyagrum),

@@ -24,7 +24,7 @@ ALL = Unknowns(
     true_positive=Beta(9, 1),
     false_positive=Beta(1, 9),
 )
-UNKNOWNS = {'all told': Unknowns(), 'lethality learnt': LETHALITY, 'all seven learnt': ALL}
+UNKNOWNS = {'all given': Unknowns(), 'lethality learnt': LETHALITY, 'all seven learnt': ALL}
 # Cells a side, and deployments at which updates are timed.
 LENGTHS = {9: (100, 1000), 50: (100,)}
 
@@ -53,8 +53,8 @@ def mean_up_to(side: int, told: str, deployments: int) -> Callable[[], float]:
 BENCHMARKS = tuple(
     Benchmark(
         f'An update of `kappa_bnitp_sampled` on {side}x{side} cells, at deployment {number:,}',
-        f'A mission of random walks of at most {STEPS} steps; means over the {WINDOW} deployments '
-        'up to it. Sweeps\nare made until the belief is settled.',
+        f'Random walks of at most {STEPS} steps; means over the {WINDOW} deployments up to this '
+        'one.\nSweeps are made until the belief converges.',
         {told: mean_up_to(side, told, number) for told in UNKNOWNS},
     )
     for side, lengths in LENGTHS.items()

@@ -49,8 +49,8 @@ def mean_up_to(deployments: int) -> Callable[[], float]:
 BENCHMARKS = (
     Benchmark(
         'An update of `kappa_bnitp` by deployments',
-        f'A mission of random walks of at most {STEPS} steps on {SIDE}x{SIDE} cells, of which few '
-        f'are equal; means over\nthe {WINDOW} deployments up to each.',
+        f'Random walks of at most {STEPS} steps on {SIDE}x{SIDE} cells, most of them different;\n'
+        f'means over the {WINDOW} deployments up to each.',
         {f'deployment {number:,}': mean_up_to(number) for number in DEPLOYMENTS},
     ),
 )
