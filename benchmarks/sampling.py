@@ -53,8 +53,8 @@ def mean_up_to(side: int, told: str, deployments: int) -> Callable[[], float]:
 BENCHMARKS = tuple(
     Benchmark(
         f'An update of `kappa_bnitp_sampled` on {side}x{side} cells, at deployment {number:,}',
-        f'Random walks of at most {STEPS} steps; means over the {WINDOW} deployments up to this '
-        'one.\nSweeps are made until the belief converges.',
+        f'Random walks of at most {STEPS} steps; mean times of the {WINDOW} deployments up to '
+        'this number.\nSweeps are made until the belief converges.',
         {told: mean_up_to(side, told, number) for told in UNKNOWNS},
     )
     for side, lengths in LENGTHS.items()

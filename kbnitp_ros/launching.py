@@ -93,7 +93,7 @@ def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
 
 
 def launch_argument(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
-    """Return the launch argument with the name of a parameter."""
+    """Return the launch argument that sets a parameter."""
     description = f'{parameter.description} Empty: the value in params_file.'
     return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
 

@@ -38,7 +38,7 @@ class DeploymentInFlight:
     departure: int | None = None
     # Whether the robot is known to have departed.
     has_departed: bool = False
-    # Hash of another planner's path that was recorded instead; None once this path has arrived.
+    # Hash of another planner's path that was recorded instead; None once that path has arrived.
     recorded_content: int | None = None
     # Time at which the robot times out, nanoseconds; None before its departure.
     due: int | None = None
@@ -169,7 +169,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
     def end(self, key: DeploymentKey, reported: int | None = None) -> None:
         """Remove a deployment that was reported by its agent or given up."""
         if self.departures.is_refused(key):
-            # A returned robot must have departed.
+            # The agent refused the order, but a robot that returned must have departed.
             self._sent.add(key)
         self.pop(key, None)
         self.departures.end(key, reported)

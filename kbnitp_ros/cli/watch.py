@@ -207,7 +207,7 @@ class Handler(BaseHTTPRequestHandler):
         super().__init__(*arguments)  # type: ignore[arg-type]
 
     def do_GET(self) -> None:
-        """Answer a request; refuse foreign host names: other sites must not read the page."""
+        """Answer a request, unless its Host is foreign: other sites must not read the page."""
         name = self.headers.get('Host', '').rpartition(':')[0]
         is_local = self.client_address[0] == HOST
         if is_local and name not in (HOST, 'localhost'):

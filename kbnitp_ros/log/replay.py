@@ -185,7 +185,7 @@ class Fold:
         return True
 
     def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compare a recorded belief with the ledger's belief, and compute its views."""
+        """Compare a recorded belief with the ledger's, and compute the views expected with it."""
         assert self._ledger is not None
         prior = self.report.evidence.prior
         assert prior is not None

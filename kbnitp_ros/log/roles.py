@@ -67,7 +67,7 @@ OF_AGENT = {
     **dict.fromkeys(TRUTH, GRID),
 }
 
-# The roles that each node publishes or subscribes to.
+# Roles of the evidence, and roles that each node publishes or subscribes to.
 EVIDENCE = ('path', 'report', 'status', 'recorded')
 ROLES_OF = {
     'planner': (

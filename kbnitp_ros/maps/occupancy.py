@@ -14,8 +14,8 @@ from kbnitp_ros.plugins import extra
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Tolerance in pixels for a pixel's edge on a cell's edge: resolutions such as 0.05 m are not exact
-# in binary.
+# Tolerance, in pixels, within which edges of pixels and cells coincide: resolutions such as 0.05 m
+# are not exact in binary.
 ON_THE_EDGE = 1e-6
 
 

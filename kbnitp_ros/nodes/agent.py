@@ -156,7 +156,7 @@ class Simulation:
         return key
 
     def take(self, key: DeploymentKey) -> None:
-        """Start a deployment after all earlier deployments that can change the field."""
+        """Let a robot leave after all earlier robots that can change the field."""
         self._moving.add(key)
         if key not in self._outcomes:
             self._add_path(key, self.paths[key])

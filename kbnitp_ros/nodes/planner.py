@@ -228,7 +228,7 @@ class PlannerNode(FieldNode):
         self._dispatch.send(plans, self._beliefs.tracker.begin(newest.mission))
 
     def _publish_obstacle(self, now: PlannerState, obstacle: Obstacle) -> None:
-        """Publish the condition that blocks departures; publish a new mission state at once."""
+        """Publish the condition that blocks departures, at once if the mission state changes."""
         what = describe_obstacle(now, obstacle)
         is_end = obstacle.is_end
         self.diagnostics.state = f'done: {what}' if is_end else waiting_for(what)

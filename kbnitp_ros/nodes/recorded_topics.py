@@ -154,7 +154,7 @@ class ParameterWatch:
                 self._over.add(name)
 
     def is_over(self, name: str) -> bool:
-        """Return whether a node needs no more requests: answered, given up, or foreign."""
+        """Return whether a node has answered, was given up, or is foreign: no more requests."""
         if name == NAMELESS:
             self._nameless_since = self._nameless_since or time.monotonic()
             return time.monotonic() > self._nameless_since + GIVE_UP

@@ -46,7 +46,7 @@ class NewEvidence:
         self._since = 0
 
     def take(self, ledger: Ledger) -> tuple[int, Sequence[DeploymentKey]]:
-        """Return the evidence fields of a ledger's belief, which is published next."""
+        """Return `since` and `taken_in` of a ledger's belief, which is published next."""
         since, held = self._since, len(ledger.deployments)
         named = sorted(self._keys, key=deployment_order) if since else ledger.deployments
         self._until_complete = (self._until_complete if since else COMPLETE_EVERY) - 1

@@ -281,7 +281,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     yield Tile(
         'What is not known?',
         f'{counted(unseen, "cell")} not entered',
-        f'{open_cells} cells were entered, and are neither free nor suspected',
+        f'{open_cells} cells were entered, and are neither safe nor suspected',
         'map-title',
     )
     yield lane(mission)
@@ -369,10 +369,10 @@ def by_truth(mission: Mission, world: World) -> str:
     cells, inside = classify_cells(mission), mission.grid.free
     missed = int((world.hazard & cells.free).sum())
     return (
-        f'By the recorded truth {cells.free.sum() - missed} of {cells.free.sum()} free cells are '
-        f'free, {(world.hazard & cells.suspected).sum()} of {cells.suspected.sum()} suspected '
-        f'cells have a hazard, and {missed} of {(world.hazard & inside).sum()} hazards are in '
-        'free cells.'
+        f'By the recorded truth {cells.free.sum() - missed} of {cells.free.sum()} safe cells '
+        f'have no hazard, {(world.hazard & cells.suspected).sum()} of {cells.suspected.sum()} '
+        f'suspected cells have one, and {missed} of {(world.hazard & inside).sum()} hazards are in safe '
+        'cells.'
     )
 
 

@@ -78,7 +78,7 @@ def reservations(first: Mission, second: Mission) -> Iterator[str]:
         if abs(assumed - other) >= 0.005:
             yield (
                 f'The prior probability of {name} was {assumed:.2f} in A and {other:.2f} in B; '
-                'both maps have the colours for A.'
+                "the colours of both maps are relative to A's."
             )
 
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 Parameters = Mapping[str, Mapping[str, Any]]
 
-# Maximum amount by which a map may be smaller than the field, in cells.
+# Maximum part of a cell by which a map may exceed the field.
 PART = 1e-3
 
 

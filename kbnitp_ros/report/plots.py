@@ -27,10 +27,10 @@ WALKS = {
     'lost': {'color': LOST.colour, 'dash': LOST.plotly_dash, 'symbol': 'x'},
 }
 
-# Colours of cells that no robot can enter: on light paper and on a dark screen.
+# Colour of cells that no robot can enter, on light paper as well as on a dark screen.
 OBSTACLE = '#808080'
 
-# Arrows that show the rotation of a map, pixels: length, and space above the map.
+# Pixels: length of the arrows above a map, and space for them.
 ARROW, ABOVE = 20, 64
 
 # Height of a panel of curves, in pixels.

@@ -271,9 +271,9 @@ CONTACT = Comparison(
     name='last_contact',
     applies=lambda scenario: differ_only_in(scenario, 'last_contact'),
     caption=(
-        'Value of last contacts, in nats: the log loss with a contact of {least:.4g} minus the '
-        'log loss with the contact of the row, paired by world, by number of robots. Contact: the '
-        "probability, after each step, that the base receives the robot's progress."
+        'Value of last contacts, in nats, by number of robots: the log loss with a contact of '
+        '{least:.4g} minus the log loss with the contact of the row, paired by world. Contact: '
+        "the probability, after each step, that the base receives the robot's progress."
     ),
     columns={**METHOD, 'last_contact': ('contact', '{:.4g}'), 'value': ('', 1)},
     **with_first(

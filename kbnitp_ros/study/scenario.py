@@ -78,7 +78,7 @@ class DecisionRequest:
 
 
 class SafestLane(Lane):
-    """A lane whose robots fly out and back along the currently safest lane."""
+    """The goal of a lane; robots fly out and back along the currently safest lane."""
 
     def flight(self, situation: FlightState) -> Plan | None:
         """Return the safest lane, there and back."""

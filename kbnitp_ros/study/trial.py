@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 # Seed key of random layouts, distinct from the keys of worlds and robots.
 LAID_OUT = 0x4C41594F
 
-# Seed key of random maps, distinct from the keys of worlds and robots.
+# Seed key of errors in prior maps, distinct from the keys of worlds and robots.
 MAPPED = 0x4D415053
 
 # Correlation length of blobs, in cells: the standard deviation of a Gaussian kernel.

@@ -112,8 +112,8 @@ class Grid:
         reach = max(map(abs, origin)) + max(width, height) * self.resolution
         if not reach * EPSILON * APART <= self.resolution:
             raise ValueError(
-                f'origin is {self.origin}: so far out cells of {self.resolution} m cannot be told '
-                f'apart; it must be within {self.resolution / (APART * EPSILON):.3g} m'
+                f'origin is {self.origin}: cells of {self.resolution} m cannot be told apart that '
+                f'far out; it must be within {self.resolution / (APART * EPSILON):.3g} m'
             )
         if self.connectivity not in (4, 8):
             raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
@@ -181,7 +181,7 @@ class Grid:
 
     @cached_property
     def _at(self) -> dict[int, Grid]:
-        # Distances are cached for each base: computing them takes long in a large field.
+        # One grid for each base, so that the distances to a base are computed only once.
         return {}
 
     @cached_property

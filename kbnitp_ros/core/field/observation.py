@@ -108,7 +108,8 @@ class Observation(Value):
             )
         if readings.shape != (self.steps,):
             raise ValueError(
-                f'readings has shape {readings.shape}: it must be ({self.steps},), one each step'
+                f'readings has shape {readings.shape}: it must be ({self.steps},), one for each '
+                'step'
             )
         frozen(readings)
         object.__setattr__(self, 'readings', readings)
@@ -118,7 +119,7 @@ class Observation(Value):
             raise ValueError('lost_at is given, but the robot returned: leave it out')
         if lost_at.shape != (self.steps,):
             raise ValueError(
-                f'lost_at has shape {lost_at.shape}: it must be ({self.steps},), one each step'
+                f'lost_at has shape {lost_at.shape}: it must be ({self.steps},), one for each step'
             )
         bad = np.flatnonzero(~((lost_at >= 0.0) & (lost_at < np.inf)))
         if bad.size:

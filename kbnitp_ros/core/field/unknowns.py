@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 # of a rate from n trials has the standard deviation 0.5 / sqrt(n) at any rate; the spacing of 64
 # values is less than two standard deviations for up to 1,600 trials.
 VALUES = 64
-# Number of points in each value's bin at which its prior is summed.
+# Number of points in a value's bin at which the prior density is summed.
 POINTS = 32
 
 

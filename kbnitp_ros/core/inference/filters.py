@@ -306,7 +306,7 @@ def lost_transition(hazard: Floats, model: SensorModel, visits: Visits, weights:
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """An assignment of each loss that no malfunction explains to a different hazard."""
+    """A different hazard for each loss that no malfunction explains."""
 
     # Cells that may have a hazard, and that no robot with a lethality of 1 has entered, shape
     # (cells,).
@@ -360,9 +360,8 @@ class Explanations:
 
         if not finds_cell(len(self.allowed)):
             raise ValueError(
-                f'the loss on a path through {len(cells)} cells that may have a hazard is '
-                'impossible: hazards that strike are used up, there is no malfunction, and the '
-                'hazards explain only the other losses; allow for it with a malfunction above 0'
+                'the loss is impossible: with a malfunction of 0 each loss uses up another hazard, '
+                'and no cell of this path is left for one; allow for it with a malfunction above 0'
             )
         return replace(self, allowed=allowed, chosen=chosen)
 
@@ -473,7 +472,7 @@ class OnePassEstimate(KnownModel):
             self._explanations = Explanations(belief.hazard > 0.0)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
-        """Assimilate one more deployment; hazards change before all but the first."""
+        """Assimilate one more deployment; hazards may change before each but the first."""
         now, model = self.belief, robot_type.model(self.model)
         if self._explanations is not None:
             belief = update_used_up(now, model, observation)

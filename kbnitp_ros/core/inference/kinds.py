@@ -57,7 +57,7 @@ class Kinds:
         self.take(Evidence.of(observation, robot_type))
 
     def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
-        """Assimilate evidence counted by cell."""
+        """Assimilate the outcome of a deployment, counted by cell."""
         banks, ruled_out, predicted = dict(self._banks), set(self._ruled_out), []
         for (kind, bank), weight in zip(self._banks.items(), self._weights):
             if kind not in ruled_out:

@@ -125,7 +125,7 @@ def assimilated(
                 for shift in READING_SHIFTS
             ]
         return normalised(moved, joint), safe_log(np.stack(chances)).sum(axis=1)
-    # Chances to survive each number of visits, and to be lost in the next, (n, visits, particles).
+    # P(number of visits survived, hazard after them), (n, visits, 2, particles).
     spared = np.stack(
         [hazard[:, 0, None] * each[0] + hazard[:, 1, None] * each[1] for each in powers], 1
     )

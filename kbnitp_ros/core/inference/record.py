@@ -265,7 +265,7 @@ def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
 
 
 def outcome_rank(outcome: Observation) -> tuple[Any, ...]:
-    """Return a sort key of a deployment's possible outcomes; the greatest counts."""
+    """Return a sort key of a deployment's reported outcomes; the greatest counts."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
     read = sum(each >= 0 for each in readings)
     return ending_key(outcome), read, readings, outcome.path.tolist()

@@ -201,8 +201,8 @@ def weigh_by_losses(
     likelihood: NDArray[np.float64],
 ) -> None:
     """Multiply `likelihood`, (chains, values), by that of all losses (:eq:`rate-conditional`)."""
-    # The chance to survive a path is `fixed`, (chains, losses), independent of the rate, times the
-    # path's `row` of `by_rate`, (rows, values).
+    # The chance to survive a path is `fixed` (chains, losses), which the rate does not change,
+    # times the path's `row` of `by_rate` (rows, values).
     for chain in range(likelihood.shape[0]):
         own = likelihood[chain]
         for path in range(fixed.shape[1]):
@@ -388,7 +388,7 @@ def draw_hazards(
     any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
-    # By number of hazardous neighbours: computing a power for each cell would take most time.
+    # Weights by number of hazardous neighbours: a power for each cell would take most of the time.
     weight_around = np.empty(5)
     for chain in range(state.hazardous.shape[0]):
         malfunction, strike = state.malfunction[chain], state.strike[chain]

@@ -132,7 +132,7 @@ class Tally:
         return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
     def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:
-        """Index lost paths by cells of possible hazards, and undecided cells by lost path."""
+        """Index lost paths by possibly hazardous cell, and undecided cells by lost path."""
         held = np.flatnonzero(possible[self.cell])
         by_cell = held[np.argsort(self.cell[held], kind='stable')]
         # Hazards may be swapped along every lost path; paths of located losses come last.

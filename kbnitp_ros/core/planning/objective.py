@@ -165,7 +165,7 @@ class JointOutcomes:
 
     @property
     def states(self) -> int:
-        """Return the number of combinations of readings by all cameras."""
+        """Return the number of combinations of the cameras' numbers of readings."""
         return prod(self.readings.shape[2:])
 
     def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

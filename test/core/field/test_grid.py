@@ -92,8 +92,8 @@ def test_cells_in_reach_are_those_of_all_paths(max_steps, blocked):
     ({'resolution': math.inf}, 'resolution is inf'),
     ({'origin': (0.0, math.nan)}, 'origin.*nan.*finite'),
     ({'origin': (0.0, 0.0, 0.0)}, 'origin.*two'),
-    ({'origin': (1e16, 0.0)}, r'origin is \(1e\+16, 0.0\): so far out cells of 1.0 m cannot'),
-    ({'origin': (0.0, -1e308)}, 'origin.*cannot be told apart; it must be within 4.5e'),
+    ({'origin': (1e16, 0.0)}, r'origin is \(1e\+16, 0.0\): cells of 1.0 m cannot'),
+    ({'origin': (0.0, -1e308)}, 'origin.*cannot be told apart that far out; .* 4.5e'),
     ({'connectivity': 6}, 'connectivity is 6.*4 or 8'),
 ])  # fmt: skip
 def test_bad_grids_are_refused(arguments, message):
