@@ -371,8 +371,8 @@ def by_truth(mission: Mission, world: World) -> str:
     return (
         f'By the recorded truth {cells.free.sum() - missed} of {cells.free.sum()} safe cells '
         f'have no hazard, {(world.hazard & cells.suspected).sum()} of {cells.suspected.sum()} '
-        f'suspected cells have one, and {missed} of {(world.hazard & inside).sum()} hazards are in safe '
-        'cells.'
+        f'suspected cells have one, and {missed} of {(world.hazard & inside).sum()} hazards are '
+        'in safe cells.'
     )
 
 

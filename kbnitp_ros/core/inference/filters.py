@@ -360,8 +360,9 @@ class Explanations:
 
         if not finds_cell(len(self.allowed)):
             raise ValueError(
-                'the loss is impossible: with a malfunction of 0 each loss uses up another hazard, '
-                'and no cell of this path is left for one; allow for it with a malfunction above 0'
+                'the loss is impossible: with a malfunction of 0 each loss uses up another '
+                'hazard, and no cell of this path is left for one; allow for it with a malfunction '
+                'above 0'
             )
         return replace(self, allowed=allowed, chosen=chosen)
 
