@@ -361,8 +361,8 @@ class Explanations:
         if not finds_cell(len(self.allowed)):
             raise ValueError(
                 'the loss is impossible: with a malfunction of 0 each loss uses up another '
-                'hazard, and no cell of this path is left for one; allow for it with a malfunction '
-                'above 0'
+                'hazard, and no cell of this path is left for one; set malfunction above 0 to '
+                'allow the loss'
             )
         return replace(self, allowed=allowed, chosen=chosen)
 
