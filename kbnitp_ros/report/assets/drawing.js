@@ -1,6 +1,6 @@
 'use strict';
 
-// What the page of a mission and that of two missions do alike.
+// Functions of both pages: of a mission, and of two missions.
 const page = (id) => document.getElementById(id);
 
 function isDark() {
@@ -8,7 +8,7 @@ function isDark() {
   return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
 }
 
-// Have the button change between light and dark, and draw in the colours that are wanted first.
+// Let the button change between light and dark; paint now and after each change.
 function changeTheme(paint, signal) {
   const painted = () => {
     page('theme').textContent = isDark() ? 'Light' : 'Dark';
@@ -38,7 +38,7 @@ function themed(layout) {
   return changed;
 }
 
-// Give a map its colours; of a probability the scale names what was assumed.
+// Set the colours of a map; the scale of a probability shows the prior.
 function colour(cells, scale, assumed) {
   cells.colorscale = scale[isDark() ? 'dark' : 'light'];
   if (assumed === undefined) return;
@@ -48,7 +48,7 @@ function colour(cells, scale, assumed) {
 
 const config = { displayModeBar: false, responsive: true };
 
-// Plotly has no hatching for maps, so cells that nobody was sent into are drawn over as a picture.
+// Plotly has no hatching for maps, so unvisited cells are covered by a picture.
 const canvas = document.createElement('canvas');
 function hatching(grid, entered) {
   const { width, height } = grid;
@@ -74,7 +74,7 @@ function hatching(grid, entered) {
     context.moveTo(begin, 0);
     context.lineTo(begin - canvas.height, canvas.height);
   }
-  // Dark lines within light ones show on light maps and on dark ones.
+  // Dark lines within light lines are visible on light and dark maps.
   for (const [style, wide] of [['rgba(255, 255, 255, 0.5)', 2.5], ['#505050', 1]]) {
     context.strokeStyle = style;
     context.lineWidth = wide * pixel;
@@ -86,7 +86,7 @@ function hatching(grid, entered) {
   }] : [];
 }
 
-// Give plots a size in print: a sheet of A4 is 700 pixels wide between its margins.
+// Resize plots for print: a sheet of A4 is 700 pixels wide between its margins.
 function fitSheet(ids, width, height, signal) {
   const resize = (size) => ids.forEach((id) => Plotly.relayout(page(id), size));
   window.addEventListener('beforeprint', () => resize({ width, height }), { signal });
@@ -105,7 +105,7 @@ function saveFigures(name) {
 function sort(heading) {
   const head = heading.closest('th');
   const place = [...head.parentNode.children].indexOf(head);
-  // The largest come first.
+  // The first click sorts in descending order.
   const ascending = head.getAttribute('aria-sort') === 'descending';
   [...head.parentNode.children].forEach((each) => each.removeAttribute('aria-sort'));
   head.setAttribute('aria-sort', ascending ? 'ascending' : 'descending');
@@ -114,7 +114,7 @@ function sort(heading) {
   const sign = ascending ? 1 : -1;
   const rows = [...body.rows].sort((one, other) => {
     const [a, b] = [key(one), key(other)];
-    // What is not known comes last.
+    // Unknown values come last.
     if (a === '' || b === '') return (a === '') - (b === '');
     const order = head.classList.contains('text') ? a.localeCompare(b) : Number(a) - Number(b);
     return sign * order;
@@ -122,7 +122,7 @@ function sort(heading) {
   body.append(...rows);
 }
 
-// The places of the headings to sort by again, in their order, for the order that a table has.
+// The headings to click, by index, that reproduce the order of a table.
 function sortedBy(table) {
   return [...table.tHead.rows[0].cells].flatMap((head, place) => ({ descending: [place], ascending: [place, place] })[head.getAttribute('aria-sort')] || []);
 }
@@ -141,7 +141,7 @@ function keep(name, type, text) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-// The table as it is sorted, in full precision.
+// The table in its present order, in full precision.
 function csv(table) {
   const quoted = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const heads = [...table.tHead.rows[0].cells].map((each) => each.textContent);

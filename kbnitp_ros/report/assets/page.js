@@ -1,4 +1,4 @@
-// What Python packed: see frames.py.
+// Unpack what page.py has packed.
 async function unpacked(id) {
   const text = document.getElementById(id).textContent.trim();
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -9,14 +9,14 @@ async function unpacked(id) {
 const NAMES = ['hazard', 'target', 'kappa'];
 const LISTS = ['deployments', 'findings', 'safe'];
 
-// Draw the page; return what is looked at. `signal` ends what listens beside the parts that are replaced.
+// Draw the page; return a function that returns the view. `signal` ends listeners outside of replaced parts.
 async function start(signal, kept, main) {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
-  // Newer parts came meanwhile.
+  // Newer parts have arrived.
   if (signal.aborted) return view;
   const plots = JSON.parse(page('plots').textContent);
-  // Nothing is waited for from here on, so that nobody sees a page half drawn.
+  // From here on nothing is awaited, so that the page is never shown half drawn.
   if (main) {
     document.querySelectorAll('.js-plotly-plot').forEach(Plotly.purge);
     const open = [...document.querySelectorAll('details[open] > summary')].map((each) => each.textContent);
@@ -34,10 +34,10 @@ async function start(signal, kept, main) {
   let now = last;
   let timer = null;
   let cell = mission.cell;
-  // The page opens with what is known in the end; a path is drawn once a moment was asked for.
+  // The page opens with the last belief; paths are drawn once a moment is chosen.
   let isAsked = false;
   let isNamed = false;
-  // The cells between which a way is sought.
+  // The ends of the safest way.
   let ends = [mission.grid.bases[0], null];
   let way = [];
   let lost = [];
@@ -55,7 +55,7 @@ async function start(signal, kept, main) {
   const colourId = () => document.querySelector('[name=colour]:checked').id;
   const isShown = (layer) => layers.some((each) => each.value === layer && each.checked);
   const mayBeHazard = (moment, each) => value(moment, 'hazard', each) > mission.free;
-  // Where a cell is drawn, and where it lies in the frame of the map: rows of a turned field are drawn to the right.
+  // The centre of a cell as drawn, and (`position`) in the frame of the map: rows of a turned field are drawn to the right.
   const center = (each) => [
     mission.grid.x + (each % width + 0.5) * mission.grid.resolution,
     mission.grid.y + (Math.floor(each / width) + 0.5) * mission.grid.resolution,
@@ -69,15 +69,15 @@ async function start(signal, kept, main) {
 
   const metres = (number) => String(Number(number.toFixed(3)) + 0);
   const spot = (each) => `(${position(each).map(metres).join(', ')})`;
-  // The cells of the field that a condition holds for.
+  // The cells of the field that satisfy a condition.
   const those = (condition) => [...Array(cells).keys()].filter((each) => !blocked.has(each) && condition(each));
 
-  // A value of each cell, in rows.
+  // The values of all cells, in rows.
   function inRows(of) {
     return Array.from({ length: height }, (_, row) => Array.from({ length: width }, (__, column) => of(row * width + column)));
   }
 
-  // Kappa is that of a hazard, which may not be there.
+  // Kappa is only shown where a hazard is possible.
   function shownIn(moment, name, each) {
     if (blocked.has(each) || (name === 'kappa' && !mayBeHazard(moment, each))) return null;
     return mission.ends[name] ? mission.ends[name][each] : value(moment, name, each);
@@ -95,7 +95,7 @@ async function start(signal, kept, main) {
     return `${spot(each)}: ${values.map(([name, number]) => `${name} ${number.toFixed(3)}`).join(', ')}.${truth}${visited}`;
   }
 
-  // Where the robot of a moment was lost: each cell of its path once, the most probable first.
+  // The cells in which the robot of a moment may have been lost, the most probable first.
   function losses(moment) {
     const { deployment } = mission.moments[moment];
     const { path, lost: shares } = isAsked && deployment !== null ? mission.deployments[deployment] : {};
@@ -123,7 +123,7 @@ async function start(signal, kept, main) {
     return { x, y };
   }
 
-  // The image of the map lies under cells that let it through.
+  // The image of the map, under translucent cells.
   const site = () => (isShown('image') ? [{
     source: mission.site.source, xref: 'x', yref: 'y', sizing: 'stretch', layer: 'below',
     x: mission.grid.x, y: mission.grid.y + mission.site.height,
@@ -154,7 +154,7 @@ async function start(signal, kept, main) {
     return traces;
   }
 
-  // The borders between cells that a condition holds for and others.
+  // The borders of a set of cells.
   function outlines(cellsInside) {
     const inside = new Set(cellsInside);
     const { x: left, y: bottom, resolution } = mission.grid;
@@ -171,7 +171,7 @@ async function start(signal, kept, main) {
     return drawn;
   }
 
-  // What is marked of all cells. Marks are as large as the cells let them be.
+  // The marks of all cells, as large as cells allow.
   function marks(moment) {
     const side = Math.min(24, (page('map').clientWidth - 100) / width);
     const lined = (at, wide) => [[wide + 2.5, '#ffffff'], [wide, '#000000']].map(([size, color]) => (
@@ -210,7 +210,7 @@ async function start(signal, kept, main) {
     y0: 0, y1: 1, line: { color: colours().text, width: 1 },
   }];
 
-  // A frame round the cell that is told of: black within white, for light maps and dark ones.
+  // A frame around the chosen cell: black within white, for light and dark maps.
   function frame() {
     const [x, y] = center(cell);
     const half = mission.grid.resolution / 2;
@@ -221,7 +221,7 @@ async function start(signal, kept, main) {
     }));
   }
 
-  // The cells in a colour, of which a text is told.
+  // The cells in a colour, with a text for each.
   function coloured(name, text, bar) {
     const shown = {
       ...plots.map.data[0],
@@ -246,7 +246,7 @@ async function start(signal, kept, main) {
     const traces = overlays(now);
     const data = plots.map.data.slice(1);
     mission.traces.slice(1).forEach((trace, place) => Object.assign(data[place], traces[trace] || { x: [], y: [] }));
-    // Below the map of a phone, which is narrow.
+    // On a narrow phone the colour bar is below the map.
     const bar = page('map').clientWidth < 500 ? { orientation: 'h', y: -0.15, yanchor: 'top', title: { text: words, side: 'bottom' } }
       : { title: { text: words, side: 'right' } };
     page('map').setAttribute('aria-label', `Map: ${words}; ${page('told').textContent}`);
@@ -278,7 +278,7 @@ async function start(signal, kept, main) {
 
   function tell() {
     const moment = mission.moments[now];
-    page('told').textContent = isAsked ? moment.told : 'After the last report. The slider, the arrow keys and Play show how it came about.';
+    page('told').textContent = isAsked ? moment.told : 'After the last report. The slider, the arrow keys and Play show earlier moments.';
     page('moment').value = now;
     page('moment').setAttribute('aria-valuetext', page('told').textContent);
     const list = page('deployment');
@@ -305,7 +305,7 @@ async function start(signal, kept, main) {
     const row = moment.deployment === null ? null : page(`deployment-${moment.deployment}`);
     if (row) {
       row.setAttribute('aria-current', 'true');
-      // Within the box of the table alone: the page stays where it is.
+      // Scroll the table only, and not the page.
       const box = row.closest('.wide');
       const head = box.querySelector('thead').offsetHeight;
       if (row.offsetTop < box.scrollTop + head) box.scrollTop = row.offsetTop - head;
@@ -344,7 +344,7 @@ async function start(signal, kept, main) {
     if (now === last) ask(0);
     page('play').textContent = 'Pause';
     page('play').setAttribute('aria-pressed', 'true');
-    // A screen reader would fall behind.
+    // Too fast for screen readers.
     page('told').removeAttribute('role');
     timer = setInterval(() => (now === last ? stop() : ask(now + 1)), Math.max(80, Math.min(700, 40000 / (last + 1))));
   }
@@ -375,8 +375,8 @@ async function start(signal, kept, main) {
     else page('cell').textContent = `(${page('x').value}, ${page('y').value}) is not in the field.`;
   }
 
-  // Longitude and latitude as RFC 7946 has it; of a field without a datum metres in the frame of the map, as its readers
-  // have to be told. Rows with corners are polygons.
+  // Longitude and latitude, as in RFC 7946; without a datum, metres in the frame of the map, which the file states.
+  // Rows with corners become polygons.
   function geojson(id) {
     const [head, ...rows] = [...page(id).rows];
     const names = [...head.cells].map((each) => each.textContent);
@@ -399,7 +399,7 @@ async function start(signal, kept, main) {
     return JSON.stringify({ type: 'FeatureCollection', name: mission.name, ...frame, features }, null, 1);
   }
 
-  // The safest way between two cells: that with the least sum of -log P(no hazard), by Dijkstra's algorithm.
+  // The safest way has the least sum of -log P(no hazard), by Dijkstra's algorithm.
   function steps(each) {
     const { connectivity, cutsCorners } = mission.grid;
     const [row, column] = [Math.floor(each / width), each % width];
@@ -484,7 +484,7 @@ async function start(signal, kept, main) {
 
   function pressed(event) {
     const { target } = event;
-    // What has keys of its own keeps them: numbers, the slider, tables that scroll sideways.
+    // Numbers, the slider and tables that scroll sideways use arrow keys themselves.
     const box = target.closest('input, .wide');
     if (event.altKey || event.ctrlKey || event.metaKey || (box && (box.tagName === 'INPUT' || box.scrollWidth > box.clientWidth))) return;
     const to = { ArrowLeft: now - 1, ArrowRight: now + 1 }[event.key];
@@ -500,7 +500,7 @@ async function start(signal, kept, main) {
 
   page('moment').max = last;
   if (!mission.grid.along[1]) {
-    // The arrows of the two fields go from cell to cell.
+    // The arrows of the fields x and y go from cell to cell.
     position(0).forEach((least, place) => Object.assign(page('xy'[place]), { min: metres(least), step: mission.grid.resolution }));
   }
   if (kept && page('way-to') && ends[1] !== null) findWay();
@@ -568,13 +568,13 @@ async function draw(kept, main) {
   }
 }
 
-// Follow the log of a mission that runs: what has changed is drawn in place.
+// Follow the log of a running mission, and draw changes in place.
 function follow() {
   const events = new EventSource('events');
   let { version: shown } = document.documentElement.dataset;
   events.addEventListener('told', (event) => { page('live').textContent = event.data; });
   events.addEventListener('error', () => {
-    page('live').textContent = 'The command watch has ended; the page is as it was then.';
+    page('live').textContent = 'The command watch has ended, so the page no longer changes.';
   });
   events.addEventListener('page', async (event) => {
     if (event.data === shown) return;
