@@ -51,13 +51,13 @@ SentPath = tuple[DeploymentKey, NDArray[np.intp], int]
 
 
 class Simulation:
-    """The hidden world of a team; simulates robots in deployment order, as core's run_mission."""
+    """The hidden world of a team; simulates robots in deployment order like `run_mission`."""
 
     # If hazards change, the field depends on the paths of all earlier deployments, so a robot
     # waits until these paths have arrived. In rounds of all agents, robot n (from 0) of an agent
     # waits for n + 1 paths of each agent earlier in the list of agents, and for n paths of each
-    # later agent. Agents with a robot in flight or waiting get no earlier path. Other agents may
-    # never get a path (end of the mission, `rolling`), so a robot waits for at most `PATIENCE`.
+    # later agent. It does not wait for agents with a robot in flight or waiting: their next paths
+    # are later. Other agents may never get a path (end of the mission, `rolling`): see `PATIENCE`.
 
     def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
@@ -96,7 +96,7 @@ class Simulation:
         for key in record.orders:
             self._restore(key, record)
         self._publish_truth()
-        # The callback for outcomes of each agent that this node simulates.
+        # By agent that this node simulates: the callback for its outcomes.
         self.leave: dict[str, Callable[[DeploymentKey, Traverse], None]] = {}
         if not self.is_static:
             node.create_poll(self._leave_all)
@@ -210,7 +210,7 @@ class Simulation:
         )
 
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
-        """Restore a recorded deployment unless refused or, if hazards are static, not departed."""
+        """Restore a deployment unless it was refused or, with static hazards, has not departed."""
         is_at_home = self.is_static and not record.has_departed(key)
         if record.departures.is_refused(key) or is_at_home:
             return
@@ -281,7 +281,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Start the robots at home; while departures are held, only with a recorded departure."""
+        """Start the robots at home; if departures are held, only robots that departed before."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)
@@ -341,7 +341,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
 
 
 class AgentNode(FieldNode):
-    """Send a simulated robot along each path of one agent, or of all, and report its outcome."""
+    """Send a simulated robot along each path of one agent or all agents; report outcomes."""
 
     def __init__(self) -> None:
         super().__init__('agent')

@@ -108,7 +108,7 @@ class Decisions:
             )
 
     def why_over(self) -> str:
-        """Return the reason why no more robots leave; empty if they do."""
+        """Return the reason why no more robots leave; empty if robots may leave."""
         decision = self._decision if self.knowledge.goal is not None else None
         why = (
             make_stop(self._node.values).why(decision, self.knowledge.record.lost)
@@ -138,7 +138,7 @@ class Decisions:
     def _on_safest_path(
         self, request: GetPlan.Request, response: GetPlan.Response
     ) -> GetPlan.Response | Future:
-        """Answer a call with the safest path between two places; without poses if none exists."""
+        """Answer with the safest path between two places; with an empty path if none is found."""
         newest = self._newest
         try:
             if newest is None:

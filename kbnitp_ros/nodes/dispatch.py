@@ -124,7 +124,7 @@ class Dispatch:
         return [agent for agent, (_, until) in self._pauses.items() if now < until]
 
     def _await_late(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
-        """Keep the base running for a robot that was given up, until its path times out."""
+        """Keep the base running until a robot that was given up has had time to return."""
         self._late[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
 
     @property

@@ -47,11 +47,11 @@ CLOCK = 'the clock to start on /clock (parameter use_sim_time)'
 
 
 class EstimatorNode(FieldNode):
-    """Compute the belief from the reports of all deployments, and publish it after each."""
+    """Compute the belief from the reports of all deployments, and publish it after each report."""
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        # Only checked: the report reads the datum from the log.
+        # Only check the datum: reports of missions read it from the log.
         make_datum(self.values)
         estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
@@ -210,7 +210,7 @@ class EstimatorNode(FieldNode):
         self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
-        """Return whether a path of another mission ends the current mission."""
+        """Return whether a path of this mission begins it in place of the current mission."""
         # Before the first belief, paths of several missions may arrive, as from an old bag: the
         # newest mission counts.
         is_newer = self._mission is not None and mission > self._mission

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner: sends robots along the paths that gain most information, or most for the goal."""
+"""The planner: sends robots along the paths that gain most information or serve the goal best."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-# Share of the field within reach below which the planner warns.
+# The planner warns if a smaller share of the field is within reach.
 MIN_REACHED = 0.5
 
 
@@ -108,7 +108,7 @@ class PlannerNode(FieldNode):
         self._decisions.restore(record)
 
     def _log_reachability(self) -> None:
-        """Log the part of the field that no path reaches, with a warning if it is large."""
+        """Log the part of the field that no path reaches, as a warning if that part is large."""
         log, max_steps = self.get_logger(), most_steps(self.values)
         bases = [own_base(self.values, agent, self.grid) for agent in self._agents]
         distance = most_distance(self.values, self._agents)

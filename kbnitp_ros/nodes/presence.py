@@ -36,7 +36,7 @@ LOOK = 1.5
 # much longer, and a live recorder publishes every second.
 SILENT = 3.0
 
-# Maximum number of other recorders remembered, the newest.
+# Maximum number of other recorders remembered: the latest to publish diagnostics.
 MAX_RECORDERS = 10
 
 

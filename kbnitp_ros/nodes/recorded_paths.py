@@ -76,7 +76,7 @@ class RecordedPaths(Generic[P]):
         )
 
     def when_recorded(self, departure: AgentStatus, depart: Callable[[], None]) -> None:
-        """Call back once a departure is on record; at once if the parameter recorded is false."""
+        """Call `depart` once a departure is on record; at once if recorded is false."""
         if self._node.values['recorded']:
             stamp = from_stamp(departure.deployment)
             self._departures[stamp, content_hash(departure)] = depart
@@ -142,7 +142,7 @@ class RecordedPaths(Generic[P]):
             self._recorded = self._subscribe_to_recorded()
 
 
-# Seconds without a new path after which the history of a publisher has arrived.
+# Seconds without a new path after which the history of a publisher counts as received.
 SETTLED = 0.3
 
 

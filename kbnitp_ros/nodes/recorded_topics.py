@@ -27,8 +27,8 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-# Number of messages remembered per topic, since a second subscription may deliver the same
-# messages, up to a whole queue later.
+# Number of messages remembered of a topic with one subscription: a second subscription may deliver
+# these messages again. With several subscriptions, `qos.DEPTH` messages are remembered.
 RECENT = 1000
 
 # A topic, a serialized message on it, and its info from rclpy.
@@ -106,7 +106,7 @@ ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
 
-# Callbacks for the parameters of a node, by its full name, and for refusals, with the reason.
+# Callbacks: for the full name and parameters of a node; for the subject and reason of a refusal.
 Take = Callable[[str, dict[str, Any]], None]
 Refuse = Callable[[str, object], None]
 

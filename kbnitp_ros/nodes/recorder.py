@@ -52,7 +52,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-# Roles whose messages are synced to disk at once, since other nodes act on them.
+# Roles that other nodes act on: messages are synced at once, statuses before acknowledgements.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
 # Nodes that a mission needs, by the role that they publish.
@@ -107,13 +107,13 @@ class RecorderNode(MissionNode):
         self._unsynced = True
         self._shown_at = time.monotonic()
         self._tracker = MissionTracker()
-        # Content hash of the first path or action with each topic, stamp and mission.
+        # By topic, stamp and mission: content hash of the first path or action.
         self._first: dict[tuple[str, int, int], int] = {}
         self._paths: Counter[int] = Counter()
         # Deployments with a path on record, of any mission.
         self._ordered: set[DeploymentKey] = set()
         self._departures = Departures()
-        # First difference of each node's stated topics from the topics of this node.
+        # By node: first difference between the topics that it states and the topics of this node.
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
@@ -176,10 +176,10 @@ class RecorderNode(MissionNode):
 
     def _discover(self) -> None:
         """Subscribe to new topics and publishers."""
-        # The estimator publishes once `belief` has its subscribers, so its maps are subscribed to
-        # first: in reverse order of names `belief` comes last. It creates the publisher of
-        # `belief` last, and two equal scans of the graph show all publishers created before any
-        # publisher shown.
+        # The estimator publishes once `belief` has its subscribers, so this node subscribes to the
+        # estimator's maps first: in reverse order of names `belief` comes last. The estimator
+        # creates the publisher of `belief` last. If two scans of the graph are equal, they show
+        # all publishers that were created before any publisher that they show.
         found: dict[str, Any] = {}
         others: list[str] = []
         looked = True
@@ -212,7 +212,7 @@ class RecorderNode(MissionNode):
         return own, others
 
     def _published(self, topics: Iterable[str]) -> dict[str, Any]:
-        """Return the publishers of the topics that have any."""
+        """Return the publishers of each topic that has publishers."""
         publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in topics}
         return {topic: known for topic, known in publishers.items() if known}
 

@@ -52,7 +52,7 @@ class RobotNode(FieldNode):
         return field.at(own_base(self.values, self.values['agent'], field))
 
     def __init__(self) -> None:
-        # Network addresses at the start: DDS uses no later ones. A node that starts without a link
+        # Network addresses at the start: DDS ignores later ones. A node that starts without a link
         # stays unreachable when a link comes up, and a node whose address changes is not found at
         # the new address.
         self._addresses = addresses()
@@ -364,7 +364,7 @@ class RobotNode(FieldNode):
         return True
 
     def _leave(self, deployment: Deployment) -> None:
-        """Start the drive, unless the robot has turned back."""
+        """Start the drive, unless a pause has ended the deployment."""
         if self._deployment is deployment:
             self._is_at_gate = False
             steps = len(deployment.path) - 1
@@ -523,7 +523,7 @@ class RobotNode(FieldNode):
             warning = (
                 f'{self._key(deployment)} has {len(deployment.steps)} steps, more than a report '
                 f'may have ({MAX_WALK} * max_steps = {most}): {observation.path.size - 1} steps '
-                'are reported, without loops; the journal has all'
+                'are reported, without loops; the journal has all steps'
             )
             self.get_logger().warning(warning)
             self.diagnostics.values['long walk'] = warning

@@ -66,7 +66,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Add the option that selects one of several missions in a log."""
     parser.add_argument(
         '--namespace',
-        help='namespace of the mission, if the log has several; default its only mission',
+        help='namespace of the mission; default the namespace of the only mission in the log',
     )
 
 

@@ -313,7 +313,7 @@ class MissionNode(Node):
         return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def create_look(self, look: Callable[[], None]) -> Timer:
-        """Scan the graph like `create_poll`, but less often if a scan takes long."""
+        """Call back like `create_poll` to scan the graph, but less often if a scan takes long."""
         due = 0.0
 
         def look_if_due() -> None:
