@@ -37,8 +37,8 @@ def log_parts(path: str | Path) -> list[Path]:
         listed = [path / name for name in listed_parts(path)]
         if listed and not listed[0].exists():
             raise LogError(
-                f'{listed[0]}, which {METADATA} lists, is missing: restore it, or name each '
-                'other part'
+                f'{listed[0]}, which {METADATA} lists, is missing: restore it, or name '
+                'all other parts one by one'
             )
         firsts = [*listed[:1], *(file for file in files if not is_later_part(file))]
         if not firsts:
@@ -163,7 +163,7 @@ class LogLock:
             raise LogError(f'{first} was replaced while it was opened: try again') from error
 
     def put_in_place(self, new: Path, part: Path) -> None:
-        """Rename a new file to a part; move the lock if the part is the first, locked one."""
+        """Rename a new file to a part; if the part is the locked first file, lock the new file."""
         if part != self.path:
             new.replace(part)
             return

@@ -70,7 +70,7 @@ class History:
 
     # The recorded deployments.
     evidence: RecordedMission
-    # The recorded beliefs, the prior first; beliefs that an estimator repeated appear again.
+    # The recorded beliefs, the prior first; a belief that was published twice appears twice.
     moments: list[Moment] = field(default_factory=list)
     # Learnt numbers, kinds of hazard, and model check, by the stamp of the belief, nanoseconds.
     models: dict[int, ModelState] = field(default_factory=dict)

@@ -88,12 +88,12 @@ class LoggedMessage:
     topic: str
     # Index of the message in its topic.
     index: int
-    # As 'nav_msgs/msg/Path'.
+    # Such as 'nav_msgs/msg/Path'.
     type_name: str
     # Times of receiving and sending.
     log_time: int
     publish_time: int
-    # End of its record in the log, bytes, with earlier parts.
+    # End of its record in the log, bytes from the start of the first part.
     position: int
     # The CDR bytes.
     data: bytes
@@ -137,7 +137,7 @@ def read_log(
 def read_metadata(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, str]]:
-    """Return metadata by name: in a file records add values, a later file replaces them."""
+    """Return metadata by name, merged within a file, and replaced by that of a later file."""
     records: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}
@@ -179,7 +179,7 @@ def read_parameters(
 
 
 def current_name(name: str) -> str:
-    """Return the current name of a parameter, which may have its name of 0.3.0."""
+    """Return the current name of a parameter that is given by its current or its 0.3.0 name."""
     for before, now in RENAMED.items():
         name = re.sub(f'^{before}', now, name)
     return name

@@ -44,7 +44,7 @@ class Departures:
         # Robots that have departed and have no report yet.
         self.out: set[DeploymentKey] = set()
         self._statuses: dict[DeploymentKey, AgentStatus] = {}
-        # Time of the report by the agent's clock; None if the agent did not report it.
+        # Time of the reported return by the agent's clock; None for a loss, or if unknown.
         self._reported: dict[DeploymentKey, int | None] = {}
 
     def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
@@ -81,11 +81,11 @@ class Departures:
         )
 
     def end(self, key: DeploymentKey, reported: int | None) -> None:
-        """Record that a deployment ended; `reported` is None if the planner gave it up."""
+        """Record that a deployment ended; `reported` is the time of a return, None for a loss."""
         self._reported[key] = self._reported.get(key) if reported is None else reported
         self.out.discard(key)
         if self.is_refused(key):
-            # A returned robot must have departed.
+            # The agent refused the order, but a robot that returned must have departed.
             del self._statuses[key]
 
     def status(self, key: DeploymentKey) -> AgentStatus | None:
@@ -209,7 +209,7 @@ class RecordedMission(MissionRecord):
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
         # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
-        # All paths and reports by hashes of their messages; reports that match a path by stamp.
+        # All paths and all reports, by hash of the message; reports that match a path, by stamp.
         self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
         self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
         self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)

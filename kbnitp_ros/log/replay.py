@@ -117,8 +117,8 @@ class Fold:
             self._find(self.report.repeated, newest, 'the same belief was recorded before')
             return
         if newest is None:
-            # After a restart the estimator may publish the same beliefs again: these are no
-            # repetitions.
+            # A restarted estimator may publish the same beliefs again, which are not reported as
+            # repeated.
             self._seen.clear()
         self._seen.add(digest)
         self._held = b''
@@ -185,7 +185,7 @@ class Fold:
         return True
 
     def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compare a recorded belief with the ledger's, and compute the views expected with it."""
+        """Compare a recorded belief with the ledger's; compute the recorded belief's views."""
         assert self._ledger is not None
         prior = self.report.evidence.prior
         assert prior is not None
@@ -267,6 +267,6 @@ class Fold:
             else:
                 report.not_yet_held.append(key)
         if self._held != self._last:
-            # The last belief was not compared, and may hold these deployments.
+            # The last belief was not compared, and may hold the deployments passed over.
             report.not_yet_held[:0] = report.passed_over
             report.passed_over = []

@@ -38,7 +38,7 @@ class Difference:
     largest: float = nan
     # Whether the rounding of different processors can explain the difference.
     is_rounding: bool = False
-    # Cell of the map with the difference.
+    # Cell with the largest difference; None if the field is no map.
     cell: int | None = None
 
     def __str__(self) -> str:
@@ -134,7 +134,7 @@ class Grade(IntEnum):
 
 @dataclass(frozen=True)
 class BeliefFinding:
-    """A finding on a recorded belief, or on a view of a belief."""
+    """A finding on a recorded belief, view or decision."""
 
     # Topic of the message.
     topic: str
@@ -144,7 +144,7 @@ class BeliefFinding:
     deployment: DeploymentKey | None
     # Differences from the computed message.
     differences: tuple[Difference, ...] = ()
-    # Reason why the belief was not compared; empty if it was.
+    # Reason why the message was not compared; empty if it was compared.
     reason: str = ''
 
     def __str__(self) -> str:
@@ -166,12 +166,12 @@ class ReplayReport:
     # Final probability of each kind of hazard, and the check of the model.
     kinds: Mapping[str, float] = field(default_factory=dict)
     check: ModelCheck | None = None
-    # Number of messages compared, by topic: beliefs and their views.
+    # Number of messages compared, by topic: beliefs, views and decisions.
     compared: Counter[str] = field(default_factory=Counter)
     # Messages that differ, and messages equal within `TOLERANCE` but not to the bit.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
-    # Beliefs whose evidence is not in the log, and beliefs recorded twice.
+    # Beliefs and decisions that the log cannot reproduce, and beliefs recorded twice.
     not_compared: list[BeliefFinding] = field(default_factory=list)
     repeated: list[BeliefFinding] = field(default_factory=list)
     # Lost evidence: deployments in no belief although a belief holds a later deployment.
