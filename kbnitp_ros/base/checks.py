@@ -86,8 +86,8 @@ def density_note(ledger: Ledger) -> str:
         return ''
     return (
         f'hazards cluster and their learnt density is {density.mean:.2g} ± {density.sd:.2g}; the '
-        f'belief about {unvisited.sum()} of {cells} cells, which no robot visited, depends on it: '
-        'state it in prior.hazard or narrow learn.hazard_density'
+        f'belief about {unvisited.sum()} of {cells} cells, which no robot visited, depends on '
+        'this density: state it in prior.hazard or narrow learn.hazard_density'
     )
 
 

@@ -56,8 +56,8 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         self._sent: set[DeploymentKey] = set()
         # The state of all orders.
         self.departures = Departures()
-        # Acknowledgements and statuses of paths that this planner has not sent, but may still
-        # send after a restart.
+        # Acknowledgements and statuses received before this planner sends their paths, as
+        # after a restart.
         self._recorded: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
         self._unknown: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
         # Missions of deployments that other planners sent.

@@ -44,7 +44,7 @@ class MissionEvidence:
         self._events: list[Event] = []
         # The lock of the fields below.
         self._folding = Lock()
-        # The ledger, its prior, and the number of evidence items applied to it.
+        # The ledger, its prior, and the number of events applied to the ledger.
         self._ledger: Ledger | None = None
         self._begun_with: Snapshot | None = None
         self._taken = 0

@@ -22,7 +22,7 @@ class MissionTracker:
     """The mission of a node, and the beliefs of its estimator."""
 
     def __init__(self) -> None:
-        # Start of the mission, nanoseconds; None until a robot is known to have departed.
+        # Start of the mission, nanoseconds; None until a robot is known to have been sent.
         self.mission: int | None = None
         # The latest belief with the most deployments; None before the first belief.
         self.newest: Snapshot | None = None
@@ -30,7 +30,7 @@ class MissionTracker:
         self._rules: dict[str, Any] | None = None
         # Missions of all priors received: a restarted estimator publishes a new mission's prior.
         self._priors: set[int] = set()
-        # Number of deployments in the first belief whose paths this planner did not know.
+        # Number of deployments in the first belief whose paths this node did not know.
         self._unknown: int | None = None
 
     def begin(self, mission: int) -> int:
@@ -40,7 +40,7 @@ class MissionTracker:
         return self.mission
 
     def check_path(self, mission: int) -> None:
-        """Check that a path belongs to this mission, or to a prior's mission before the start."""
+        """Check that a path is of this mission or, before its start, of a received prior's."""
         check_mission(mission, self.mission)
         if self.mission is None and mission not in self._priors:
             raise ValueError(
@@ -52,7 +52,7 @@ class MissionTracker:
         """Check that a belief fits this mission, its deployments and its estimator."""
         # A belief may arrive before its publisher is discovered, so the content is checked: a
         # belief must not hold more deployments than paths were sent. Only the first belief of a
-        # single estimator may: an earlier planner sent the other paths.
+        # single estimator may hold more: an earlier planner sent the other paths.
         if snapshot.deployments > MAX_ROBOTS:
             raise ValueError(
                 f'deployments is {snapshot.deployments}: a mission has at most {MAX_ROBOTS}'
@@ -64,7 +64,7 @@ class MissionTracker:
         if snapshot.deployments > most and not is_first_of_one:
             why = f'; {remedy}' if authors > 1 else ''
             raise MissingError(
-                f'the belief holds {snapshot.deployments} deployments, but this planner knows '
+                f'the belief holds {snapshot.deployments} deployments, but this node knows '
                 f'the paths of only {most}{why}'
             )
         if self._rules is None or authors <= 1:

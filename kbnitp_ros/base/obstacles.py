@@ -94,7 +94,7 @@ class PlannerState:
 
     @property
     def robots(self) -> int:
-        """Return the number of robots to deploy; after end_mission, of departed robots."""
+        """Return the number of robots to deploy, or after end_mission the number that departed."""
         if self.operator.is_ended:
             return self.sent - len(self.in_flight.undeparted)
         robots: int = self.values['robots']
@@ -199,7 +199,7 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:
-            return f'robots in flight: {some(now.in_flight)}; all were sent (parameter robots)'
+            return f'the last robots in flight: {some(now.in_flight)} (parameter robots)'
         case Obstacle.PAUSED:
             return f'the operator to end the pause by the service {now.service("pause")}'
         case Obstacle.NO_FREE_AGENT:

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 class Snapshot:
     """A belief message in terms of the core."""
 
-    # Time of the last evidence, or for a prior of the estimator's start, nanoseconds.
+    # Time of the last evidence, or in a prior, start of the estimator; nanoseconds.
     stamp: int
     # Start of the mission, nanoseconds.
     mission: int
@@ -81,8 +81,8 @@ class Snapshot:
     newest: DeploymentKey | None
     # The belief given these deployments.
     belief: Belief
-    # In the first message, the prior set by parameters; the first belief averages this prior over
-    # learnt numbers and clustered hazards.
+    # In the first message, the prior set by parameters, averaged by `belief` over learnt numbers
+    # and clustered hazards; in later messages, the same as `belief`.
     prior: Belief
 
     def agent_base(self, agent: str) -> int:

@@ -181,7 +181,7 @@ def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
     if (state is OrderState.REFUSED) != bool(message.reason):
         raise ValueError(
             f'reason is {shown(message.reason)} and state is {state.name}: a refused order must '
-            'have a reason, and another order none'
+            'have a reason, and all other orders must have none'
         )
     if len(message.reason) > MAX_REASON:
         raise ValueError(

@@ -34,7 +34,7 @@ def rounded_resolution(resolution: float) -> float:
 def rounded_yaw(yaw: float) -> float:
     """Return an angle in rad, in (-pi, pi], rounded to the precision of a quaternion."""
     rounded = round(remainder(yaw, tau), YAW_DECIMALS) + 0.0
-    # A half turn may be rounded to more than pi; in either direction it is the same angle.
+    # Half turns may be rounded to more than pi; a left and a right half turn are the same angle.
     return abs(rounded) if abs(rounded) > pi else rounded
 
 

@@ -109,8 +109,8 @@ def check_frame(name: str, frame_id: str) -> None:
 
 M = TypeVar('M')
 
-# The fields of a message as attributes, with numpy arrays, and lists of Fields for lists of
-# messages.
+# The fields of a message as attributes: arrays are numpy arrays, and lists of messages are lists
+# of Fields.
 Fields = SimpleNamespace
 
 

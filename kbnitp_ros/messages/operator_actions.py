@@ -52,7 +52,7 @@ class OperatorAction:
     robots_left: int
     # Paths of the robots concerned.
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
-    # Number of steps that the robot has survived at least, if it is given up.
+    # Minimum number of steps survived, for a robot that is given up.
     steps_survived: int = 0
 
     def __str__(self) -> str:
@@ -125,7 +125,7 @@ class OperatorState:
         self.is_paused = False
         # Whether the operator has ended the mission.
         self.is_ended = False
-        # Robots given up, with the number of steps that each has survived at least.
+        # Robots given up, with the minimum number of steps that each has survived.
         self.given_up: dict[DeploymentKey, int] = {}
 
     @property

@@ -53,7 +53,7 @@ def progress_message(
     out: int,
     status: MissionStatus = NOT_KNOWN,
 ) -> msg.Progress:
-    """Return a ledger's progress message; `before` is its estimator before the last deployment."""
+    """Return a progress message; `before`: deployments and estimator of the previous belief."""
     from kbnitp_msgs import msg
 
     belief, gained, expected = ledger.belief, nan, nan

@@ -266,13 +266,13 @@ class Journal:
         self.write()
 
     def doubt(self, deployment: Deployment, time: int) -> None:
-        """Record that later readings do not count; raise OSError as `step` does."""
+        """Record that later readings do not count; raise OSError as `write` does."""
         deployment.is_doubted = True
         self._unwritten.append({'doubted': time})
         self.write()
 
     def arrive(self, deployment: Deployment, time: int) -> None:
-        """Record that the robot is home; raise OSError as `step` does."""
+        """Record that the robot is home; raise OSError as `write` does."""
         deployment.is_home = True
         self._unwritten.append({'home': time})
         self.write()

@@ -144,7 +144,7 @@ class Fixes:
         return self._newest
 
 
-# Step number of a robot near the edge of its cell, whose detections may be of another cell.
+# Step number of a robot near the edge of a cell or without a position: no detection counts.
 NO_STEP = 0
 
 

@@ -364,7 +364,7 @@ def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
     for known, snapshot in enumerate(told):
         tracker.accept_belief(snapshot, known)
     with pytest.raises(
-        ValueError, match='holds 40 deployments, but this planner knows the paths of only 3'
+        ValueError, match='holds 40 deployments, but this node knows the paths of only 3'
     ):
         tracker.check_belief(replace(told[-1], deployments=40), authors, known=3)
     assert tracker.newest is told[-1]
@@ -378,7 +378,7 @@ def test_the_first_belief_of_a_restarted_planner_may_hold_deployments_of_the_one
     tracker.accept_belief(told[2], known=0)
     # One robot has been sent since.
     tracker.check_belief(told[3], authors=1, known=1)
-    with pytest.raises(ValueError, match='this planner knows the paths of only 2$'):
+    with pytest.raises(ValueError, match='this node knows the paths of only 2$'):
         tracker.check_belief(told[3], authors=1, known=0)
 
 

@@ -87,7 +87,7 @@ def test_the_belief_of_another_estimator_is_refused_and_named(field):
             (
                 'deployments',
                 5,
-                'the belief holds 5 deployments, but this planner knows the paths of only 0',
+                'the belief holds 5 deployments, but this node knows the paths of only 0',
             ),
             ('deployments', 4_000_000_000, 'deployments is 4000000000: a mission has at most'),
         )
