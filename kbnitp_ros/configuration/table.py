@@ -58,8 +58,8 @@ SENSOR = {
 
 # Rates of hazards: events per deployment.
 RATES = {
-    'appear': 'a free cell gets a hazard, for changing hazards; if hazards.vanish is learnt, 0 '
-    'means the rate that keeps the expected number of hazards constant',
+    'appear': 'a cell without a hazard gets one, for changing hazards; if hazards.vanish is '
+    'learnt, 0 means the rate that keeps the expected number of hazards constant',
     'vanish': 'a hazard disappears, for changing hazards',
     'move': 'a hazard goes to a free neighbouring cell, for moving hazards',
 }
@@ -313,8 +313,8 @@ TABLE = (
     Parameter(
         'agents',
         ('scout_1',),
-        f'Names of all agents of the team, at most {MAX_AGENTS}; each has its topics under its '
-        'name.',
+        f'Names of all agents of the team, at most {MAX_AGENTS}; the topics of an agent are '
+        'below its name.',
         (*FIELD, 'recorder'),
         element=str,
         pattern=NAME,
@@ -322,7 +322,7 @@ TABLE = (
     for_agent(
         'agent',
         '',
-        'Agent whose robots this node simulates, one of the parameter agents; empty for all.',
+        'Agent whose robots this node simulates, named in agents; empty for all agents.',
         pattern=f'({NAME})?',
     ),
     for_robot('agent', 'scout_1', 'Agent name of this robot.', pattern=NAME),
@@ -413,8 +413,8 @@ TABLE = (
     changeable(
         'stop.gain',
         0.0,
-        'Minimum gain of the best deployment per expected lost robot, in nats, or for the goal '
-        'lane as a probability: the mission ends when the gain is lower; 0 for never.',
+        'Minimum gain of the best deployment for each robot expected to be lost, in nats (for the '
+        'goal lane: a probability). The mission ends when the gain is lower; 0 for never.',
         limits=(0.0, 1e9),
     ),
     changeable(
@@ -489,8 +489,8 @@ TABLE = (
     for_planner(
         'return_deadline',
         10.0,
-        'Seconds of ROS time from the expected return of a silent robot until it is given up as '
-        'lost.',
+        'Seconds from the expected return of a silent robot until it is given up as lost, by the '
+        'simulated clock if use_sim_time is true.',
         limits=(1e-3, 1e9),
     ),
     changeable(
@@ -664,8 +664,8 @@ TABLE = (
         'max_file_size',
         2**24,
         'Maximum bytes of a file of the log, after which the log continues in another file beside '
-        'the first, which frees the memory of its index; 0 for one file. The first records of a '
-        'file, up to 100 kB, do not count.',
+        'the first, and the memory of the index of the full file is freed; 0 for one file. The '
+        'first records of a file, up to 100 kB, do not count.',
         limits=(2**20, 2**62),
         off=0,
     ),
