@@ -52,7 +52,7 @@ class Style:
         }
 
 
-# Maximum number of lines in a panel.
+# Styles of the lines in a panel, in order.
 SERIES = (
     Style('#0072b2', '-', 'solid', 'o'),
     Style('#d55e00', (0, (5.0, 1.5)), 'dash', 's'),

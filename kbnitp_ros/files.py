@@ -90,7 +90,7 @@ def counted(number: int, what: str) -> str:
 
 
 class Loader(yaml.CSafeLoader):
-    """A YAML 1.1 loader with numbers such as 1e-3, and with tuples of launch files as lists."""
+    """A YAML 1.1 loader that reads numbers such as 1e-3, and tuples of launch files as lists."""
 
 
 Loader.add_implicit_resolver(

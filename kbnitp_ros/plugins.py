@@ -168,7 +168,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 self._add(point.name, point.load(), source)
             # The import of a foreign module may raise anything, and end the process.
             except (Exception, SystemExit) as error:
-                reason = f'it is refused, of {source}: {in_words(error)}'
+                reason = f'refused plug-in of {source}: {in_words(error)}'
                 self._refused[point.name] = reason
                 warn(f'{self.kind} {point.name!r}: {reason}', RuntimeWarning, stacklevel=4)
 

@@ -133,7 +133,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """Return the forecast of a new mission, as a function of worlds and randomness."""
+    """Return a function that forecasts a new mission, given `worlds`, `rng` and `run`."""
     sections = read_sections(options.params) if options.params else {}
     parameters = node_values(sections, ('planner', 'estimator'))
     for rule in options.set:
@@ -158,7 +158,7 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
 
 
 def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """Return the forecast of a resumed mission, as a function of worlds and randomness."""
+    """Return a function that forecasts a resumed mission, given `worlds`, `rng` and `run`."""
     ledger = read_ledger(log := MissionLog(options.log, options.namespace))
     parameters = (
         node_values(read_sections(options.params), ('planner',))

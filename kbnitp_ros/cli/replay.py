@@ -37,10 +37,10 @@ EXAMPLES = (
     'python3 -m kbnitp_ros replay runs/small/mission.mcap --repair runs/whole/mission.mcap',
 )
 
-# Maximum number of unread messages listed.
+# Maximum number of refused messages listed.
 REFUSALS = 20
 
-# Maximum number of beliefs listed.
+# Maximum number of findings of a kind listed.
 FINDINGS = 3
 
 T = TypeVar('T', LoggedMessage, Recorded)

@@ -162,11 +162,11 @@ class Follower:
         now = time.monotonic()
         if state == self._state:
             if is_finished(self.log):
-                self._describe('The log is finished. The page goes on if the mission is resumed.')
+                self._describe('The log is finished. The page resumes with the mission.')
             elif now > self._grown_at + STILL:
                 self._describe(
                     f'The log has not grown for {now - self._grown_at:.0f} s: its recorder has '
-                    'ended or was killed. The page goes on if the mission is resumed.'
+                    'ended or was killed. The page resumes with the mission.'
                 )
             return
         is_replaced = self._file not in (0, state[0][0])

@@ -41,7 +41,7 @@ def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[n
 
 MAX_DEGREES = {'latitude': 90.0, 'longitude': 180.0}
 
-# A quarter of a meridian, in metres.
+# Maximum distance from the datum, in metres: a quarter of a meridian.
 MAX_DISTANCE = 1e7
 
 
@@ -66,7 +66,7 @@ class Datum:
 
     @classmethod
     def of(cls, numbers: Sequence[float]) -> Datum | None:
-        """Return the datum in the parameter of this name; None if it is empty."""
+        """Return the datum of the parameter `datum`; None if the parameter is empty."""
         if not numbers:
             return None
         if len(numbers) != 3:

@@ -21,7 +21,7 @@ FREE, SUSPECTED = 0.05, 0.5
 # Minimum P(target) of a target found, and of a target listed.
 FOUND, LISTED = 0.95, 0.5
 
-# Last reports that give the pace of a mission: share of all reports, and minimum number.
+# The pace of a mission is that of its last reports: share of all reports, and minimum number.
 LAST, MIN_ROBOTS = 0.25, 5
 
 
@@ -380,7 +380,7 @@ def where_lost(mission: Mission, lost: int) -> Tile:
     """Describe the cells in which half of the losses are expected."""
     question = 'Where were robots lost? (x, y in m)'
     if not lost:
-        return Tile(question, 'No robot was lost', 'every robot that reported returned')
+        return Tile(question, 'No robot was lost', 'all robots with a report returned')
     losses = expected_losses(mission)
     most = np.argsort(-losses, kind='stable')
     half = int(np.searchsorted(losses[most].cumsum(), lost / 2)) + 1

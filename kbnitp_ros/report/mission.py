@@ -108,7 +108,7 @@ class Mission:
 
     @property
     def assumed(self) -> dict[str, float]:
-        """Return the prior mean of each map, over the cells that robots can enter."""
+        """Return the prior mean of each map over the free cells that are not bases."""
         inside = self.grid.free.copy()
         inside[sorted(self.grid.bases)] = self.grid.cells == len(self.grid.bases)
         return {
@@ -281,7 +281,7 @@ def summarise_deployments(
 
 
 def moment_after(moments: Sequence[Moment], time: int | None) -> int | None:
-    """Return the first moment from a time on; None if there is none."""
+    """Return the index of the first moment at or after a time; None if there is none."""
     if time is None:
         return None
     return next((place for place, each in enumerate(moments) if each.time >= time), None)

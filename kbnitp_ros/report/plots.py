@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly import graph_objects
 
-# Traces that the page updates, by index in its map.
+# Names of the traces that the page updates, in the order of its map.
 TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'likely')
 
-# Traces of the path, and of its end for each outcome; the page fills these.
+# Styles of a path and of its end, by outcome; the page fills the traces.
 WALKS = {
     'returned': {'color': RETURNED.colour, 'dash': RETURNED.plotly_dash, 'symbol': 'circle'},
     'lost': {'color': LOST.colour, 'dash': LOST.plotly_dash, 'symbol': 'x'},
@@ -46,7 +46,7 @@ def map_plot(
     north: float | None = None,
 ) -> str:
     """Return a map in Plotly's JSON; the page sets its colours."""
-    # Directions of the arrows beside the map, rad from the right.
+    # Directions of the arrows above the map, rad from the right, counterclockwise.
     directions = {'x': -grid.yaw, 'y': pi / 2 - grid.yaw} if grid.yaw else {}
     if north is not None:
         directions['N'] = north - grid.yaw

@@ -38,11 +38,11 @@ class Curves:
     hazard_loss: Numbers
     target_loss: Numbers
     # Expected information of the deployment assimilated, given the belief before: I(Z, X; Theta,
-    # Y) in nats. NaN at first, for a return that replaces a loss, and where the belief before is
-    # missing.
+    # Y) in nats. NaN for the first moment, for a return that replaces a loss, and where the belief
+    # before is missing.
     expected: Numbers
     # Decrease of H(Z, X), nats; negative if entropy rose. It equals the expected information on
-    # average, not for each robot. NaN at first and where the belief before is missing.
+    # average, not for each robot. NaN for the first moment and where the belief before is missing.
     gained: Numbers
     # Gap between the upper bound given the belief before and the value of the chosen path, nats.
     # NaN without a bound.
@@ -63,7 +63,7 @@ class Curves:
         return self.hazard_loss + self.target_loss
 
 
-# Number of paths up to which computing without numba is faster than loading it.
+# Number of moments below which computing without numba is faster than loading numba.
 MAX_INTERPRETED = 400
 
 
@@ -136,7 +136,7 @@ def out_at(mission: Mission) -> list[NDArray[np.intp]]:
 
 
 # Columns of the table of deployments. Lists of cells and readings are texts of numbers, so that
-# both files have the same content.
+# deployments.parquet and deployments.csv have the same content.
 COLUMNS = pyarrow.schema(
     [
         ('deployment', pyarrow.int64()),

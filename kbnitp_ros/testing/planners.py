@@ -86,7 +86,7 @@ def puts_the_best_first(planner: Planner, search: SearchCase) -> None:
 
 def tells_the_value(planner: Planner, search: SearchCase) -> None:
     """Check that each path has the value stated."""
-    # Only without robots in flight, since planners approximate their values differently.
+    # Only without robots in flight: given such robots, planners approximate values differently.
     for found in planner(search.finder, search.objective):
         plan = Plan.along(found.path, search.prior, search.model)
         value = plan.information - search.objective.loss_cost * (1.0 - plan.survival)

@@ -233,11 +233,11 @@ for name in {list(REASONS)}:
     assert set(added.partition('|')[0].split()) == {'works', 'small', 'breaks'}
     assert own.startswith('OnePass 8')
     for line, (name, reason) in zip(lines, REASONS.items(), strict=True):
-        assert line.startswith(f"method is '{name}': it is refused, {OF}")
+        assert line.startswith(f"method is '{name}': refused plug-in {OF}")
         assert reason in line
         assert 'works' in line.partition('known are')[2]
     for name in ('odd', 'gone', 'leaves', 'kappa_bnitp'):
-        assert done.stderr.count(f"RuntimeWarning: method '{name}': it is refused, {OF}") == 1
+        assert done.stderr.count(f"RuntimeWarning: method '{name}': refused plug-in {OF}") == 1
     assert 'kbnitp_ros has a method of this name' in done.stderr
 
 
