@@ -57,8 +57,8 @@ BENCHMARKS = tuple(
     Benchmark(
         f'An update of `{method}` by kinds of hazards, at deployment {DEPLOYMENTS}',
         f'{MISSIONS} missions of random walks of at most {STEPS} steps on {SIDE}x{SIDE} cells; '
-        f'means of processor time over the\n{WINDOW} deployments up to it. The kinds take turns '
-        'on the same deployments.',
+        f'mean processor times\nof the {WINDOW} deployments up to this number. The kinds take '
+        'turns on the same deployments.',
         {kind: update_timer(method, kind) for kind in kinds},
     )
     for method, kinds in METHODS.items()

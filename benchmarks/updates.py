@@ -50,7 +50,7 @@ BENCHMARKS = (
     Benchmark(
         'An update of `kappa_bnitp` by deployments',
         f'Random walks of at most {STEPS} steps on {SIDE}x{SIDE} cells, most of them different;\n'
-        f'means over the {WINDOW} deployments up to each.',
+        f'mean times of the {WINDOW} deployments up to this number.',
         {f'deployment {number:,}': mean_up_to(number) for number in DEPLOYMENTS},
     ),
 )

@@ -64,7 +64,7 @@ def cheapest_lanes(
 
 
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Return the cheapest path to the goal of each lane, given the costs by number of steps."""
+    """Return the cheapest path of each lane to its goal, given the costs by number of steps."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))

@@ -238,7 +238,7 @@ def expected_from_readings(
 def readings_given(
     joint: Floats, model: SensorModel, visits: Path
 ) -> Iterator[tuple[int, Floats, Floats]]:
-    """Yield each number n of visits with P(readings | Z = z), z = 0, 1, each (cells, n + 1)."""
+    """Yield each number n of visits, P(readings | Z = 0), P(readings | Z = 1), (cells, n + 1)."""
     of_hazard = joint.sum(axis=2, keepdims=True)
     target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
     likelihood = positives(camera_rates(model), int(visits.max(initial=0)))
@@ -348,7 +348,7 @@ class Lane:
             limits = longest, most - least, half, least
             lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
             far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # Exchanging out and back changes no outcome, so the longest lanes are only flown out.
+            # Exchanging the ways out and back changes no outcome: the longest lanes are only flown out.
             paths = [
                 there_and_back(out, back)
                 for out in far + near

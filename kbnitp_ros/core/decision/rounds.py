@@ -167,7 +167,7 @@ def plan_round(
         with GOALS.blamed(goal.name):
             plan = goal.flight(own)
         if plan is None and len(keepout):
-            # Keepout cells may block every path that serves the goal.
+            # Keepout cells may block every path that serves the goal; then map the field.
             return for_information()
         if plan is None:
             raise NoPathError(

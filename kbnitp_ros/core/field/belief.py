@@ -199,7 +199,7 @@ def binary_entropy(probability: ArrayLike) -> NDArray[np.float64]:
     return surprisal(p) + surprisal(1.0 - p)
 
 
-# Limits the loss of a cell to 36 nats where a map is certain and wrong.
+# Minimum probability of the truth in a log loss, which limits the loss of a cell to 36 nats.
 SMALLEST = np.finfo(np.float64).eps
 
 

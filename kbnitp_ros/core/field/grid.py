@@ -261,7 +261,7 @@ class Grid:
         return distance
 
     def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
-        """Return a mask, (cells,), of cells that paths in the limits can visit; 0 m: no limit."""
+        """Return a mask, (cells,), of cells that paths within limits can visit; 0 m: no limit."""
         steps = self.steps_to_base
         in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
         if max_distance:

@@ -71,7 +71,7 @@ class World(Value):
         target_background: float,
     ) -> World:
         """
-        Draw a world by two uniform numbers for each cell, at any probabilities.
+        Draw a world by two uniform numbers for each cell, whatever the probabilities.
 
         Parameters
         ----------

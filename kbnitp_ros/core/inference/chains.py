@@ -377,7 +377,7 @@ class Chains:
             self._draw('hazard_density', log_likelihood)
         if self._of_readings is not None:
             return
-        # Draw targets of cells with readings; others have no evidence (:eq:`target-conditional`).
+        # Draw only targets with readings, the only evidence on them (:eq:`target-conditional`).
         read = self._read
         hazardous, if_safe, if_hazardous = (
             np.take(each, read, axis=1) for each in (hazardous, if_safe, if_hazardous)

@@ -411,7 +411,7 @@ class Ledger(MissionRecord):
         return other
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # Refer to the new message: the first may be in no log if its publisher was lost.
+        # Refer to the new message: no log may have the first one if its publisher was lost.
         self.report_contents[key] = report.content
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:

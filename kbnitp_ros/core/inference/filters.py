@@ -226,7 +226,7 @@ def can_be_lost(
 
 
 def update_used_up(belief: Belief, model: SensorModel, observation: Observation) -> Belief:
-    """Return the belief if hazards are used up (:eq:`used-up-returned`, :eq:`used-up-lost`)."""
+    """Return the posterior if hazards are used up (:eq:`used-up-returned`, :eq:`used-up-lost`)."""
     cells, before, move = moves(belief, model, observation)
     after = np.einsum('czx,czy->cyx', before, move)
     total = after.sum(axis=(1, 2), keepdims=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 # Log odds of certainty in sums: above any evidence, low enough not to lose evidence by rounding.
 CERTAIN = 1e6
-# Log odds at which a hazard is treated as certain, and at which a target is.
+# Log odds of a certain hazard, and of a certain target.
 CERTAIN_HAZARD = 300.0
 CERTAIN_TARGET = 700.0
 # Bounds of the bisection for offsets of log odds, and its number of steps.
@@ -125,7 +125,7 @@ LIMITS = {
 def prior_maps(
     belief: Belief, model: SensorModel, unknown: Sequence[str]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]]:
-    """Return `MAPS` with masks of undecided cells; refuse unknown numbers without effect."""
+    """Return `MAPS` by name with their undecided cells; refuse unknowns without effect."""
     if 'lethality' in unknown and model.false_negative == 1.0:
         raise ValueError(
             'lethality is unknown but has no effect: '

@@ -100,7 +100,7 @@ def supported_dynamics(method: object) -> tuple[str, ...]:
 def check_able(
     given: str | Callable[..., object], is_able: Callable[[Method], object], lack: str
 ) -> None:
-    """Check that a method has a capability; if not, raise `lack` and the methods that have it."""
+    """Check that a method has a capability; the error is `lack` and the methods that have it."""
     if not is_able(METHODS.find(given)):
         able = [name for name, each in METHODS.items() if is_able(each)]
         raise ValueError(f'{lack}: use {" or ".join(able)}')

@@ -22,7 +22,7 @@ MAX_PENDING, LEFT_PENDING = 50_000_000, 45_000_000
 # Approximate bytes of a report, and of each of its readings.
 REPORT, READING = 1000, 100
 
-# Maximum ratio of the steps of a robot's walk to those of its orders.
+# Maximum steps of a robot's walk, in multiples of the maximum steps of its paths.
 MAX_WALK = 10
 
 

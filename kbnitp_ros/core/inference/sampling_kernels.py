@@ -266,7 +266,7 @@ class HazardState(NamedTuple):
 class Factors(NamedTuple):
     """The factors of the conditional probabilities from which hazards are drawn."""
 
-    # Odds of each hazard without the losses, from `SMALL` to `LARGE`, shape (1 or chains, cells).
+    # Odds of each hazard without the losses, at most `LARGE`, shape (1 or chains, cells).
     odds: NDArray[np.float64]
     # Index of each lost path's pair of length and robot type, shape (losses,).
     length: NDArray[np.intp]

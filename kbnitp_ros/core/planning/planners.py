@@ -82,7 +82,7 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
     return cells[::-1]
 
 
-# Maximum number of restarts of a random walk that gets stuck.
+# Maximum number of attempts at a random walk of each number of steps.
 ATTEMPTS = 100
 
 # Maximum bytes for counting the walks home.
@@ -90,7 +90,7 @@ MAX_MEMORY = 1 << 30
 
 
 def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Draw a closed walk of the maximum number of steps."""
+    """Draw a closed walk of the maximum number of steps; of fewer if all attempts fail."""
     ways = ways_home(reach)
     for steps in range(reach.within.size - 1, 1, -1):
         for _ in range(ATTEMPTS):
@@ -101,7 +101,7 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
 
 
 def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
-    """Return the number of walks home from each cell, by steps, over the largest (:eq:`walks`)."""
+    """Return walks home from each cell, by steps, as shares of the maximum (:eq:`walks`)."""
     ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
     ways[0][0] = 1.0
     for _ in range(reach.within.size - 2):
@@ -323,7 +323,7 @@ def coverage(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def shortest_unvisited(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Go from one least visited cell to the nearest other."""
+    """Go from one least visited cell to the nearest other one."""
     return [Candidate.along(tour(finder), objective)]
 
 
