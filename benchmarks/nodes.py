@@ -192,9 +192,9 @@ def table(samples: list[Sample], deployments: int) -> str:
 BENCHMARKS = (
     Benchmark(
         'A deployment over DDS',
-        f'The mean of {DEPLOYMENTS:,} on 9x9 cells with the planner `relaxed`, each on disk '
-        'before its robot leaves.\nBare rclpy passes the same messages round between three '
-        'processes, and plans, learns and records nothing.',
+        f'Mean time of {DEPLOYMENTS:,} deployments on 9x9 cells with the planner `relaxed`, each '
+        'on disk before its robot leaves.\nBare rclpy sends the same messages between three '
+        'processes, without planning, learning or recording.',
         {
             'bare rclpy': lambda: 1.0 / run_bare(DEPLOYMENTS),
             'planner, agent, estimator and recorder': lambda: (

@@ -31,8 +31,8 @@ SCENARIO = read_scenario(PAPER)
 BENCHMARKS = (
     Benchmark(
         'A mission of the study `paper`',
-        f'{SCENARIO.robots} robots, one after another; the study has {SCENARIO.trials} at each '
-        f'of {len(SCENARIO.lethalities)} lethalities, for each method.',
+        f'{SCENARIO.robots} robots, one after another; the study has {SCENARIO.trials} missions '
+        f'at each of {len(SCENARIO.lethalities)} lethalities, for each method.',
         {f'`{method}`': mission_timer(SCENARIO, method) for method in SCENARIO.methods},
     ),
 )

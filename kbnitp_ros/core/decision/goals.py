@@ -128,8 +128,8 @@ class Area:
     """
     An area: cells to be certified free of hazards.
 
-    A robot takes the path with the greatest expected decrease, by outcome and target readings, of
-    the entropy of hazards, summed over the cells of the area.
+    A robot takes the path whose outcome and target readings are expected to decrease the entropy
+    of hazards most, summed over the cells of the area.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ class Lane:
             limits = longest, most - least, half, least
             lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
             far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # Exchanging the ways out and back changes no outcome: the longest lanes are only flown out.
+            # Exchanging the ways out and back changes no outcome: the longest are only flown out.
             paths = [
                 there_and_back(out, back)
                 for out in far + near

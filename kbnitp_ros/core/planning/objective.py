@@ -131,8 +131,8 @@ def positives(camera: Camera, most: int) -> NDArray[np.float64]:
     return likelihood * (k <= m)[..., None]
 
 
-# Maximum number of joint outcomes tracked; each robot doubles it, and the least probable are
-# merged.
+# Maximum number of joint outcomes tracked; each robot doubles their number, and the least probable
+# are merged.
 MAX_OUTCOMES = 16
 
 # Minimum probability of a joint outcome: below it, rounding errors dominate.

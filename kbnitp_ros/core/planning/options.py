@@ -48,7 +48,7 @@ class SearchOptions:
         keeps `width` / 4 labels, and improves the best paths by local search. Baselines, which
         seek no information: 'random' draws a closed walk, 'coverage' sweeps the field row by row,
         starting where earlier paths ended, and 'shortest_unvisited' goes from one least visited
-        cell to the nearest other.
+        cell to the nearest other one.
     max_steps : int
         Maximum steps of a path, at least 1.
     width : int
