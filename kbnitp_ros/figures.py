@@ -23,7 +23,7 @@ with extra('report'):
     from matplotlib.path import Path as Outline
     from matplotlib.transforms import Affine2D, Transform
 
-# Number of markers on a line, by which lines differ in black and white.
+# Number of markers on a line; their shapes tell lines apart in black and white.
 MARKERS = 8
 
 

@@ -81,7 +81,7 @@ def missing_rmw() -> str:
     if rmw in installed:
         return ''
     return (
-        f'RMW_IMPLEMENTATION is {rmw!r}, which is not installed: install it, or name one of '
+        f'RMW_IMPLEMENTATION is {rmw!r}, which is not installed: install it, or set it to one of '
         f'{", ".join(installed)}'
     )
 

@@ -117,7 +117,7 @@ def test_a_middleware_that_is_not_installed_is_named(name):
     assert (ended.returncode, ended.stdout) == (2, '')
     assert ended.stderr == (
         f"{name}: RMW_IMPLEMENTATION is 'rmw_cyclonedds_cpp', which is not installed: install "
-        'it, or name one of rmw_fastrtps_cpp\n'
+        'it, or set it to one of rmw_fastrtps_cpp\n'
     )
 
 

@@ -136,7 +136,7 @@ class Follower:
         self._file = 0
         self._grown_at = time.monotonic()
         self._show(self._waiting())
-        # A file that is not a log is refused; a log that becomes unreadable later is reported.
+        # A missing log is awaited. Other errors are raised here, but only shown by `follow`.
         with suppress(FileNotFoundError):
             self._look()
 

@@ -299,7 +299,7 @@ def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
 
 
 def check_cut(file: BinaryIO, end: int, size: int) -> None:
-    """Check that a file ends, or was cut, after its last whole record."""
+    """Check that only zeros, a cut record or the file's end follow whole records, at `end`."""
     ends_well = ends_finished(file, size)
     if ends_well and size <= end + len(MCAP0_MAGIC):
         return

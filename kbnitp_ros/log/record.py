@@ -176,7 +176,8 @@ def check_same_field(
         if before != (now := grid.at(robot_type.base).base):
             raise ValueError(
                 f'{log.path} is of a mission in which the base of {agent} is {before}, but the '
-                f'parameters set {now}: bases cannot change; begin a mission with prior.log'
+                f'parameters set {now}: bases cannot change: set prior.log to this log instead of '
+                'resume'
             )
     return belief
 

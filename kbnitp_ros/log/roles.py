@@ -332,6 +332,6 @@ def check_version(log: str | Path, belief: Any) -> None:
     if unknown := fields - known:
         recorder = read_metadata(log, []).get(RUN, {}).get('kbnitp_ros', 'not on record')
         raise LogError(
-            f'{log} was recorded by a later version: its beliefs have {min(unknown)}; '
-            f'read it with that version of kbnitp_ros ({recorder})'
+            f'{log} was recorded by a later version: its beliefs have the new field '
+            f'{min(unknown)}; read it with that version of kbnitp_ros ({recorder})'
         )

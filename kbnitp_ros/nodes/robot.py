@@ -102,8 +102,8 @@ class RobotNode(FieldNode):
         if not self._addresses:
             self.get_logger().warning(
                 'this computer has no network link but lo, so no other computer can reach this '
-                f'robot. With a link, this node ends with exit code {NEW_LINKS} and must be '
-                'started again'
+                f'robot. Once there is a link, this node ends with exit code {NEW_LINKS} and must '
+                'be started again'
             )
         self._subscribe_to_places()
         self.subscribe(

@@ -151,7 +151,7 @@ def expected_losses(mission: Mission) -> NDArray[np.float64]:
 def loss_shares(
     mission: Mission, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
-    """Return the probability of a loss in each step, by the last belief if hazards are static."""
+    """Return P(step | lost) by step: by the last belief, or the report's unless static."""
     stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]

@@ -136,7 +136,7 @@ class Itinerary:
         self._begin_leg()
 
     def fail(self) -> None:
-        """Record that the leg failed."""
+        """Count a failed try of the leg; after the last try, go home."""
         self._tried += 1
         if not self.heads_home and self._tried >= self._attempts:
             self.go_home()

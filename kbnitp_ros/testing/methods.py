@@ -278,7 +278,7 @@ def learns_within_the_prior(method: Method, mission: MissionCase) -> None:
     inference = method(mission.prior, mission.model, unknowns, mission.seed)
     fold(inference, mission.deployments)
     names = list(inference.parameters)
-    require(names == ['lethality'], f'parameters has {names}, and must have lethality')
+    require(names == ['lethality'], f'parameters has {names}: it must have only lethality')
     learnt = inference.parameters['lethality']
     for q in (0.0, 0.5, 1.0):
         value = learnt.quantile(q)

@@ -64,7 +64,7 @@ def cheapest_lanes(
 
 
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Return the cheapest path of each lane to its goal, given the costs by number of steps."""
+    """Trace back each row's cheapest path to its goal; `cost` is by steps, cell and row."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))
@@ -85,7 +85,7 @@ def lanes_within(
     limits: Sequence[int],
     count: int = LANES,
 ) -> list[list[Path]]:
-    """Return distinct candidates for the safest path; equal draws give equal candidates."""
+    """Return, for each limit, candidates for the safest path; equal draws give equal ones."""
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
     some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)

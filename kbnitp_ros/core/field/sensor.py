@@ -201,6 +201,6 @@ def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, .
     """Return the type of each robot."""
     if robot_types and len(robot_types) != robots:
         raise ValueError(
-            f'robot_types has {len(robot_types)} values: it must have one for each of {robots}'
+            f'robot_types has {len(robot_types)} values: it must have {robots}, one for each robot'
         )
     return tuple(robot_types) or (ORDINARY,) * robots

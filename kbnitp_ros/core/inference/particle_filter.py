@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One-pass filters of evidence counted by cell, vectorised over particles."""
+"""One-pass filters, vectorised over particles; their evidence is counted by cell."""
 
 from __future__ import annotations
 

@@ -212,7 +212,7 @@ def next_cut(region: Region, survival: float, ratio: float, total: float, value:
 def bound_of_box(
     region: Region, low: float, high: float, least: float, most: float, enough: float
 ) -> float:
-    """Return the lowest bound that a cut gives on `value_at` in a box (:eq:`bound-box`)."""
+    """Return the lowest of the cuts' bounds on `value_at` in a box (:eq:`bound-box`)."""
     middle = 0.5 * (low + high)
     lost, lost_slope = surprisal(1.0 - middle), log(1.0 - middle) + 1.0
     kept, kept_slope = surprisal(middle), -log(middle) - 1.0

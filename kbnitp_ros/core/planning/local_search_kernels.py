@@ -188,7 +188,7 @@ def fill(problem: LabelProblem, gap: Gap, room: GapLabels, least: float) -> tupl
 
 @compiled
 def improve(problem: LabelProblem, path: Places, steps: int, most_between: int) -> int:
-    """Replace runs of cells of a path until nothing improves it; return its steps."""
+    """Improve a path in place by replacing runs of cells; return its number of steps."""
     reach, gains = problem.reach, problem.gains
     cells, rows = reach.neighbors.shape[0], 1 + most_between
     room = GapLabels(

@@ -360,7 +360,7 @@ def test_robots_of_types_meet_the_world_with_their_own_sensors():
 
 
 @for_each('arguments, message', [
-    ({'types': [KEEN]}, 'has 1 values.*one for each of 2'),
+    ({'types': [KEEN]}, 'has 1 values: it must have 2, one for each robot'),
     (
         {'agents': 7, 'types': [RobotType(true_positive=0.9 + n / 100) for n in range(7)]},
         '7 different cameras.*at most 6',
