@@ -277,7 +277,7 @@ def test_a_mission_resumes_with_its_bases_and_later_missions_may_have_others(set
     mission.until_over()
     assert not mission.findings()
     moved = with_defaults({**parameters, 'team.scout_1.base': 62, 'team.scout_2.base': 0})
-    with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* it is 62.*prior\.log'):
+    with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* set 62.*prior\.log'):
         read_planner_record(MissionLog(mission.log), make_grid(moved), moved, parameters['agents'])
     last = read_belief_maps(mission.onlooker.belief)
     assert [last.agent_base(agent) for agent in parameters['agents']] == [0, 62, 62]
