@@ -336,6 +336,9 @@ class RecorderNode(MissionNode):
     def _write(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         """Write a message, unless another subscription has delivered it."""
         if topic.is_new(info['source_timestamp'], data):
+            if topic.role and topic.role.name == 'belief':
+                # An earlier belief that waits for its path comes first.
+                self._early.try_again()
             self._write_checked((topic, data, info))
 
     def _write_checked(self, message: Message, deadline: float | None = None) -> None:
