@@ -100,7 +100,7 @@ def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]
     """Return the log of the mission, and the parameters of its nodes."""
     if options.resume:
         log = log_parts(options.resume)[0]
-        # If the mission is still running, resumed nodes would send its robots again.
+        # Refuse a running mission: resumed nodes would send its robots again.
         LogLock(log).release()
         return log, recorded_parameters(log)
     parameters = chosen_parameters(options)

@@ -63,7 +63,7 @@ def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
         rates = {
             name: values[f'hazards.{name}'] for name in itertools.chain(*HAZARD_RATES.values())
         }
-        # Simulated agents learn nothing.
+        # Agents have no parameter learn.numbers.
         for name, prior in make_priors(values).items() if 'learn.numbers' in values else ():
             if name in values['learn.numbers'] and rates.get(name):
                 raise ValueError(

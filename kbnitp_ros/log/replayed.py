@@ -233,7 +233,7 @@ class ReplayedViews:
         self._recorded[role.name, logged.topic].append(view)
 
     def expect(self, ledger: Ledger, seen: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compute the views of a ledger's belief; `seen` gives the maps."""
+        """Keep the views expected of a ledger's belief; `seen` has its maps."""
         for name in VIEWS:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))

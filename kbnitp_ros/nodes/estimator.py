@@ -51,7 +51,7 @@ class EstimatorNode(FieldNode):
 
     def __init__(self) -> None:
         super().__init__('estimator')
-        # Only check the datum: reports of missions read it from the log.
+        # Only check the datum: the page of a mission reads it from the log.
         make_datum(self.values)
         estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)

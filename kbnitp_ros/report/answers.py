@@ -21,7 +21,7 @@ FREE, SUSPECTED = 0.05, 0.5
 # Minimum P(target) of a target found, and of a target listed.
 FOUND, LISTED = 0.95, 0.5
 
-# The pace of a mission is that of its last reports: share of all reports, and minimum number.
+# A mission's pace is that of its last reports: this share of all, at least this number.
 LAST, MIN_ROBOTS = 0.25, 5
 
 

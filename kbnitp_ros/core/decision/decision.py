@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 LANES = 48
 # Standard deviation of the log of the random factors by which the costs of cells are scaled.
 SCALE = 0.7
-# Number of draws averaged for the costs of a lane: few, to keep the dependence of hazards.
+# Number of draws averaged for the costs of a lane: few, since averages lose dependence.
 TOGETHER = 16
 # Cost of each step besides its hazard: among equally free lanes the shortest is chosen.
 STEP_COST = 1e-4
