@@ -322,8 +322,6 @@ class RecorderNode(MissionNode):
                 each for each in self._topics.values() if each.role and each.role.name == 'path'
             )
         self._write(topic, data, info)
-        if role == 'path':
-            self._early.try_again()
         is_evidence = role in ACTED_ON and not is_seldom_awaited
         is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
         if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
@@ -336,10 +334,10 @@ class RecorderNode(MissionNode):
     def _write(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         """Write a message, unless another subscription has delivered it."""
         if topic.is_new(info['source_timestamp'], data):
-            if topic.role and topic.role.name == 'belief':
-                # An earlier belief that waits for its path comes first.
-                self._early.try_again()
             self._write_checked((topic, data, info))
+            if topic.role and topic.role.name == 'path':
+                # Beliefs that waited for this path come before the next belief.
+                self._early.try_again()
 
     def _write_checked(self, message: Message, deadline: float | None = None) -> None:
         """Write a valid message; retry until a deadline if it refers to a message not yet read."""
