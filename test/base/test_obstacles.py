@@ -171,7 +171,8 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (
         Obstacle.UNREPORTED,
         {'silent': ['scout_1']},
-        'on /a/scout_1/report: without a report the robot is given up 10.0 s after its expected',
+        'on /a/scout_1/report: without a report the robot is given up 10.0 s after its expected '
+        'return',
     ),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
     (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),

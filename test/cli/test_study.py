@@ -232,7 +232,10 @@ def test_a_bad_study_is_one_error_before_any_work(capsys, tmp_path, changes, opt
 
 
 def test_an_unknown_scenario_is_named_with_the_known_ones(capsys, tmp_path):
-    told = 'study: scenario magic is neither.*calibrated, .*last_contact, loss_cost, .*teams.*\n'
+    told = (
+        'study: scenario magic is neither a file nor one of '
+        '.*calibrated, .*last_contact, loss_cost, .*teams.*\n'
+    )
     assert re.fullmatch(told, refusal(capsys, 'magic', tmp_path / 'out'))
 
 

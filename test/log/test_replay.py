@@ -752,7 +752,8 @@ class Later:
      'recorded before version 0.3.0: its beliefs have no method_version; kbnitp_ros 0.2.0 '
      '(commit 2e485c7) reads it'),
     (lambda definition: definition.replace('\nfloat64[] pri', '\nuint8 relays\nfloat64[] pri', 1),
-     'was recorded by a later version: its beliefs have the new field relays; read'),
+     'was recorded by a later version: its beliefs have the new field relays; read it with that '
+     'version'),
 ])  # fmt: skip
 def test_a_log_of_another_version_is_refused_with_the_version_that_reads_it(
     whole_mission, tmp_path, capsys, read, edit, told

@@ -49,7 +49,8 @@ def test_each_path_is_traversed_once_and_bad_ones_never(field):
         paths.publish(path(number, cells))
         paths.publish(path(number, cells))
     paths.publish(path(0, [0, 0]))
-    assert 'already has another path: the first path' in field.until_refused('/agent', refused + 1)
+    refusal = field.until_refused('/agent', refused + 1)
+    assert 'already has another path: the first path counts' in refusal
     field.until(lambda: len(reports) == len(tours), 'last report')
     assert field.count('/agent', 'accepted') == len(tours)
     expected = expected_reports(None, SensorModel(0.5), PARAMETERS['seed'], tours)

@@ -167,8 +167,7 @@ def test_the_truth_gives_the_number_of_right_answers(told):
     free, suspected = (np.flatnonzero(each) for each in (cells.free, cells.suspected))
     missed = sum(hazard[cell] for cell in free)
     assert (
-        f'By the recorded truth {free.size - missed} of {free.size} safe cells have no '
-        f'hazard, '
+        f'By the recorded truth {free.size - missed} of {free.size} safe cells have no hazard, '
         f'{sum(hazard[cell] for cell in suspected)} of {suspected.size} suspected cells have one'
     ) in tiles['Can I trust it?'].detail
 

@@ -177,8 +177,10 @@ def test_learnt_numbers_can_be_read(request, kind):
     ({'learn': {'lethality': {'low': 0.9, 'high': 0.1}}}, 'learn.lethality: interval is from'),
     ({'learn': {'lethality': {'a': 0}}}, r'learn.lethality.a is 0.*from 0\.01 to'),
     ({'learn': {'lethality': 0.5}}, 'learn.lethality is 0.5: it must have the keys a, b'),
-    ({'lethalities': [None], 'learn': {'kappa': {}}}, 'learn: lethality has neither'),
-    ({'world': {**small_study.CONTENT['world'], 'kappa': None}}, 'learn: kappa has neither'),
+    ({'lethalities': [None], 'learn': {'kappa': {}}},
+     'learn: lethality has neither a value nor a prior'),
+    ({'world': {**small_study.CONTENT['world'], 'kappa': None}},
+     'learn: kappa has neither a value nor a prior'),
 ])  # fmt: skip
 def test_bad_numbers_to_learn_are_refused(tmp_path, changes, complaint):
     with pytest.raises(ValueError, match=f'scenario.yaml: {complaint}'):
