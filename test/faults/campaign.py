@@ -147,25 +147,24 @@ def table(outcomes: list[Outcome]) -> str:
 
 def run_forged_missions(missions: int, seed: int, scale: float, folder: Path) -> int:
     """Run missions under all forgeries and print results; return 1 if any fails."""
-    undisturbed = run_forged(folder / 'undisturbed', ())
     outcomes = []
     failed = []
     for number in tqdm(range(seed, seed + missions), unit='mission'):
         outcome = run_forged(folder / f'forged-{number}', FORGERIES, scale, number)
-        outcome.compare_memory(undisturbed)
         outcomes.append(outcome)
         if outcome.findings:
             failed.append(number)
             tqdm.write(f'--forged --missions 1 --seed {number}: {outcome}')
-    print('| node | refused | at least | most memory | undisturbed |')
+    print('| node | refused | at least | most memory | most growth |')
     print('|---|---|---|---|---|')
     for node in NODES:
         refused = sum(outcome.refused.get(node, 0) for outcome in outcomes)
         required = sum(outcome.required[node] for outcome in outcomes)
         name = full_name(node)
-        memory = max(outcome.memory.get(name, 0.0) for outcome in outcomes)
-        before = undisturbed.memory[name]
-        print(f'| {node} | {refused} | {required} | {memory:.0f} MB | {before:.0f} MB |')
+        ended = [(each.after[name], each.before[name]) for each in outcomes if each.after]
+        memory = max((after for after, _ in ended), default=0.0)
+        growth = max((after - before for after, before in ended), default=0.0)
+        print(f'| {node} | {refused} | {required} | {memory:.0f} MB | {growth:.0f} MB |')
     print(f'\n{missions} missions, of which {len(failed)} did not end as they must.')
     if failed:
         print(f'Seeds of these: {", ".join(map(str, failed))}.')

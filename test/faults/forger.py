@@ -273,6 +273,9 @@ class Forged:
     findings: list[tuple[str, str]] = field(default_factory=list)
     refused: dict[str, int] = field(default_factory=dict)
     required: dict[str, int] = field(default_factory=lambda: dict.fromkeys(NODES, 0))
+    # Megabytes of each node, at the first report and at the end.
+    before: dict[str, float] = field(default_factory=dict)
+    after: dict[str, float] = field(default_factory=dict)
 
     def __str__(self):
         found = ''.join(f'\n  {kind}: {words}' for kind, words in self.findings)
@@ -288,9 +291,14 @@ def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
             mission.start(*NODES)
             try:
                 _forge(mission, parameters, outcome, scale)
+                outcome.after = mission.memory()
             except StuckError as error:
                 outcome.findings.append(('stuck', f'{error}: {outcome.required} to be refused'))
                 return outcome
+            for name, now in outcome.after.items():
+                if now > outcome.before[name] + GROWTH:
+                    words = f'{name} has {now:.0f} MB, before {outcome.before[name]:.0f} MB'
+                    outcome.findings.append(('memory', words))
             codes = mission.processes.stop()
             bad = {name: code for name, code in codes.items() if code}
             outcome.findings += [('exit', f'{name} ended with {bad[name]}') for name in bad]
@@ -304,7 +312,7 @@ def _forge(mission, parameters, outcome, scale):
     """Send the forgeries; wait until the mission is over and all are refused."""
     onlooker = mission.onlooker
     mission.until(lambda: onlooker.evidence.reports, 'report')
-    before = mission.memory()
+    outcome.before = mission.memory()
     forger = Forger(mission, NAMESPACE, parameters, np.random.default_rng(parameters['seed']))
     for kind in outcome.kinds:
         for node, count in getattr(forger, kind)(scale).items():
@@ -324,10 +332,6 @@ def _forge(mission, parameters, outcome, scale):
         return last.message.deployments == parameters['robots']
 
     mission.until(is_recorded, 'last belief on record')
-    for name, now in mission.memory().items():
-        if now > before[name] + GROWTH:
-            words = f'{name} has {now:.0f} MB, before {before[name]:.0f} MB'
-            outcome.findings.append(('memory', words))
 
 
 def wrong_beliefs(log, parameters):

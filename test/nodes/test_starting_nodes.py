@@ -2,7 +2,6 @@
 """How nodes start, appear in the graph, print and end."""
 
 from contextlib import suppress
-import os
 import re
 import signal
 import subprocess
@@ -12,6 +11,7 @@ from base import GRID as BASE_GRID
 from extent import some
 from forked import ForkedProcess, run_node
 from kbnitp_msgs.msg import DeploymentReport, Progress
+from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.configuration import NODES
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, Observation, plan, SensorModel
@@ -32,12 +32,13 @@ def run(server, tmp_path):
 
     def run(commands):
         started = []
-        for number, arguments in enumerate(commands):
-            said = tmp_path / f'said_{number}.txt'
-            said.write_text('')
-            forked = ForkedProcess(run_node, (arguments,), dict(os.environ), str(said))
-            started.append((forked, said))
-        return [(process.wait(timeout=60), said.read_text()) for process, said in started]
+        with free_domain() as domain:
+            for number, arguments in enumerate(commands):
+                said = tmp_path / f'said_{number}.txt'
+                said.write_text('')
+                forked = ForkedProcess(run_node, (arguments,), environment(domain), str(said))
+                started.append((forked, said))
+            return [(process.wait(timeout=60), said.read_text()) for process, said in started]
 
     return run
 
