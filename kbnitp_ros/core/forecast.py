@@ -42,7 +42,7 @@ class PossibleWorld(NamedTuple):
     world: World
     # The true sensor model of robots of the common type.
     model: SensorModel
-    # Seed of the outcomes.
+    # Generator of the outcomes.
     rng: np.random.Generator
 
     def __str__(self) -> str:
@@ -78,7 +78,7 @@ class Forecast:
     sent : ndarray, shape (worlds,)
         Number of robots sent by each mission.
     lost : ndarray, shape (worlds, robots + 1)
-        Robots lost after each robot sent; constant after the last robot, as are the arrays below.
+        Robots lost after each robot sent. Arrays of this shape are constant after the last robot.
     entropy : ndarray, shape (worlds, robots + 1)
         Entropy of hazards and targets, nats.
     p_free : ndarray, shape (worlds, robots + 1)
@@ -131,7 +131,7 @@ def forecast(
     Parameters
     ----------
     grid, robots, options, before, team, goal, stop
-        As of `continue_mission`; at least 1 robot.
+        As in `continue_mission`; at least 1 robot.
     estimator : Estimator
         The prior, or the estimator after the deployments `before`.
     worlds : int
@@ -139,13 +139,13 @@ def forecast(
     rng : int or numpy.random.Generator
         The only source of randomness.
     run : callable
-        Applies a function to a list, as `map` does, and returns the results in order, as a pool of
-        processes may.
+        Function that applies a function to each item and yields the results in order: `map`, or
+        the map of a pool of processes.
 
     Raises
     ------
     ValueError
-        If there are no robots or no worlds, or as of `continue_mission`.
+        If `robots` or `worlds` is below 1; also as in `continue_mission`.
 
     """
     robots = whole_number('robots', robots, 1)

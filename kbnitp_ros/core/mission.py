@@ -169,22 +169,22 @@ def run_mission(
     robots : int
         Number of robots, at least 0.
     rng : int or numpy.random.Generator
-        The only source of randomness, as `numpy.random.default_rng` takes it:
-        ``rng.spawn(1)`` for each robot.
+        The only source of randomness: a generator or a seed. Each robot gets its child by
+        ``rng.spawn(1)``.
     method : str or callable
         Inference method, one of `METHODS`.
     options : SearchOptions
         Options of the search for paths.
     team : Team, optional
-        The robots of a round, by default one; the last round has fewer if `robots` is not a
-        multiple. Their types also apply to the true robots.
+        The robots of a round, by default one; the last round may have fewer. Numbers that their
+        types set are both believed and true.
     truth : Truth, optional
         True behaviour of the robots; by default as believed.
     learning : Learning, optional
         Unknowns to learn besides the maps; none by default.
     dynamics : Dynamics
-        How hazards are believed to change. Robot k enters the field as robot k - 1 left it, after
-        a change or moves of hazards drawn with the second child of the generator of robot k.
+        How hazards are believed to change. The field that robot k - 1 left may change before
+        robot k enters; the change is drawn with the second child of robot k's generator.
     goal : Goal, optional
         Goal of the mission, such as `Lane` or `Area`; by default the field is mapped.
     stop : Stop, optional
@@ -193,7 +193,7 @@ def run_mission(
     Returns
     -------
     SimulatedMission
-        Its deployments in order; fewer than `robots` if the mission ended early: the goal was
+        The deployments in order; fewer than `robots` if the mission ended early: the goal was
         reached at its confidence, a condition of `stop` was met, or no path with the minimum
         survival was found.
 
@@ -242,7 +242,7 @@ def continue_mission(
     Parameters
     ----------
     grid, world, rng, options, team, goal, stop
-        As of `run_mission`.
+        As in `run_mission`.
     truth : Truth, optional
         True behaviour of the robots; by default as in the estimator.
     estimator : Estimator
@@ -260,7 +260,7 @@ def continue_mission(
     Raises
     ------
     ValueError
-        As of `run_mission`.
+        As in `run_mission`.
 
     """
     team, truth, stop = team or Team(), truth or Truth(), stop or Stop()

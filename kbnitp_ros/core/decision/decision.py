@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 LANES = 48
 # Standard deviation of the log of the random factors by which the costs of cells are scaled.
 SCALE = 0.7
-# Number of draws averaged for the costs of a lane: few, since averages lose dependence.
+# Number of draws averaged for the costs of a lane: few, to keep the dependence between cells.
 TOGETHER = 16
 # Cost of each step besides its hazard: among equally free lanes the shortest is chosen.
 STEP_COST = 1e-4
@@ -64,7 +64,7 @@ def cheapest_lanes(
 
 
 def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
-    """Trace back each row's cheapest path to its goal; `cost` is by steps, cell and row."""
+    """Trace back each row's cheapest path to its goal; `cost` is indexed [steps, cell, row]."""
     lanes = np.arange(goal.size)
     steps = np.argmin(cost[:, goal, lanes], axis=0)
     last = int(steps.max(initial=0))
@@ -85,7 +85,7 @@ def lanes_within(
     limits: Sequence[int],
     count: int = LANES,
 ) -> list[list[Path]]:
-    """Return, for each limit, candidates for the safest path; equal draws give equal ones."""
+    """Return, for each limit, candidates for the safest path, the same for equal draws."""
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
     some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)
@@ -184,7 +184,7 @@ class Decision:
     hazards_mean : float
         Expected number of hazards in `cells`.
     hazards_5, hazards_95 : int
-        Quantiles of 5 % and 95 % of the number of hazards in `cells`.
+        5 % and 95 % quantiles of the number of hazards in `cells`.
     reached : bool
         Whether the requested confidence is reached; False if none is requested.
     reason : str

@@ -3,7 +3,7 @@
 Goals: lanes and areas to be certified free of hazards, and flights that serve a goal.
 
 A goal computes the probability that it is reached, and the flight that serves it best. A new goal
-takes one file and one line here, or an entry point of another package. With the goal 'map' robots
+needs one file and one line here, or an entry point of another package. With the goal 'map' robots
 are sent for information.
 """
 
@@ -44,8 +44,7 @@ MAX_OUTCOMES = 64
 
 # Number of the most uncertain cells that get a direct flight as a candidate.
 DIRECT = 16
-# Maximum number of candidate paths of each of the two searches: for information on hazards alone,
-# and on hazards and targets.
+# Maximum number of candidate paths taken from each search for information.
 SEARCHED = 24
 
 
@@ -251,8 +250,8 @@ def readings_given(
 OUT, BACK = 12, 4
 # Minimum P(the best lane is free) for flights that seek information on that lane alone.
 PROBABLE = 0.45
-# Value of a nat of information on all hazards, in P(the best lane is free). It decides between
-# flights that cannot change which lane is best.
+# Weight of a nat of information on all hazards, added to the rise of P(the best lane is free): it
+# decides between flights that cannot change which lane is best.
 WORTH = 0.02
 
 
@@ -348,7 +347,7 @@ class Lane:
             limits = longest, most - least, half, least
             lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
             far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # Exchanging the ways out and back changes no outcome: the longest are only flown out.
+            # Exchanging out and back changes no outcome, so the longest lanes are only flown out.
             paths = [
                 there_and_back(out, back)
                 for out in far + near

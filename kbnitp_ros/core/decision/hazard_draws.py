@@ -43,7 +43,7 @@ class HazardDraws:
     hazardous : ndarray of bool, shape (draws, cells)
         Hazards in each draw, at least one draw.
     independent : float
-        Effective number of independent draws, positive; infinity if the draws are all states.
+        Effective number of independent draws, positive; infinity if `hazardous` lists all states.
     weight : ndarray, shape (draws,), optional
         Weight of each draw, at least 0, with sum 1; equal by default.
 

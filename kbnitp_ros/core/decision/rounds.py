@@ -126,14 +126,14 @@ def plan_round(
     draws : HazardDraws or None
         Draws of the hazards, if there is a goal.
     grid, belief, model, team, options, in_flight, visited, keepout, bound
-        As of `plan_team`.
+        As in `plan_team`.
 
     Raises
     ------
     NoPathError
         If no path of a robot satisfies the options.
     ValueError
-        As of `plan_team` and `check_sought`.
+        As in `plan_team` and `check_sought`.
 
     """
     for_information = partial(

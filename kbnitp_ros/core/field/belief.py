@@ -11,7 +11,7 @@ from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Tolerance of the sum of a cell's four probabilities.
+# Tolerance for rounding of a cell's probabilities and of their sum.
 TOLERANCE = 1e-12
 
 # Maximum number of cells named in an error.
@@ -109,13 +109,13 @@ class Belief(Value):
         Return a mission's belief before its first deployment.
 
         As `from_maps`, where a number stands for a uniform map. The bases of the grid have no
-        hazard (and targets as likely as in any cell found free of hazard), and blocked cells have
+        hazard, and a target with the probability P(X = 1 | Z = 0) of the maps; blocked cells have
         neither hazards nor targets.
 
         Raises
         ------
         ValueError
-            As `from_maps`; also if a base is given as certainly hazardous.
+            As `from_maps`; also if the given hazard of a base is 1.
 
         """
         maps = [
@@ -126,7 +126,7 @@ class Belief(Value):
         return cls.from_maps(*maps).on(grid)
 
     def on(self, grid: Grid) -> Belief:
-        """Return the belief on a grid, whose bases have no hazard, as in `prior`."""
+        """Return the belief on a grid, with bases and blocked cells as in `prior`."""
         joint = self.joint.copy()
         for base in sorted(grid.bases):
             joint[base, 1] = 0.0

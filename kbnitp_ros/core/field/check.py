@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dataclasses with arrays that compare like values, and checks of values from outside."""
+"""A base class that compares dataclasses by value, and checks of arguments."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ MADE_BY = {'Goal': 'Lane(...) or Area(...)'}
 
 
 def typed(call: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function to refuse arguments of another core class than annotated."""
+    """Decorate a function to check arguments that are annotated with classes of the core."""
     names = tuple(signature(call).parameters)
 
     @cache
@@ -171,7 +171,7 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
 
 
 def cost(name: str, value: float) -> float:
-    """Return a cost as a float, from 0 to a billion: larger sums overflow."""
+    """Return a cost as a float from 0 to a billion: sums of larger costs may overflow."""
     number = as_number(name, value)
     if not 0.0 <= number <= 1e9:
         raise ValueError(f'{name} is {value}: it must be at least 0 and at most 1e9')

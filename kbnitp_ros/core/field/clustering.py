@@ -78,7 +78,7 @@ class Clustering:
     .. math:: P(z) \propto \exp \Bigl( a \sum_i z_i + J \sum_{i \sim j} z_i z_j \Bigr),
 
     over the cells that may have a hazard; i ~ j are the pairs of cells that share a side. The
-    field a gives P(z_i = 1) the density of the prior as its mean over these cells.
+    field a is chosen so that the mean of P(z_i = 1) over these cells is the prior's density.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ class Clustering:
         if densities.size > 1 and min(free.shape) > STRIP and np.count_nonzero(~free) > 1:
             raise ValueError(
                 f'hazard_density is unknown on a field of {self.grid.width} x {self.grid.height} '
-                f'cells with obstacles: with clustered hazards it must be known, or the field at '
-                f'most {STRIP} cells across'
+                f'cells with obstacles: clustered hazards then need a known hazard_density, or a '
+                f'field that is at most {STRIP} cells across'
             )
         sought = np.log(densities) - np.log1p(-densities)
         field = sought.copy()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Compilation of kernels by numba, which is imported when the first one is called.
+Compilation of kernels by numba, which is imported when the first kernel is called.
 
 Kernels give the same bits compiled and interpreted if they take functions from `math`, use neither
 `**` nor sums of whole arrays, and never divide by 0 or take its logarithm.

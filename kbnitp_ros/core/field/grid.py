@@ -24,7 +24,7 @@ ROUNDING = 1e-9
 # Row and column offsets of the neighbour in each column of `Grid.neighbor_table`, (2, 9).
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
-# Fields shown by `repr`, and maximum number of blocked cells shown.
+# Fields shown by `str`, and maximum number of blocked cells shown.
 TOLD = (
     'width',
     'height',
@@ -51,7 +51,7 @@ class Grid:
     width, height : int
         Cells in a row and in a column, at least 1 each.
     base : int
-        The cell that paths start and end in; free, and free of hazard.
+        The cell that paths start and end in: not blocked, and without a hazard.
     resolution : float
         Side of a cell in metres, positive.
     origin : tuple of float
@@ -64,7 +64,7 @@ class Grid:
         Whether a diagonal step may touch a blocked cell, as in arXiv:2305.06929. If False, both
         cells beside the step must be free.
     other_bases : iterable of int
-        Further bases (`at`): free cells, and free of hazard.
+        Further bases, selected by `at`: not blocked, and without a hazard.
     yaw : float
         The angle from the frame's x axis to the rows, counterclockwise, in rad.
 
@@ -232,7 +232,7 @@ class Grid:
         return steps
 
     def steps_from(self, cell: int, is_open: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the fewest steps from `cell` to each cell, (cells,); `cells` if out of reach."""
+        """Return the fewest steps from `cell` through open cells, (cells,); `cells` if cut off."""
         steps = np.full(self.cells, self.cells, dtype=np.intp)
         frontier = np.array([cell])
         distance = 0
@@ -321,7 +321,7 @@ class Grid:
         return (self.at(base) if base in self.bases else self).check_path(cells)
 
     def in_metres(self, places: ArrayLike) -> NDArray[np.float64]:
-        """Convert columns and rows to x and y in the frame, (..., 2); (0, 0) is a corner."""
+        """Convert columns and rows to x and y in the frame, (..., 2); (0, 0) gives `origin`."""
         points: NDArray[np.float64] = turned(
             np.asarray(places) * self.resolution, self.yaw
         ) + np.array(self.origin)

@@ -79,7 +79,7 @@ class Bins(Value):
 
     # Edges of the interval that each value stands for, shape (values + 1,).
     edges: NDArray[np.float64]
-    # In (0, 1), ascending, shape (values,).
+    # The values, ascending, shape (values,).
     values: NDArray[np.float64]
     # Log prior probability of each value, shape (values,).
     log_prior: NDArray[np.float64]
@@ -119,7 +119,7 @@ class Learnt(Value):
 
     @classmethod
     def by_groups(cls, bins: Bins, weights: NDArray[np.float64]) -> Learnt:
-        """Return the posterior from groups of samples with weights, (groups, values)."""
+        """Return the posterior from the weights of each group of samples, (groups, values)."""
         learnt = cls(bins, weights.mean(axis=0))
         of_mean = (weights * bins.values).sum(axis=1).var(ddof=1) / len(weights)
         return replace(learnt, effective_samples=learnt.sd**2 / of_mean if of_mean else np.inf)
@@ -237,8 +237,8 @@ class Dynamics:
     move : float, (float, float) or Beta
         Chance in [0, 1] that a moving hazard leaves its cell if it can; if unknown, as `vanish`.
 
-    With rates of 0 hazards are static; but with 'learn' a rate of 0 stands for an unknown rate,
-    log-uniform from .001 to .1.
+    'changing' or 'moving' hazards with rates of 0 are static. With 'learn', a `vanish` or `move`
+    of 0 stands for an unknown rate, log-uniform from .001 to .1.
 
     Raises
     ------

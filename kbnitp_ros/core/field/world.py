@@ -275,7 +275,7 @@ class Execution:
     def _walk(
         self, grid: Grid, path: NDArray[np.intp], rng: np.random.Generator
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Draw the walk of a robot, and the steps of `path` passed after each step of the walk."""
+        """Draw a robot's walk, and the number of `path` steps passed after each of its steps."""
         drawn = rng.random((len(path) - 1, 3))
         if not self.early_return and not self.detour:
             return path, np.arange(1, len(path))

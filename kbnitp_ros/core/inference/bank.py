@@ -44,7 +44,7 @@ FEW, MANY = 192, 512
 # Number of Metropolis steps after each resampling.
 MOVES = 3
 
-# Factor on the number of particles drawn anew if the evidence is impossible under all.
+# Factor on the number of particles if all are drawn anew, since none allows the evidence.
 MORE = 8
 
 # Number of copies of all joints in memory, including those of resampling and moves.
@@ -96,7 +96,7 @@ class Bank:
             None
         )
         self._joints = self._first_joints(self._numbers)
-        # Log likelihood of all outcomes so far, and of the outcomes since the last resampling.
+        # By particle: log likelihood of all outcomes, and of outcomes since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 

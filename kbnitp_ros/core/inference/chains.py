@@ -97,7 +97,7 @@ class Chains:
         state: ChainState,
         rng: np.random.Generator,
     ) -> None:
-        # From here on, a cell is numbered by its place in the chains.
+        # Arrays below are indexed by place in `_cells` or `_elsewhere`, not by cell of the grid.
         self._cells = state.cells
         # Cells outside the chains have the joints of the prior with each chain's numbers.
         elsewhere = np.setdiff1d(np.arange(hypotheses.belief.cells), state.cells)
@@ -354,7 +354,7 @@ class Chains:
             self._draw('malfunction', log_likelihood)
 
     def _weigh_by_located(self, endured: Floats, spared: Floats, likelihood: Floats) -> None:
-        """Multiply `likelihood` by located losses; chances (1 or chains, types, 1 or values)."""
+        """Multiply `likelihood` by located losses; rates: (1 or chains, types, 1 or values)."""
         if self._tally.located_steps.size:
             shape = (CHAINS, endured.shape[1], likelihood.shape[1])
             safe, exposed = (

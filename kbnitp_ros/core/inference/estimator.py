@@ -79,7 +79,7 @@ class Estimator:
     ------
     ValueError
         If the method is unknown or does not support the numbers to learn, the dynamics or the
-        clustering, a number to learn has no effect, or another package's method breaks its rules.
+        clustering, a number to learn has no effect, or another package's method breaks the rules.
 
     """
 
@@ -243,7 +243,7 @@ class Estimator:
             If the path leaves the belief's cells, the outcome is impossible under the belief, or
             the method does not use `lost_at`; the belief is then unchanged.
         PluginError
-            If a method of another package breaks its rules; the belief is then unchanged.
+            If a method of another package breaks the rules; the belief is then unchanged.
 
         """
         if observation.lost_at is not None:
@@ -264,7 +264,7 @@ class Estimator:
         if lacking:
             raise METHODS.fault(self.method, f'has no {" and no ".join(lacking)}')
         if not isinstance(inference.belief, Belief):
-            raise METHODS.fault(self.method, f'has the belief {inference.belief!r}: no Belief')
+            raise METHODS.fault(self.method, f'gives {inference.belief!r} in place of a Belief')
         if inference.belief.cells != self.prior.cells:
             raise METHODS.fault(
                 self.method,
@@ -305,7 +305,7 @@ class Estimator:
         ValueError
             If `count` is out of range.
         PluginError
-            If a method of another package breaks its rules.
+            If a method of another package breaks the rules.
 
         """
         count = whole_number('count', count, 1)
@@ -358,9 +358,9 @@ class Ledger(MissionRecord):
     Parameters
     ----------
     grid, max_steps, robot_types
-        As of `MissionRecord`.
+        As in `MissionRecord`.
     estimator : Estimator
-        Before the first deployment.
+        Estimator before the first deployment.
 
     Attributes
     ----------
@@ -411,7 +411,7 @@ class Ledger(MissionRecord):
         return other
 
     def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # Refer to the new message: no log may have the first one if its publisher was lost.
+        # Refer to the new message: the first one may be in no log if its publisher was lost.
         self.report_contents[key] = report.content
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:

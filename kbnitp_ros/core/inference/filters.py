@@ -180,7 +180,7 @@ def multi_universe_likelihood(
     made = np.concatenate([np.zeros((1, cells), dtype=np.intp), visited.cumsum(axis=0)])
     predicted = log_predicted_survival(hazard, made, log_survival)
     given = times_log(made[..., None], log_survival)
-    # Survival of every cell but i, avoiding a difference of infinities where S_i = 0.
+    # Log survival in all cells but i: subtracting log S_i would give NaN where S_i = 0.
     but_own = np.where(np.eye(cells, dtype=bool), 0.0, predicted[:, None, :]).sum(axis=-1)
     alive = np.exp(but_own[..., None] + given)
     destroyed: NDArray[np.float64] = (alive[:-1] - alive[1:]).sum(axis=0)
@@ -252,7 +252,7 @@ def hazards_used_up(belief: Belief, model: SensorModel, observation: Observation
 def moves(
     belief: Belief, model: SensorModel, observation: Observation
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return the path's cells, their joints, and P(outcome, Z after | Z before) of each."""
+    """Return the path's cells, joints given the readings, and P(outcome, Z after | Z before)."""
     check_cells(belief, observation)
     visits = Visits.of(observation.path)
     before = belief.joint[visits.cells]

@@ -227,8 +227,8 @@ class Hypotheses:
         hazard = belief.hazard[belief.hazard > 0.0]
         if hazard.size == 0 or hazard.max() == 1.0 or np.ptp(hazard) > SAME:
             raise ValueError(
-                'the prior hazards differ between cells: clustered hazards need one density in '
-                '(0, 1) for all cells that may have a hazard'
+                'the prior hazards differ between cells, or are 0 or 1: clustered hazards need '
+                'one density in (0, 1) for all cells that may have a hazard'
             )
         densities = belief.hazard[undecided][:1]
         if 'hazard_density' in self.unknown:

@@ -24,7 +24,7 @@ PRIOR = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12
 
 
 class Kinds:
-    """A belief about hazards of unknown kind: a mixture of banks, one a kind (:eq:`kinds`)."""
+    """A belief about hazards of unknown kind: a mixture of a bank for each kind (:eq:`kinds`)."""
 
     is_converged = True
 

@@ -2,7 +2,7 @@
 """
 The inference methods.
 
-A new method takes one file and one line here, or an entry point of another package.
+A new method needs one file and one line here, or an entry point of another package.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class Evidence:
     negative: NDArray[np.intp]
     # Number of earlier visits to the cell of each step, shape (steps,).
     before: NDArray[np.intp]
-    # Indexed [(cell, number of earlier visits), step]: 1 if the cell has this number before the
-    # step, and the step enters it (`elsewhere`: another cell); (n * (most visits + 1), steps).
+    # 1 if a cell was visited k times before a step, and the step enters it (`inside`) or another
+    # cell (`elsewhere`); indexed [(cell, k), step], shape (n * (most visits + 1), steps).
     inside: Floats
     elsewhere: Floats
     # Likelihood of a loss in each step, shape (steps,); None for a return.
@@ -104,7 +104,7 @@ class Steps:
 def assimilated(
     joint: Floats, steps: Steps, evidence: Evidence, correlated: bool, is_predicted: bool
 ) -> tuple[Floats, Floats]:
-    """Update joints, with ln P (:eq:`bank-returned`, :eq:`bank-lost`, :eq:`shifted-readings`)."""
+    """Return joints and ln P (:eq:`bank-returned`, :eq:`bank-lost`, :eq:`shifted-readings`)."""
     hazard = joint.sum(axis=2)
     if not correlated:
         joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]

@@ -49,7 +49,7 @@ TOLD_APART = 0.01
 MAX_MEMORY = 1 << 31
 BYTES = 48
 
-# Key of the sampler's random numbers: simulated worlds may be drawn with the same seed.
+# Key that separates the sampler's random numbers from those of worlds with the same seed.
 OWN_KEY = 0x53414D50
 
 

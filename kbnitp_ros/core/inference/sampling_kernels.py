@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Lower limit of the likelihood of a located loss, so that a chain can leave states in which the
-# loss is impossible; below LEAST, since a sum has no rounding error of 1 - 1.
+# loss is impossible. It is below LEAST: unlike 1 - survival, the sum has no rounding error.
 LEAST_FIT = 1e-100
 # Upper limit of products, within the range of floating point.
 LARGE = 1e300
@@ -384,7 +384,7 @@ def draw_hazards(
 ) -> None:
     """Draw each cell given all others (:eq:`hazard-conditional`, :eq:`loss-located`)."""
     graph, located, neighbors = factors.graph, factors.located, factors.neighbors
-    # Calls are skipped without located losses: passing so many arrays takes longer than the call.
+    # Calls are skipped if no loss is located, since passing so many arrays takes long.
     any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
@@ -435,7 +435,7 @@ def draw_hazards(
 def swap_hazards(state: HazardState, factors: Factors, uniform: NDArray[np.float64]) -> None:
     """Propose to swap a hazardous and a safe cell of a lost path (:eq:`swap`)."""
     graph, located, neighbors = factors.graph, factors.located, factors.neighbors
-    # Calls are skipped without located losses: passing so many arrays takes longer than the call.
+    # Calls are skipped if no loss is located, since passing so many arrays takes long.
     any_located, any_coupled = located.cell.size > 0, neighbors.shape[0] > 0
     table = np.empty((factors.endured.shape[1], factors.spared.shape[2]))
     sums = new_sums(located, factors.step_endured.shape[1])
@@ -505,7 +505,7 @@ def add_joints(
     joints: NDArray[np.float64],
 ) -> None:
     """Add the joints' averages over each group of chains (:eq:`averaged-belief`)."""
-    # Odds have the shape (1 or chains, cells).
+    # The odds of targets have the shape (1 or chains, cells).
     chains, cells = hazard_odds.shape
     size = chains // joints.shape[0]
     for chain in range(chains):

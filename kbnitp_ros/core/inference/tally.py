@@ -128,7 +128,7 @@ class Tally:
 
     @property
     def first_step(self) -> NDArray[np.int32]:
-        """Return the index of the first step of each located loss, and of the end of the last."""
+        """Return the index of each located loss's first step, and the number of all steps."""
         return np.append(0, np.cumsum(self.located_steps)).astype(np.int32)
 
     def loss_graph(self, possible: NDArray[np.bool_], undecided: NDArray[np.bool_]) -> LossGraph:

@@ -86,7 +86,7 @@ def team_information(
     Parameters
     ----------
     belief, model
-        As of `path_information`; the model is that of the common robot type.
+        As in `path_information`; the model is that of the common robot type.
     paths : sequence of array_like of int, each of shape (steps + 1,)
         The cells of each robot's path in order.
     outcomes : JointOutcomes, optional
@@ -181,9 +181,9 @@ def behavioral_information(
     Parameters
     ----------
     belief, model, path
-        As of `path_information`.
+        As in `path_information`.
     alpha, interest
-        As of `Objective`.
+        As in `Objective`.
     outcomes : JointOutcomes, optional
         Joint outcomes of robots sent before; by default none.
 

@@ -115,7 +115,7 @@ def _powers(
     return power, times_log(power[..., 0], log_power)
 
 
-# Minimum number of closed paths ranked by exact value, which is twice `width` if that is more.
+# Minimum number of closed paths ranked by exact value; twice `width` if that is more.
 MIN_RANKED = 8
 
 # By round of local search: number of paths improved, maximum number of cells in a gap.
@@ -175,7 +175,7 @@ class LabelSearch:
         )
 
     def closed(self, count: int) -> tuple[Places, Places]:
-        """Return the best `count` paths and their steps; for a beam, also the best of width 1."""
+        """Return the best `count` paths and steps; a beam adds the best path of width 1."""
         problem, rows = self.problem, self.reach.start[-1]
         completions = np.empty((rows if self._width > 1 else 0, problem.weight.size + 5))
         paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)

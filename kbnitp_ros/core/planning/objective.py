@@ -152,8 +152,8 @@ class JointOutcomes:
     # P(Z = z, X = x) of these cells given the outcome, without the readings; shape (outcomes, n,
     # 2, 2).
     joint: NDArray[np.float64]
-    # P(numbers of readings of a cell) in each outcome, with an axis for each camera, from 0
-    # readings up; 0 or 1 except in merged outcomes.
+    # Probability of each number of readings by each camera: axes outcomes, cells, and one for each
+    # camera, from 0 readings up; 0 or 1 except in merged outcomes.
     readings: NDArray[np.float64]
     # The cameras of the robots.
     cameras: tuple[Camera, ...] = ()

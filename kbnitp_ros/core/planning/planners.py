@@ -3,8 +3,8 @@
 The planners, which search for the path of the next deployment.
 
 A planner takes a `PathFinder` and an `Objective` and returns closed paths, the best first. A new
-planner takes one file and one line here, or an entry point of another package; a label search also
-takes a line in `LABELS`.
+planner needs one file and one line here, or an entry point of another package; a label search also
+needs a line in `LABELS`.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
 
 
 def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
-    """Return walks home from each cell, by steps, as shares of the maximum (:eq:`walks`)."""
+    """Return the number of walks home by steps and cell, relative to the largest (:eq:`walks`)."""
     ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
     ways[0][0] = 1.0
     for _ in range(reach.within.size - 2):
@@ -136,7 +136,7 @@ def check_walk_memory(reach: Reach) -> None:
     if estimate > MAX_MEMORY:
         raise ValueError(
             f'random walks of max_steps = {reach.within.size - 1} take about {estimate / 1e9:.1f} '
-            f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: lower it'
+            f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: lower max_steps'
         )
 
 

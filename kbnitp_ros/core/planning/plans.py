@@ -102,13 +102,13 @@ def plan(
     model : SensorModel
         Believed sensor model of the robot.
     max_steps, planner, **options
-        As of `SearchOptions`.
+        As in `SearchOptions`.
     visited : array_like of int, shape (cells,), optional
         Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
         default.
     bound : bool
-        Whether to compute `upper_bound` and `gap`, with the objective 'information' and the
-        planners that seek it.
+        Whether to compute `upper_bound` and `gap`, which need the objective 'information' and a
+        planner that seeks it.
 
     Returns
     -------
@@ -286,7 +286,7 @@ class Team:
     Raises
     ------
     ValueError
-        If there is no robot, or the number of types differs.
+        If there is no robot, or `types` has another length than the number of robots.
 
     """
 
@@ -338,7 +338,7 @@ def plan_team(
     keepout : sequence of int
         Cells that no robot may enter, in addition to blocked cells.
     bound : bool
-        As of `plan`; only for one robot while none is in flight.
+        As in `plan`; only for one robot while none is in flight.
 
     Returns
     -------
@@ -349,7 +349,7 @@ def plan_team(
     Raises
     ------
     ValueError
-        As of `plan`; also if the allocation is unknown, there are more robots than free cells, a
+        As in `plan`; also if the allocation is unknown, there are more robots than free cells, a
         path in flight is invalid, a base is not one of the grid's, or the robots have too many
         different cameras.
 

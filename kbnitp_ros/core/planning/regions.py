@@ -85,7 +85,7 @@ def divide(
     entropy: NDArray[np.float64],
     reach: NDArray[np.bool_],
 ) -> NDArray[np.intp]:
-    """Return the region of each cell, or -1, of about equal entropies (:eq:`power-diagram`)."""
+    """Return each cell's region, or -1; regions have about equal entropy (:eq:`power-diagram`)."""
     width, parts = grids[0].width, reach.shape[1]
     row, col = np.divmod(cells, width)
     base_row, base_col = np.divmod([grid.base for grid in grids], width)
