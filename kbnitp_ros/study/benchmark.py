@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-# Version of the frozen data: raised whenever a belief, a world or a number of the missions
+# Version of the frozen data: raised whenever a belief, a world or a parameter of the missions
 # changes.
 VERSION = 2
 NAME = 'benchmark'
@@ -60,7 +60,7 @@ HEADS = (
     'ms an update',
 )
 
-# The method with which planners are compared, and the planner with which methods are compared.
+# The planner with which all methods run, and the method with which all planners run.
 PLANNER, METHOD = 'beam', 'kappa_bnitp'
 
 
@@ -118,7 +118,7 @@ def plan_worths(
 
 
 def time_method(method: str, scenario: Scenario) -> float:
-    """Return the mean processor seconds of a method for a deployment of a mission."""
+    """Return the mean processor seconds that a method takes for one deployment."""
     field, truth = scenario.field(), scenario.truth(scenario.lethalities[0], 0)
     prior, model = scenario.belief(truth), scenario.model(truth)
     world = World.random(field, 0, **{name: truth[name] for name in vars(scenario.world)})

@@ -207,7 +207,7 @@ def reliability_chart(results: Results) -> Figure:
         figsize=(side * columns, blocks * (1.8 * side + 0.3) + 0.5), layout='constrained'
     )
     grid = figure.subplots(2 * blocks, columns, sharex=True, sharey=True, squeeze=False)
-    # One row for each contender, with a panel for each map.
+    # Shape (contenders, 2): a panel for each contender and map.
     panels = grid.reshape(blocks, 2, columns).swapaxes(1, 2).reshape(-1, 2)
     used, unused = np.split(panels, [len(contenders)])
     for axes in unused.flat:

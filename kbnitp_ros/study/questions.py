@@ -229,7 +229,7 @@ def certificate_rows(results: Results) -> Iterator[Row]:
 
 
 def area_rows(results: Results) -> Iterator[Row]:
-    """Yield the robots needed to declare `SHARE_OF_AREA` free, for each strategy."""
+    """Yield, for each strategy, the robots sent until `SHARE_OF_AREA` is declared free."""
     scenario, labels = results.scenario, team_labels(results.scenario)
     for row, team, series in results.missions():
         declared, right, lost = map(series, ('declared', 'declared_free', 'robots_lost'))
@@ -248,7 +248,7 @@ def area_rows(results: Results) -> Iterator[Row]:
 
 
 def needed(declared: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the robots until `SHARE_OF_AREA` is declared free, (trials,); all if never."""
+    """Return the robots sent until `SHARE_OF_AREA` is declared free, (trials,); all if never."""
     is_most = declared >= SHARE_OF_AREA
     is_most[:, -1] = True
     robots: NDArray[np.float64] = np.argmax(is_most, axis=1).astype(np.float64)

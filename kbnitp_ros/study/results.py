@@ -125,7 +125,7 @@ class Results:
     def learnt(
         self, lethality: float | None, team: Strategy = ALONE
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the posteriors of a learning method, and the true numbers."""
+        """Return the statistics `LEARNT` of all numbers in each mission, and the true numbers."""
         outcomes = self._missions(lethality, LEARNING, team)
         known = np.stack([outcome.learnt for outcome in outcomes])
         return known, np.stack([outcome.numbers for outcome in outcomes])
@@ -167,7 +167,7 @@ class Table:
         return str(texts.to_latex(index=False, caption=in_latex(self.caption)))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the table for pandas; a mean's interval has columns HEAD low and HEAD high."""
+        """Return the table for pandas; the interval of a mean `x` is in `x low` and `x high`."""
         rows = self._cells.map(attrgetter('value')).to_dict('records')
         known = [{head: value for head, value in row.items() if value is not None} for row in rows]
         return pandas.json_normalize(known, sep=' ').rename(
@@ -335,7 +335,7 @@ MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95)
 def of_number(
     results: Results, lethality: float | None, name: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the posterior of a number, (trials, robots + 1, learnt), and its true value."""
+    """Return a number's statistics `LEARNT`, (trials, robots + 1, learnt), and its true values."""
     known, truth = results.learnt(lethality, results.scenario.teams[0])
     place = NUMBERS.index(name)
     return known[:, :, place], truth[:, place, None]

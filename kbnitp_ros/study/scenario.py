@@ -107,7 +107,7 @@ PATHS = ('own', 'static')
 # Seed key of drawn numbers, distinct from the keys of worlds.
 DRAWN = 0x4452574E
 
-# Type of a value with its lowest and highest number, or with its allowed names.
+# Types of numbers, with the lowest and the highest value.
 Count = Annotated[int, (1, 1_000_000)]
 Probability = Annotated[float, (0.0, 1.0)]
 
@@ -304,7 +304,7 @@ class Scenario:
             check_team(finder, strategy.leaving().types)
 
     def check_asked(self) -> None:
-        """Check that the goal can be reached, and that robots are sent for it."""
+        """Check that the goal can be reached, and that each team flies for it or for the map."""
         if self.asked is not None:
             self.asked.check(self.field(), self.robots, self.planning.max_steps)
         for team in self.teams:

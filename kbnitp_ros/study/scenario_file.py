@@ -15,7 +15,7 @@ from kbnitp_ros.study.scenario import NUMBERS, Probability, Scenario
 KINDS = {int: 'a whole number', float: 'a number'}
 
 
-# Types of the priors of learnt numbers.
+# Types of the fields of `Unknowns` and `Beta` in a scenario.
 PRIORS: dict[type, dict[str, Any]] = {
     Unknowns: dict.fromkeys(NUMBERS, Beta | None),
     Beta: {

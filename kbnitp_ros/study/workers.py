@@ -49,7 +49,7 @@ class Folder:
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            raise ValueError(f'{path} is in use by another study: name another') from error
+            raise ValueError(f'{path} is in use by another study: name another folder') from error
         text = yaml.safe_dump(asdict(scenario), sort_keys=False)
         _write(kept, lambda file: file.write(text.encode()))
         self._trials.mkdir(exist_ok=True)
