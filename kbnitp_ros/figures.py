@@ -94,7 +94,7 @@ DARK_MAPS: dict[str, Scale] = {
 # Colours of the number of robots lost in a cell, from none to the most.
 COUNTS = {'light': ('#f7f7f7', '#e69f00', '#7a2e00'), 'dark': ('#2e3238', '#b06f00', '#ffd27a')}
 
-# Hatching of unvisited cells: the ground, and the lines.
+# Colours that hatch unvisited cells: of wide light lines, and of dark lines inside them.
 UNVISITED = ('#ffffff80', '#505050')
 
 
@@ -135,15 +135,15 @@ def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path
     with rc_context({**EMBEDDED, **AS_ASKED}):
         for file, each in zip(files, formats):
             figure.savefig(file, dpi=dpi, metadata=METADATA[each])
-            # One layout, so that all formats look the same.
+            # Keep the layout of the first format, so that all formats look the same.
             figure.set_layout_engine(None)
     return files
 
 
-# Maximum number of cells along a side up to which lines between cells are drawn.
+# Maximum side of a field, in cells, for which lines between cells are drawn.
 MAX_LINED = 20
 
-# Opacity of a single path, low enough to see overlapping paths.
+# Opacity of a path that is drawn alone; several paths are fainter.
 MAX_OPACITY = 0.9
 
 
@@ -294,7 +294,7 @@ BANDS = ((0.05, 0.95, 0.15), (0.25, 0.75, 0.3))
 
 
 def forecast_figure(forecast: Forecast) -> Figure:
-    """Draw the robots lost, the entropy, and the share of missions that reached their goal."""
+    """Draw robots lost, entropy or P(goal is free), and the share of missions at a confidence."""
     panels = [
         ('robots lost', forecast.lost),
         ('entropy (nats)', forecast.entropy)

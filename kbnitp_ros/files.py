@@ -27,7 +27,7 @@ def share(relative: str) -> Path:
     source = PACKAGE.parent / relative
     if source.exists():
         return source
-    # pip and colcon install share/ beside lib/, the folder above site-packages.
+    # pip and colcon install share/ beside the lib/ that contains this package.
     return PACKAGE.parents[3] / 'share/kbnitp_ros' / relative
 
 

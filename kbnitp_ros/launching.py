@@ -188,7 +188,7 @@ class MissionArguments:
             remappings=self.poses,
         )
         return [
-            # RViz first, so that no node has started if it is not installed.
+            # RViz first, so that no node has started if RViz is not installed.
             *([rviz] if self.argument('rviz') == 'true' else []),
             *([LogInfo(msg=f'recording to {log}')] if log else []),
             *([self.node('recorder', {'file': str(log)})] if log else []),
@@ -227,7 +227,7 @@ class MissionArguments:
                     f'{event.process_name} ended with exit code {event.returncode}'
                 )
             if self._failures and (ends_mission or context.is_shutdown):
-                # After an exception, and only then, the exit code of launch is not 0.
+                # Launch has an exit code other than 0 only after an exception.
                 failures = ', '.join(self._failures)
                 self._failures.clear()
                 raise RuntimeError(f'the mission failed: {failures}; see the output above')

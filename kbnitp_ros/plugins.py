@@ -133,7 +133,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     @contextmanager
     def blamed(self, given: str | Callable[..., Any]) -> Iterator[None]:
-        """Raise a PluginError that names the package, for any error except ValueError."""
+        """Raise a PluginError for any error but ValueError in an entry of another package."""
         try:
             yield
         except (ValueError, PluginError):
