@@ -281,7 +281,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Start the robots at home; if departures are held, only robots that departed before."""
+        """Start robots at home; if departures are held, only those with a recorded departure."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)

@@ -26,7 +26,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.task import Future
 
 # Reason why a call of safest_path has no answer.
-UNKNOWN = 'the evidence of the newest belief has not been received completely'
+UNKNOWN = 'the newest belief, or some of its evidence, has not been received yet'
 
 
 class Decisions:
@@ -171,7 +171,7 @@ class Decisions:
                 response.plan = path_message(self._grid, found.path, newest.stamp, newest.mission)
                 self._node.get_logger().info(
                     f'safest path of {found.path.size - 1} steps: free of hazards with '
-                    f'probability {found.p_free:.3f}, survived with {found.survival:.3f}'
+                    f'probability {found.p_free:.3f}, survival probability {found.survival:.3f}'
                 )
             answer.set_result(response)
 

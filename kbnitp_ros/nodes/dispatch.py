@@ -226,7 +226,7 @@ class Dispatch:
         self.log_departures()
 
     def _on_path(self, agent: str, message: Path) -> None:
-        """Record a received path: another planner's path may be recorded in place of ours."""
+        """Note another planner's path; use it in place of ours if the recorder acknowledged it."""
         try:
             key, path = self._node.read_path(agent, message)
             mission = mission_of_path(message)

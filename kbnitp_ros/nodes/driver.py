@@ -164,7 +164,7 @@ class Driver:
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
         self._handle: ClientGoalHandle | None = None
-        # Number of goals sent and cancelled; answers to goals with lower numbers are ignored.
+        # Number of the goal whose answers count; a new goal or a cancellation increases it.
         self._number = 0
         self._fed_back_at = 0.0
 

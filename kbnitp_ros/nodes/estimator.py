@@ -65,7 +65,7 @@ class EstimatorNode(FieldNode):
             check_same_field(log, self.grid, robot_types)
             self._take_in(log)
         agents = agent_names(self.values, self.grid)
-        # Create the views first, so that nodes that discover belief know the views already.
+        # Create the views first: nodes that discover `belief` then know the views already.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
             self._publish_filter_info()

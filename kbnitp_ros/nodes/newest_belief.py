@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The newest belief of the planner's mission, and robots known only from the belief."""
+"""The planner's subscription to beliefs, and the checks of each belief."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from rclpy.subscription import Subscription
 
 
 class NewestBelief:
-    """A subscription to beliefs that passes each newest belief to `take`."""
+    """A subscription to beliefs that passes a belief to `take` if it is the newest."""
 
     def __init__(
         self,
@@ -93,7 +93,7 @@ class NewestBelief:
             self._is_incomplete_told = True
             self._node.diagnostics.refuse(
                 'belief',
-                f'it holds {counted(held, "deployment")}{not_repeated(self._in_flight.kept)}',
+                f'it holds only {counted(held, "deployment")}{not_repeated(self._in_flight.kept)}',
             )
         if self.tracker.accept_belief(snapshot, known):
             self._take(snapshot)
@@ -108,12 +108,12 @@ class NewestBelief:
             theirs = snapshot.robot_types.get(agent, ORDINARY).max_steps or snapshot.max_steps
             if theirs < own:
                 raise ValueError(
-                    f'max_steps is {theirs} for {agent}: the parameter max_steps is {own}, and '
-                    'the estimator would refuse such paths'
+                    f'max_steps of {agent} is {theirs} for the estimator, which would refuse '
+                    f'longer paths, but {own} for this planner: set the same value for both'
                 )
             base = grid.at(own_base(values, agent, grid)).base
             if (other := snapshot.agent_base(agent)) != base:
                 raise ValueError(
-                    f'the base of {agent} is {other}: the parameters say {base}, and the '
-                    'estimator would refuse such paths'
+                    f'the base of {agent} is {other} for the estimator, which would refuse paths '
+                    f'from another base, but {base} for this planner: set the same base for both'
                 )

@@ -37,7 +37,7 @@ from std_srvs.srv import SetBool, Trigger
 # Minimum seconds between two publications that correct another node's value of `hold`.
 MIN_PAUSE = 0.1
 
-# Seconds that the graph may take to name the author of a message.
+# Maximum seconds to wait until the graph names the author of a message.
 MAX_UNNAMED = 30.0
 
 # Response of a service: success and message.
@@ -121,7 +121,7 @@ class Operator:
             self._node.diagnostics.refuse(
                 HOLD,
                 f'data is {not self._is_held}, but this planner publishes {self._is_held}, which '
-                f'counts: nodes {", ".join(others)} publish it',
+                f'counts: nodes {", ".join(others)} publish {HOLD}',
             )
 
     def propose(self, plans: Plans, search: Search) -> None:

@@ -42,7 +42,7 @@ from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
-# The planner warns if a smaller share of the field is within reach.
+# Minimum share of the field within reach, below which the planner warns.
 MIN_REACHED = 0.5
 
 
@@ -257,7 +257,7 @@ class PlannerNode(FieldNode):
             )
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
-        """Return the plans of the next round (a proposal if it still applies), {} until found."""
+        """Return the next round's plans, or its proposals if they still apply; {} until found."""
         refused = self._operator.state.refused(self._in_flight.sent)
         belief = newest.stamp, newest.deployments
         now = Search(belief, agents, len(refused), self._changes)
@@ -308,7 +308,7 @@ class PlannerNode(FieldNode):
             self._publish_bound()
 
     def _publish_bound(self) -> None:
-        """Publish progress with the bound of the last plan, if both are of the same belief."""
+        """Publish progress with the bound of the last plan, if both belong to the same belief."""
         stamp, upper_bound = self._bound
         if self._progress and from_stamp(self._progress.header.stamp) == stamp:
             self._progress.upper_bound = upper_bound

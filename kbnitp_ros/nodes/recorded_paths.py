@@ -76,7 +76,7 @@ class RecordedPaths(Generic[P]):
         )
 
     def when_recorded(self, departure: AgentStatus, depart: Callable[[], None]) -> None:
-        """Call `depart` once a departure is on record; at once if recorded is false."""
+        """Call `depart` once a departure is on record; at once if `recorded` is false."""
         if self._node.values['recorded']:
             stamp = from_stamp(departure.deployment)
             self._departures[stamp, content_hash(departure)] = depart

@@ -168,7 +168,7 @@ class ParameterWatch:
         try:
             validate_full_topic_name(event.node)
         except NameValidationException:
-            self._refuse('/parameter_events', f'no node is called {shown(event.node)}')
+            self._refuse('/parameter_events', f'{shown(event.node)} is not a valid node name')
         # An event of a node that is not in the graph may be forged.
         if event.node in self.present:
             self._due.add(event.node)

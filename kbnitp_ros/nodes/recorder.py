@@ -52,7 +52,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
-# Roles that other nodes act on: messages are synced at once, statuses before acknowledgements.
+# Roles that nodes act on: messages are synced at once, statuses if an acknowledgement is due.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
 # Nodes that a mission needs, by the role that they publish.
@@ -62,7 +62,7 @@ AWAITED = {'path': 'a planner to publish AGENT/path', 'belief': 'an estimator to
 # begins with all parameters on record.
 AFTER_CONFIGURATION = (*ACTED_ON, 'belief')
 
-# Seconds between two syncs of messages that are no evidence.
+# Seconds between two syncs of messages other than evidence.
 SYNC_PERIOD = 0.5
 
 # Maximum number of foreign topics to inspect per graph scan: with thousands of topics in the graph
@@ -178,8 +178,8 @@ class RecorderNode(MissionNode):
         """Subscribe to new topics and publishers."""
         # The estimator publishes once `belief` has its subscribers, so this node subscribes to the
         # estimator's maps first: in reverse order of names `belief` comes last. The estimator
-        # creates the publisher of `belief` last. If two scans of the graph are equal, they show
-        # all publishers that were created before any publisher that they show.
+        # creates the publisher of `belief` last. Two equal scans of the graph show, with each
+        # publisher, all publishers that were created before it.
         found: dict[str, Any] = {}
         others: list[str] = []
         looked = True

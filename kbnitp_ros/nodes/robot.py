@@ -82,8 +82,8 @@ class RobotNode(FieldNode):
             self._whereis = Fixes(datum.in_map, frame, self.grid.resolution / 2)
         else:
             raise ValueError(
-                "parameter position is 'fix', and datum is empty: set datum to the place of the "
-                'frame map on the earth'
+                "parameter position is 'fix', and datum is empty: set datum to the geographic "
+                'origin and heading of the frame map'
             )
         # Current place of the robot; None if it is unknown.
         self._place: Place | None = None
@@ -292,7 +292,7 @@ class RobotNode(FieldNode):
                 self._unread.append((since, until, seen))
             elif number != NO_STEP and not deployment.is_doubted:
                 step = deployment.steps[number - 1]
-                # The reading of a step is positive if any of its detections is.
+                # The reading of a step is positive if any of its detections is positive.
                 if step.reading < seen:
                     step.reading = int(seen)
                     self._keep(partial(self._journal.step, deployment, number))
@@ -418,11 +418,11 @@ class RobotNode(FieldNode):
         if self._place is None:
             return waiting_for(self._unplaced)
         if self._is_driving:
-            # TF may lag behind the controller.
+            # The position may lag behind the controller.
             self._ended_at = self._ended_at or self.now()
             is_behind = self._place.stamp < self._ended_at
             if is_behind and self.now() < self._ended_at + self.values['tf_timeout'] * SECOND:
-                return waiting_for(f'TF to place the robot after driving {goal}')
+                return waiting_for(f'the position of the robot after driving {goal}')
             self._is_driving, self._ended_at = False, 0
             self._end_leg(self._place)
         tolerance = self.values['arrival_tolerance']

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 
-# Maximum number of beliefs until one names all its evidence, for readers that missed beliefs.
+# At least one in this many beliefs names all its evidence, for readers that missed beliefs.
 COMPLETE_EVERY = 64
 
 
 class NewEvidence:
     """Evidence assimilated since the last belief."""
 
-    # A report that replaces another report does not raise the number of deployments in its belief:
-    # the belief after this belief names all its evidence.
+    # A report that replaces another report does not raise the number of deployments in its belief.
+    # The next belief then names all evidence.
 
     def __init__(self) -> None:
         self._keys: set[DeploymentKey] = set()

@@ -198,7 +198,7 @@ def test_a_pause_holds_before_it_is_recorded_and_against_strangers(field):
     # Before or after the planner's graph lists its publisher.
     stranger.publish(Bool(data=False))
     why = 'hold refused: data is False, but this planner publishes True, which counts: nodes'
-    field.until(lambda: f'{why} /planner, /test/test publish it' in field.said('/planner'), why)
+    field.until(lambda: f'{why} /planner, /test/test publish hold' in field.said('/planner'), why)
     field.until(lambda: base.holds[-1].data, 'the planner to say it again')
     base.crash()
     # The resumed planner knows that the mission is paused.

@@ -122,7 +122,8 @@ def test_beliefs_of_other_bases_and_of_too_many_cameras_are_refused(field):
     mission.ledger = Ledger(grid, 4, estimator, {'scout_1': RobotType(base=8)})
     mission.show_belief()
     told = field.until_refused('/planner', 1)
-    assert 'the base of scout_1 is 8: the parameters say 0' in told
+    assert 'the base of scout_1 is 8 for the estimator, which would refuse paths' in told
+    assert ' from another base, but 0 for this planner' in told
     cameras = {agent: RobotType(true_positive=0.8 + n / 100) for n, agent in enumerate(agents)}
     cameras['scout_2'] = RobotType(true_positive=0.7, base=8)
     mission.ledger = Ledger(grid, 4, estimator, cameras)
@@ -152,7 +153,7 @@ def test_bad_beliefs_are_refused_and_counted(field):
     cases = [
         (in_frame(prior, 'odom'), "header.frame_id is 'odom': it must be 'map'"),
         (wider, 'its grid is Grid(width=4'),
-        (changed(prior, max_steps=3), 'max_steps is 3'),
+        (changed(prior, max_steps=3), 'max_steps of scout_1 is 3 for the estimator'),
         (changed(prior, joint=[float('nan')] * 36), 'joint of cell 0'),
         (changed(prior, deployments=2), "agent is ''"),
     ]

@@ -26,14 +26,14 @@ EXAMPLES = {
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose help survives a closed output."""
+    """An argument parser that raises an OSError if its help cannot be printed."""
 
     def format_help(self) -> str:
         """Return the help without its last newline."""
         return super().format_help().rstrip('\n')
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help."""
+        """Print the help, and its last newline apart, since argparse ignores an OSError."""
         super().print_help(file)
         print(file=file)
 

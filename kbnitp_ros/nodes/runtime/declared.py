@@ -76,8 +76,8 @@ def state(node: Node, names: Mapping[str, str]) -> None:
     given = node._parameter_overrides.get(TOPICS)
     if given is not None and list(given.value) != stated:
         raise ValueError(
-            f'parameter {TOPICS} is {given.value}: it cannot be set, it shows the topics, which '
-            f'are {stated}; remap topics with -r'
+            f'parameter {TOPICS} is {given.value}: it cannot be set, since it shows the topics of '
+            f'the node, {stated}; remap topics with -r'
         )
     descriptor = ParameterDescriptor(
         description="Names of the node's topics in the mission, by role.", read_only=True
@@ -92,7 +92,7 @@ def parameter_descriptor(parameter: Parameter) -> ParameterDescriptor:
         description=parameter.description,
         read_only=parameter.read_only,
         additional_constraints='' if is_in_range else parameter.allowed,
-        # rclpy takes any empty list for a list of bytes.
+        # rclpy infers a list of bytes from any empty list.
         dynamic_typing=parameter.element is not None,
     )
     if parameter.limits is not None:

@@ -192,7 +192,7 @@ class MissionNode(Node):
         )
 
     def named_authors(self, topic: str, type_name: str) -> list[str]:
-        """Return the authors of a topic; empty while a name is unknown, up to `MAX_NAMELESS`."""
+        """Return the authors of a topic; empty until all are named, at most for `MAX_NAMELESS`."""
         # DDS discovers the publishers of a node a moment before its name.
         authors, now = self.authors(topic, type_name), time.monotonic()
         if NAMELESS not in authors:
