@@ -57,7 +57,7 @@ class MissionEvidence:
         return make_goal(self._values, self._grid)
 
     def begin(self, prior: Snapshot) -> None:
-        """Use an estimator's first belief as the prior, unless the rules are unchanged."""
+        """Use an estimator's first belief as prior, unless the last prior had the same rules."""
         if self._prior is None or self._prior.rules() != prior.rules():
             self._prior = prior
 

@@ -26,9 +26,9 @@ class MissionTracker:
         self.mission: int | None = None
         # The latest belief with the most deployments; None before the first belief.
         self.newest: Snapshot | None = None
-        # The rules of the newest belief; None before the first belief.
+        # `Snapshot.rules` of the newest belief; None before the first belief.
         self._rules: dict[str, Any] | None = None
-        # Missions of all priors received: a restarted estimator publishes a new mission's prior.
+        # Missions of received priors: a restarted estimator publishes the prior of a new mission.
         self._priors: set[int] = set()
         # Number of deployments in the first belief whose paths this node did not know.
         self._unknown: int | None = None
@@ -40,12 +40,12 @@ class MissionTracker:
         return self.mission
 
     def check_path(self, mission: int) -> None:
-        """Check that a path is of this mission or, before its start, of a received prior's."""
+        """Check that a path is of this mission or, before it begins, of a mission with a prior."""
         check_mission(mission, self.mission)
         if self.mission is None and mission not in self._priors:
             raise ValueError(
                 f'it belongs to {named(mission)}, but no belief of that mission was received: '
-                'play bags on another ROS domain or in another namespace'
+                'if a bag is played, play it in another ROS domain or namespace'
             )
 
     def check_belief(self, snapshot: Snapshot, authors: int, known: int) -> None:
@@ -134,7 +134,7 @@ def recorded_losses(
 def missing_plans(
     log: MissionLog, record: RecordedMission, agents: Collection[str], rounds: Rounds
 ) -> tuple[Plans, int] | None:
-    """Return the plans of the newest round whose paths are not on record, and the mission."""
+    """Return the plans without a recorded path in the newest round, and the mission."""
     operator = record.operator
     newest_round = None if operator.is_holding else read_newest_round(log, record)
     if newest_round is None:
