@@ -19,7 +19,7 @@ import numpy as np
 
 
 def numerical_environment() -> dict[str, str]:
-    """Return the numerical environment of this process, by item."""
+    """Return the processor, C library and numerical packages of this process, by name."""
     extensions: dict[str, dict[str, list[str]]] = np.show_config(mode='dicts')  # type: ignore
     found = extensions['SIMD Extensions']
     numba = next((each.version for each in distributions(name='numba')), 'none')

@@ -105,7 +105,7 @@ def listed_parts(folder: Path) -> list[str]:
 
 
 def read_information(folder: Path) -> Mapping[str, Any]:
-    """Return the description of a bag in metadata.yaml; {} if it is missing or cut."""
+    """Return the description of a bag in metadata.yaml; {} if it is missing or not YAML."""
     path = folder / METADATA
     try:
         return parsed_information(path, path.stat().st_mtime_ns)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded mission in terms of the core."""
+"""A recorded mission, as objects of `kbnitp_ros.core`."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class History:
         return [each.belief for each in self.moments]
 
     def to_dataframe(self) -> DataFrame:
-        """Return a row for each deployment that ended, as `kbnitp_ros.core.deployments_table`."""
+        """Return `core.deployments_table` of the deployments that ended, with agent and stamp."""
         first = {each.held: each.belief for each in reversed(self.moments)}
         ended = sorted(self.evidence.reports, key=deployment_order)
         beliefs = [first.get(number) for number in range(1, len(ended) + 1)]

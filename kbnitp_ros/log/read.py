@@ -137,7 +137,7 @@ def read_log(
 def read_metadata(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, str]]:
-    """Return metadata by name, merged within a file, and replaced by that of a later file."""
+    """Return metadata by name: records merge within a file, and replace those of earlier files."""
     records: dict[str, dict[str, str]] = {}
     for part in log_parts(path):
         own: dict[str, dict[str, str]] = {}
@@ -203,12 +203,12 @@ def ends_finished(file: BinaryIO, size: int) -> bool:
 
 
 def log_size(path: str | Path) -> int:
-    """Return the bytes of all parts of a log."""
+    """Return the size of all parts of a log, in bytes."""
     return sum(map(file_size, log_parts(path)))
 
 
 def file_size(part: Path) -> int:
-    """Return the bytes of a file."""
+    """Return the size of a file, in bytes."""
     with readable(part):
         return part.stat().st_size
 
@@ -225,7 +225,7 @@ def read_recorded(path: str | Path, corrupt: list[LogError] | None = None) -> It
 
 
 def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
-    """Yield the messages and metadata of a file as `read_log` does."""
+    """Yield the messages and metadata of a file; handle cuts and errors as `read_log` does."""
     schemas = {0: NO_SCHEMA}
     channels: dict[int, Channel] = {}
     messages = 0
@@ -299,7 +299,7 @@ def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
 
 
 def check_cut(file: BinaryIO, end: int, size: int) -> None:
-    """Check that only zeros, a cut record or the file's end follow whole records, at `end`."""
+    """Check that only zeros, a cut record or the closing magic follow after byte `end`."""
     ends_well = ends_finished(file, size)
     if ends_well and size <= end + len(MCAP0_MAGIC):
         return

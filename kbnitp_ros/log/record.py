@@ -197,7 +197,7 @@ class RecordedMission(MissionRecord):
         self.mission = mission
         # First belief of the mission, if it was read.
         self.prior: Snapshot | None = None
-        # Step limits accepted: the common limit, and the limits of agents with an own limit.
+        # Step limits accepted: the common limit, and the limits of agents that have their own.
         self._rules = [(max_steps, own_steps(robot_types))]
         # The reports that count, by deployment, in the order of arrival.
         self.reports: dict[DeploymentKey, Report] = {}
@@ -320,7 +320,7 @@ class RecordedMission(MissionRecord):
 
     @property
     def without_report(self) -> list[DeploymentKey]:
-        """Return the deployments without a report: in flight when the log ended."""
+        """Return the deployments with a path but no report."""
         return [key for key in self.paths if key not in self.reports]
 
     @property
@@ -330,7 +330,7 @@ class RecordedMission(MissionRecord):
 
 
 def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
-    """Return the step limits of agents that have an own limit."""
+    """Return the step limits of agents that have their own, by agent."""
     return {
         agent: robot_type.max_steps
         for agent, robot_type in robot_types.items()
@@ -344,7 +344,7 @@ def read_resumed(
     max_steps: int,
     robot_types: Mapping[str, RobotType] = MappingProxyType({}),
 ) -> RecordedMission:
-    """Read the record of a mission, to resume it under these rules."""
+    """Read the record of a mission, to resume it on this grid with these robots."""
     prior = check_same_field(log, grid, robot_types)
     record = RecordedMission(grid, max_steps, robot_types, read_mission(log))
     record.prior = prior
@@ -359,7 +359,7 @@ def read_resumed(
 def read_newest_round(
     log: MissionLog, record: RecordedMission
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
-    """Return the deployments of the newest round, and the recorded belief they were planned on."""
+    """Return the belief that the newest round was planned on, and the round's deployments."""
     # Beliefs do not count refused orders.
     keys = [key for key in record.orders if not record.departures.is_refused(key)]
     planned_on = None
@@ -395,7 +395,7 @@ def read_mission(log: MissionLog) -> int | None:
 
 
 def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:
-    """Return whether a message belongs to this mission; only paths state a mission."""
+    """Return whether evidence is of this mission; reports and statuses state no mission."""
     return mission is None or role.name != 'path' or logged.said[1] == mission
 
 

@@ -5,7 +5,7 @@ Compute a log's beliefs again from its paths and reports.
 A recorded belief names the evidence that was assimilated since the belief before it. A replay
 assimilates the same evidence, and compares its belief with the recorded belief, field by field.
 After a missing belief, beliefs are not compared until a belief names all of its evidence; likewise
-after a belief whose report is missing, if the log has later reports of this deployment.
+if the log lacks a report that a belief names, but has a later report of the same deployment.
 """
 
 from __future__ import annotations

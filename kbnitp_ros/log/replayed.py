@@ -54,7 +54,7 @@ def differences(
         if not hasattr(recorded, name):
             continue
         theirs = getattr(recorded, name)
-        # A learnt number kappa is a scalar, unlike the map kappa.
+        # The map kappa has the name of the learnt number kappa, which is a scalar.
         if name in rounded and np.ndim(ours) == 0:
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
         else:
@@ -144,7 +144,7 @@ class BeliefFinding:
     deployment: DeploymentKey | None
     # Differences from the computed message.
     differences: tuple[Difference, ...] = ()
-    # Reason why the message was not compared; empty if it was compared.
+    # The finding in words if there are no differences; else empty.
     reason: str = ''
 
     def __str__(self) -> str:
