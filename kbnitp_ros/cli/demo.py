@@ -107,12 +107,12 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--resume',
         type=Path,
         metavar='FILE',
-        help='log of an interrupted mission, or its folder, to resume; takes no other options',
+        help='log, or its folder, of the mission to resume; takes no other options but --page',
     )
     options = parser.parse_args(argv)
     others = {
         name: value for name, value in vars(options).items() if name not in ('resume', 'page')
     }
     if options.resume and any(value not in (None, []) for value in others.values()):
-        raise ValueError('--resume takes no other options: the log holds the configuration')
+        raise ValueError('--resume takes no other options but --page: the log has their values')
     return options

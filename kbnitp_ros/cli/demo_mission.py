@@ -222,8 +222,8 @@ def how_to_go_on(log: Path) -> str:
         recorded_parameters(log)
     except (ValueError, OSError):
         return (
-            'no robot had left, so there is nothing to resume: begin a new mission, with --out '
-            f'other than {log.parent}'
+            'no robot had left, or the log cannot be read, so there is nothing to resume: begin a '
+            f'new mission, with --out other than {log.parent}'
         )
     return f'resume it with: python3 -m kbnitp_ros demo --resume {shlex.quote(str(log))}'
 

@@ -41,7 +41,7 @@ OPTIONS = {
     'seed': 'seed',
 }
 
-# Settings of every demo, so that a mission can be resumed and compared with the truth.
+# Settings of every demo, to resume it and to know the truth; and all parameters it sets itself.
 HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
 OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 

@@ -85,7 +85,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def count(text: str, least: int = 1) -> int:
-    """Parse a number of at least `least`."""
+    """Parse a whole number that is at least `least`."""
     if not text.isdecimal() or int(text) < least:
         raise argparse.ArgumentTypeError(f'{text!r} must be a whole number of at least {least}')
     return int(text)

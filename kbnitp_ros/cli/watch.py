@@ -26,7 +26,7 @@ DESCRIPTION = """
 Serve the page of a mission while it runs. The page follows the log as it grows. The command reads
 the log, takes no part in the mission and writes nothing. Ctrl-C ends it.
 
-The exit code is 0 if it is ended, and 2 if the log cannot be used or the port is taken.
+The exit code is 0 after Ctrl-C, and 2 if the log cannot be used or the port is taken.
 """
 
 EXAMPLES = (
