@@ -21,7 +21,7 @@ FREE, SUSPECTED = 0.05, 0.5
 # Minimum P(target) of a target found, and of a target listed.
 FOUND, LISTED = 0.95, 0.5
 
-# A mission's pace is that of its last reports: this share of all, at least this number.
+# The last reports give the pace of a mission: this share of all reports, at least this number.
 LAST, MIN_ROBOTS = 0.25, 5
 
 
@@ -151,7 +151,7 @@ def expected_losses(mission: Mission) -> NDArray[np.float64]:
 def loss_shares(
     mission: Mission, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
-    """Return P(step | lost) by step: by the last belief, or the report's unless static."""
+    """Return P(step | lost), by the last belief or, if hazards change, the report's belief."""
     stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]
@@ -168,7 +168,7 @@ def expected_used_up(mission: Mission) -> NDArray[np.float64]:
 
 
 def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
-    """Return the hazards expected to be used up by a deployment, per cell."""
+    """Return the expected number of hazards that a deployment uses up, in each cell."""
     moment, before = mission.moments[place], mission.moments[place - 1].belief
     if moment.outcome is None or moment.deployment is None:
         return np.zeros(mission.grid.cells)
@@ -194,7 +194,7 @@ def advice(mission: Mission) -> tuple[str, str]:
     if decision is not None and decision.reached:
         return 'Stop', f'The goal {decision.goal} is reached.'
     if out:
-        return 'Wait', f'{counted(out, "robot")} did not report yet.'
+        return 'Wait', f'No report yet from {counted(out, "robot")}.'
     if decision is not None:
         return 'Send more', f'{decision.goal}: {decision.reason}.'
     return pace(mission)
@@ -320,7 +320,7 @@ def lane(mission: Mission) -> Tile:
             'map-title',
         )
     method = mission.moments[-1].snapshot.method
-    taken = '' if method == 'kappa_bnitp_sampled' else f' {method} takes cells as independent.'
+    taken = '' if method == 'kappa_bnitp_sampled' else f' {method} assumes independent cells.'
     question = 'Is the lane safe?' if decision.goal == 'lane' else f'Is the {decision.goal} safe?'
     survived = ''
     if decision.path.size:
@@ -328,7 +328,7 @@ def lane(mission: Mission) -> Tile:
         survived = f'a robot survives its {steps} with {100.0 * decision.survival:.1f} %; '
     return Tile(
         question,
-        f'{100.0 * decision.p_free:.1f} % free of hazards',
+        f'Free of hazards with {100.0 * decision.p_free:.1f} %',
         f'{survived}{decision.hazards_mean:.2f} hazards expected. '
         + ('The goal is reached.' if decision.reached else 'The goal is not reached.')
         + taken,

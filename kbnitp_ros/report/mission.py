@@ -65,14 +65,14 @@ class DeploymentSummary:
     """A deployment whose path is on record."""
 
     key: DeploymentKey
-    # Cells of the orders, shape (steps + 1,).
+    # Cells of the path that was sent, shape (steps + 1,).
     path: NDArray[np.intp]
-    # Final outcome; None if the robot was still in flight.
+    # Final outcome; None without a report.
     outcome: Observation | None
     # Times at which its path and its first report were received, nanoseconds; None if unknown.
     sent: int | None
     reported: int | None
-    # The last moment that assimilated its report; None if no recorded belief holds the report.
+    # Index of the last moment that assimilated the report; None if no recorded belief holds it.
     moment: int | None
 
 
@@ -83,7 +83,7 @@ class Mission:
     # The log.
     log: Path
     grid: Grid
-    # Rules of the estimator: method, seed, maximum steps of a path, and dynamics of hazards.
+    # Method and seed of the estimator, maximum steps of a path, and dynamics of hazards.
     rules: dict[str, Any]
     moments: list[Moment]
     deployments: list[DeploymentSummary]
@@ -154,7 +154,7 @@ def read_mission(
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     namespace: str | None = None,
 ) -> Mission:
-    """Return the mission of a log, or the mission in a namespace."""
+    """Return the mission of a log; `namespace` selects one of several."""
     log = MissionLog(path, namespace)
     history = read_history(log, progress)
     evidence = history.evidence

@@ -59,7 +59,7 @@ class Curves:
 
     @property
     def log_loss(self) -> Numbers:
-        """Return the log loss of both maps, nats, shape (moments,); NaN if it is not known."""
+        """Return the log loss of both maps, nats, shape (moments,); NaN if no truth is known."""
         return self.hazard_loss + self.target_loss
 
 
@@ -206,7 +206,7 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
 
 
 def known(values: NDArray[np.float64], place: int | None) -> float | None:
-    """Return a value; None if it is NaN."""
+    """Return the value at an index; None without an index, or if the value is NaN."""
     return None if place is None or isnan(values[place]) else float(values[place])
 
 

@@ -122,7 +122,7 @@ def test_robots_in_flight_are_stated(tmp_path):
     whole = sent_by_single(3)
     whole.send_out(whole.walk().path)
     mission, tiles = answered(whole, tmp_path)
-    assert advice(mission) == ('Wait', '1 robot did not report yet.')
+    assert advice(mission) == ('Wait', 'No report yet from 1 robot.')
     assert tiles['What did it cost?'].detail.endswith('1 in flight')
 
 
@@ -145,7 +145,7 @@ def test_a_goal_is_answered(confidence, reached, tmp_path):
     assert again.reached == reached
     whole.publish('decision', message)
     mission, tiles = answered(whole, tmp_path)
-    assert tiles['Is the area safe?'].answer == '75.0 % free of hazards'
+    assert tiles['Is the area safe?'].answer == 'Free of hazards with 75.0 %'
     assert advice(mission)[0] == ('Stop' if reached else 'Send more')
 
 
