@@ -56,7 +56,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
 
 
 def check_own(values: Mapping[str, Any]) -> None:
-    """Check that every agent with own parameters is in the team."""
+    """Check that every agent with parameters of its own is in the team."""
     for name in values:
         own = own_name(name)
         if own and own[0] not in values['agents']:

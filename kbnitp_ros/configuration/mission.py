@@ -109,7 +109,7 @@ def type_to_plan(
 
 
 def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]) -> None:
-    """Check that the search fits in memory."""
+    """Check that the goal fits the search, and that the search fits in memory."""
     types = [type_to_plan(values, agent, grid, believed) for agent in agent_names(values, grid)]
     options = search_options(values)
     check_goal(values, grid, [options.of_type(each) for each in types])

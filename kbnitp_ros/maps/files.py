@@ -299,7 +299,7 @@ def read_array(path: Path) -> NDArray[np.float64]:
         array = np.load(path, allow_pickle=False)
         if array.ndim != 2 or not array.size or array.dtype.kind not in 'fiu':
             raise ValueError(
-                f'it has shape {array.shape} of {array.dtype}: it must have rows and columns'
+                f'it has shape {array.shape} of {array.dtype}, not rows and columns of numbers'
             )
     except OSError as error:
         raise MapError(f'{path} cannot be read: {error.strerror or error}') from error

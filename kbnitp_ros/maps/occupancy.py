@@ -30,7 +30,7 @@ def pixels_under(
 
 
 def shares(cells: int, cell_size: float, first: float, pixels: int) -> NDArray[np.float64]:
-    """Return the area of each pixel under each cell, in pixels, shape (cells, pixels)."""
+    """Return the overlap of cells and pixels along an axis, in pixels, shape (cells, pixels)."""
     start = first + np.arange(cells) * cell_size
     pixel = np.arange(pixels)
     low = np.maximum(start[:, None], pixel)
@@ -47,7 +47,7 @@ MAX_DISTANCE = 1e7
 
 @dataclass(frozen=True)
 class Datum:
-    """The geographic origin and turn of the frame map, as in robot_localization's `datum`."""
+    """The geographic origin and heading of the frame map, as in robot_localization's `datum`."""
 
     # Latitude and longitude of the frame's origin, WGS84, in degrees.
     latitude: float
@@ -158,7 +158,7 @@ class Map:
             x, y = bare.centers(base)
             raise MapError(
                 f'the base, cell {base} around ({x:g}, {y:g}), is blocked: '
-                'its pixels must be free; choose another base_position'
+                'its pixels must be free; choose another base'
             )
         return Grid(
             width=columns,

@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A belief message in terms of the core."""
+    """A belief message, converted to objects of `kbnitp_ros.core`."""
 
-    # Time of the last evidence, or in a prior, start of the estimator; nanoseconds.
+    # Time of the last evidence (in a prior: the start of the estimator), nanoseconds.
     stamp: int
     # Start of the mission, nanoseconds.
     mission: int
@@ -81,8 +81,8 @@ class Snapshot:
     newest: DeploymentKey | None
     # The belief given these deployments.
     belief: Belief
-    # In the first message, the prior set by parameters, averaged by `belief` over learnt numbers
-    # and clustered hazards; in later messages, the same as `belief`.
+    # In the first message, the prior set by parameters: `belief` is its mean over learnt numbers
+    # and clustered hazards. In later messages, the same as `belief`.
     prior: Belief
 
     def agent_base(self, agent: str) -> int:
@@ -306,7 +306,7 @@ def read_unknowns(numbers: Iterable[Any]) -> dict[str, Beta]:
 
 
 def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
-    """Return the robot types of a kbnitp_msgs/OwnNumbers, by agent."""
+    """Return the robot types in a list of kbnitp_msgs/OwnNumber, by agent."""
     own: dict[str, dict[str, Any]] = {}
     known = [field.name for field in fields(RobotType)]
     for number in numbers:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maps of a belief as grids for people, and as masks for Nav2's filters."""
+"""Occupancy grids: the maps of a belief, received maps, and masks for Nav2's filters."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ HOUR = 3600 * SECOND
 
 # Whole seconds are an int32. The stamp of a deployment is the next free nanosecond after a belief
 # or after another stamp, so the last hours are reserved: times of messages are at most `LATEST`,
-# stamps follow other stamps only up to `LAST_COUNTED_ON`, and all stamps are at most `LAST_NAME`.
+# a new stamp follows only stamps up to `LAST_COUNTED_ON`, and stamps are at most `LAST_NAME`.
 END = 2**31 * SECOND
 LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
 
@@ -189,8 +189,8 @@ def check_mission(stated: int, own: int | None) -> None:
     """Check that a message belongs to a node's mission; `own` is None before the first mission."""
     if own not in (None, stated):
         raise ValueError(
-            f'it belongs to {named(stated)}, and not to {named(own)}: play bags in another ROS '
-            'domain or namespace'
+            f'it belongs to {named(stated)}, and not to {named(own)}: if a bag is played, play it '
+            'in another ROS domain or namespace'
         )
 
 

@@ -212,7 +212,7 @@ class Walk:
         )
 
     def _off_middle(self, x: float, y: float) -> float:
-        """Return the larger of the x and y offsets from the middle of the cell, in sides."""
+        """Return the larger of the x and y offsets from the middle of the cell, in cell sides."""
         row, col = divmod(self.cell, self.grid.width)
         place = self.grid.in_cells([x, y]) - (col, row)
         return float(np.abs(place - 0.5).max())
