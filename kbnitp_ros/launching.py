@@ -125,7 +125,7 @@ def respawned(make: Callable[[], Node]) -> TimerAction:
 
 
 def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
-    """Check that no argument of this file is misspelt; including files may have more."""
+    """Check that no argument of this file is misspelt; files that include it may have more."""
     known = context.get_locals_as_dict()
     ours = Path(known['current_launch_file_path']).resolve()
     for entity in getattr(known['event'], 'launch_description', LaunchDescription()).entities:
@@ -219,7 +219,7 @@ class MissionArguments:
         params_file = self.argument('params_file')
 
         def end(event: Any, context: LaunchContext) -> Shutdown | TimerAction | None:
-            """Restart this node or end the mission, with an error if any node has failed."""
+            """Handle the node's end: restart it or end the mission; raise if a node failed."""
             if log and event.returncode not in FINAL and not context.is_shutdown:
                 return respawned(lambda: make(str(log) if log.exists() else ''))
             if event.returncode not in (ENDED if context.is_shutdown else (0,)):

@@ -34,7 +34,7 @@ from kbnitp_ros.testing.laws import (
 )
 import numpy as np
 
-# Number of steps whose survival probability underflows to 0.
+# Number of steps of a long path, whose survival probability is tiny or underflows to 0.
 LONG = 3000
 
 # Prior of a number that is learnt.
