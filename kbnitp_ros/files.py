@@ -89,6 +89,12 @@ def counted(number: int, what: str) -> str:
     return f'{number} {what}' if number == 1 else f'{number} {what}s'
 
 
+def yaml_text(content: Any) -> str:
+    """Return YAML of a value, with mappings in their order."""
+    text: str = yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False)
+    return text
+
+
 class Loader(yaml.CSafeLoader):
     """A YAML 1.1 loader that reads numbers such as 1e-3, and tuples of launch files as lists."""
 

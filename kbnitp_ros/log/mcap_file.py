@@ -8,7 +8,7 @@ from contextlib import suppress
 import os
 from pathlib import Path
 
-from kbnitp_ros.files import naming, parse_yaml, sync_folder
+from kbnitp_ros.files import naming, parse_yaml, sync_folder, yaml_text
 from kbnitp_ros.log.files import check_in_place, check_is_new, log_parts, LogError, LogLock
 from kbnitp_ros.log.read import (
     is_finished_part,
@@ -21,7 +21,6 @@ from kbnitp_ros.log.read import (
 from kbnitp_ros.log.schema import BagFile, BagTopic, information, QOS, TYPE_HASH, write_metadata
 from mcap.well_known import Profile
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
-import yaml
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD}
 
@@ -168,7 +167,7 @@ class FileWriter:
     def finish(self) -> None:
         """Finish the file, with indexes, and put it onto the disk."""
         self.flush()
-        described = yaml.safe_dump(information([self.contents]), sort_keys=False)
+        described = yaml_text(information([self.contents]))
         self.add_metadata(BAG_RECORD, {BAG_FIELD: described})
         with naming(self.path):
             self._writer.finish()
@@ -225,7 +224,7 @@ def described(part: Path) -> BagFile:
         each.name: each.values for each in read_part(part) if isinstance(each, RecordedMetadata)
     }
     try:
-        bag = yaml.safe_load(records[BAG_RECORD][BAG_FIELD])
+        bag = parse_yaml(records[BAG_RECORD][BAG_FIELD])
         contents = BagFile(part.name, bag['topics_with_message_count'])
         if contents.messages:
             contents.first = bag['starting_time']['nanoseconds_since_epoch']

@@ -12,11 +12,10 @@ from pathlib import Path
 import struct
 from typing import Any
 
-from kbnitp_ros.files import naming, sync_folder
+from kbnitp_ros.files import naming, sync_folder, yaml_text
 from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
-import yaml
 
 ENCODING = 'ros2msg'
 
@@ -98,7 +97,7 @@ def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
         seconds, nanoseconds = divmod(value.nanoseconds, 10**9)
         return {'sec': seconds, 'nsec': nanoseconds}
 
-    text: str = yaml.safe_dump(
+    return yaml_text(
         [
             {
                 'history': profile.history.name.lower(),
@@ -112,10 +111,8 @@ def qos_profiles_yaml(profiles: Iterable[Any]) -> str:
                 'avoid_ros_namespace_conventions': profile.avoid_ros_namespace_conventions,
             }
             for profile in profiles
-        ],
-        sort_keys=False,
+        ]
     )
-    return text
 
 
 # rosbag2's metadata version of ROS 2 Jazzy, where a topic's QoS is a list and policies have names.
@@ -191,7 +188,7 @@ def write_metadata(folder: Path, files: Sequence[BagFile]) -> bool:
     new = target.with_name(f'{files[0].name}.{METADATA}.new')
     try:
         with naming(new), new.open('w') as file:
-            yaml.safe_dump({INFORMATION: information(files)}, file, sort_keys=False)
+            file.write(yaml_text({INFORMATION: information(files)}))
             file.flush()
             os.fsync(file.fileno())
         new.replace(target)

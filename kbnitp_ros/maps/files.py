@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import Belief, Grid
-from kbnitp_ros.files import in_words, read_yaml
+from kbnitp_ros.files import in_words, read_yaml, yaml_text
 from kbnitp_ros.maps.occupancy import Map, MapError, OCCUPIED, ON_THE_EDGE, shares, UNKNOWN
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
-import yaml
 
 # Formats of Nav2's map_saver, PGM, PNG and BMP, by Pillow's names. Other decoders are excluded,
 # since the decoder of EPS starts another program.
@@ -188,7 +187,7 @@ def write_probabilities(yaml_path: Path, grid: Grid, levels: NDArray[np.uint8]) 
         'occupied_thresh': 1.0,
         'free_thresh': 0.0,
     }
-    yaml_path.write_text(yaml.safe_dump(said, sort_keys=False))
+    yaml_path.write_text(yaml_text(said))
 
 
 def quantise_belief(belief: Belief) -> dict[str, NDArray[np.uint8]]:

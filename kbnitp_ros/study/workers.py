@@ -15,13 +15,12 @@ import signal
 from typing import Any, BinaryIO, TypeVar
 
 from joblib import cpu_count, delayed, Parallel, parallel_config
-from kbnitp_ros.files import naming
+from kbnitp_ros.files import naming, yaml_text
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario
 from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import LEARNT, list_trials, measure_names, MissionResult, Trial
 import numpy as np
 from threadpoolctl import threadpool_limits
-import yaml
 
 
 class Folder:
@@ -50,7 +49,7 @@ class Folder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ValueError(f'{path} is in use by another study: name another folder') from error
-        text = yaml.safe_dump(asdict(scenario), sort_keys=False)
+        text = yaml_text(asdict(scenario))
         _write(kept, lambda file: file.write(text.encode()))
         self._trials.mkdir(exist_ok=True)
 
