@@ -45,10 +45,11 @@ class Mission:
     def __init__(self, field, parameters):
         self.field = field
         self.paths = field.listen(Path, '/scout_1/path')
-        self.beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
+        # Before the belief's publisher: a planner that has the belief then knows this agent.
         self.reports = field.node.create_publisher(
             DeploymentReport, '/scout_1/report', qos.EVIDENCE
         )
+        self.beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
         field.start('planner', {**PARAMETERS, **parameters})
         field.until(lambda: self.beliefs.get_subscription_count(), 'reader of belief')
         self.ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
