@@ -26,7 +26,7 @@ MAX_REMEMBERED = 1000
 
 @dataclass
 class DeploymentInFlight:
-    """A deployment in flight: its path was sent, and was neither reported nor refused."""
+    """A deployment in flight: its path was sent, and no report or refusal has arrived."""
 
     # Cells of the path, shape (steps + 1,).
     path: NDArray[np.intp]

@@ -157,7 +157,9 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
         raise ValueError(f'{log} has no belief on record')
     for name in SAME:
         if getattr(known.grid, name) != getattr(grid, name):
-            raise ValueError(f'{log} is of a mission on {known.grid}: the parameters set {grid}')
+            raise ValueError(
+                f'{log} is of a mission on {known.grid}, but the parameters set {grid}'
+            )
     return known.belief.on(grid)
 
 

@@ -294,9 +294,9 @@ TABLE = (
     for_estimator(
         'learn.numbers',
         (),
-        'Numbers to learn from the evidence, with the methods kappa_bnitp, relaxed_itp (all but '
-        'kappa) or, in a static field, kappa_bnitp_sampled. Robots are planned with the current '
-        'estimates.',
+        'Numbers to learn from the evidence, with the methods kappa_bnitp, relaxed_itp (all '
+        'numbers but kappa) or, in a static field, kappa_bnitp_sampled. Robots are planned with '
+        'the current estimates.',
         element=str,
         choices=tuple(LEARN),
     ),
@@ -322,7 +322,7 @@ TABLE = (
     for_agent(
         'agent',
         '',
-        'Agent whose robots this node simulates, named in agents; empty for all agents.',
+        'Agent, one of the parameter agents, whose robots this node simulates; empty for all.',
         pattern=f'({NAME})?',
     ),
     for_robot('agent', 'scout_1', 'Agent name of this robot.', pattern=NAME),

@@ -121,9 +121,7 @@ def parsed_information(path: Path, _changed: int) -> Mapping[str, Any]:
     except NotYamlError:
         return {}
     except ValueError as error:
-        raise LogError(
-            f'{path}: {error}; delete {path.name}, which reading does not need'
-        ) from error
+        raise LogError(f'{path}: {error}; delete {path.name}: logs are read without it') from error
     information = content.get(INFORMATION) if isinstance(content, dict) else None
     return information if isinstance(information, dict) else {}
 

@@ -170,7 +170,9 @@ def check_same_field(
     """Return the first recorded belief; raise ValueError if its grid or bases differ."""
     belief = first_belief(log)
     if belief and belief.grid != grid:
-        raise ValueError(f'{log.path} is of a mission on {belief.grid}: the parameters set {grid}')
+        raise ValueError(
+            f'{log.path} is of a mission on {belief.grid}, but the parameters set {grid}'
+        )
     for agent, robot_type in robot_types.items():
         before = belief.agent_base(agent) if belief else grid.at(robot_type.base).base
         if before != (now := grid.at(robot_type.base).base):

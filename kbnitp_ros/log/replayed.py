@@ -267,7 +267,7 @@ class ReplayedViews:
 
 
 def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
-    """Return the differences between a recorded and a computed view; compare grids by digest."""
+    """Return the differences between a recorded and a computed view; of grids, their digests."""
     if not isinstance(view, bytes):
         return tuple(differences(view, computed, TOLERANCE))
     return () if view == computed else (Difference('data', 'does not match the belief'),)

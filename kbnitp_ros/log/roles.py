@@ -153,7 +153,7 @@ class Roles:
         """Return the stated roles of a node that concern this mission."""
         root, above = self.namespace.rstrip('/'), node.rpartition('/')[0]
         if above == root:
-            # A node without the role belief is an agent's: agents outside the team are ignored.
+            # Only agents' nodes lack the role belief; their agents outside the team are ignored.
             is_whole = 'belief' in stated
             return {role: name for role, name in stated.items() if is_whole or role in self.names}
         agent = above.removeprefix(f'{root}/')
@@ -237,7 +237,7 @@ class MissionLog:
     ) -> None:
         self.path = Path(path)
         self.roles = roles_on_record(path, namespace, own)
-        # Defects of invalid messages in roles of the mission, by topic and index.
+        # Defects of invalid messages on topics with a role, by topic and index.
         self.left_out: dict[tuple[str, int], str] = {}
 
     def read(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Occupancy maps, the grid of robots on them, and their place on the earth."""
+"""Occupancy maps, the grid over them, and their place on the earth."""
 
 from __future__ import annotations
 

@@ -239,7 +239,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
-        # Deployments whose robots must not depart yet.
+        # Accepted deployments whose robots have not departed.
         self._at_home: list[DeploymentKey] = []
         # Deployments with a departure on record.
         self._departed = {key for key in record.orders if record.has_departed(key)}
@@ -281,7 +281,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Start robots at home; if departures are held, only those with a recorded departure."""
+        """Start waiting robots; if departures are held, only those with a recorded departure."""
         is_held = bool(self._at_home and self._hold.awaited)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)

@@ -86,7 +86,7 @@ class Decisions:
     @property
     def is_deciding(self) -> bool:
         """Return whether a decision is being computed, or will be at the next poll."""
-        # If a belief does not match the evidence, the decision waits for more evidence.
+        # If a belief did not match the evidence, more evidence starts the decision again.
         now = self._news, self.knowledge.evidence
         return self._deciding is not None or now != self._begun_with
 

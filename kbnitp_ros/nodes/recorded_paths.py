@@ -135,7 +135,7 @@ class RecordedPaths(Generic[P]):
         self._node.diagnostics.refuse(f'{self.agent}/path', error)
 
     def _ask_again(self) -> None:
-        """Request acknowledgements again, since some have arrived before their paths."""
+        """Request acknowledgements again if some have arrived before their paths."""
         if self._unacknowledged and self._has_missed and time.monotonic() > self._ask_at:
             self._interval = min(2 * self._interval, ASK_LAST)
             self._node.destroy_subscription(self._recorded)

@@ -151,7 +151,7 @@ def expected_losses(mission: Mission) -> NDArray[np.float64]:
 def loss_shares(
     mission: Mission, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
-    """Return P(step | lost), by the last belief or, if hazards change, the report's belief."""
+    """Return P(step | lost) by the last belief, or that after the report if hazards change."""
     stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]
@@ -325,7 +325,7 @@ def lane(mission: Mission) -> Tile:
     survived = ''
     if decision.path.size:
         steps = counted(decision.path.size - 1, 'step')
-        survived = f'a robot survives its {steps} with {100.0 * decision.survival:.1f} %; '
+        survived = f'a robot survives the {steps} with {100.0 * decision.survival:.1f} %; '
     return Tile(
         question,
         f'Free of hazards with {100.0 * decision.p_free:.1f} %',

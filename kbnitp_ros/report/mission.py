@@ -311,7 +311,7 @@ def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict
         name: agent[f'sensor.{name}']
         for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
     }
-    # Lethality and false negatives cannot be distinguished, so lethality is relative to the
+    # Lethality and false negatives cannot be distinguished: scale the true lethality to the
     # believed false negatives.
     working = 1.0 - estimator['sensor.false_negative']
     if working > 0.0:

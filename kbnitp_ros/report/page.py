@@ -396,7 +396,7 @@ def field_data(grid: Grid) -> dict[str, Any]:
 
 
 def first_visits(mission: Mission) -> NDArray[np.intp]:
-    """Return the index of the first moment after each cell's first visit; len(moments) if none."""
+    """Return the index of the first moment after each cell's first visit; else len(moments)."""
     times = [each.time for each in mission.moments]
     first = np.full(mission.grid.cells, len(times), dtype=np.intp)
     for deployment in mission.deployments:

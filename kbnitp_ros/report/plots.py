@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plotly import graph_objects
 
-# Names of the traces that the page updates, in the order of its map.
+# Names of the traces that the page updates, in their order on the map.
 TRACES = ('cells', 'out', 'casing', 'walk', 'detected', 'nothing', 'end', 'likely')
 
 # Styles of a path and of its end, by outcome; the page fills the traces.
@@ -152,7 +152,7 @@ def heatmap(grid: Grid, image: NDArray[np.float64]) -> graph_objects.Heatmap:
     left, _, bottom, _ = extent(grid)
     half = grid.resolution / 2
     return graph_objects.Heatmap(
-        # Lists of rows, so that other programs can read the page's data.
+        # Lists of rows: Plotly writes arrays in base64, which few other programs read.
         z=[
             [None if isnan(value) else value for value in row]
             for row in image.reshape(grid.height, grid.width).tolist()

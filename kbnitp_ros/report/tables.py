@@ -218,7 +218,7 @@ def text(numbers: NDArray[np.integer]) -> str:
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
     """Write deployments.parquet and deployments.csv; raises OSError."""
     if found := rows(mission, curves):
-        # Tables made from Python lists import pandas, which takes longer than the table.
+        # pyarrow imports pandas to read Python lists, which takes longer than the table.
         lines = '\n'.join(map(json.dumps, found)).encode()
         table = read_json(BytesIO(lines), parse_options=ParseOptions(explicit_schema=COLUMNS))
     else:

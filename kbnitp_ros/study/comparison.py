@@ -306,9 +306,9 @@ BY_OBJECTIVE = Comparison(
     name='objectives',
     applies=differ_in_objective,
     caption=(
-        'Differences from the objective {first}, paired by world: log loss by number of robots, '
-        'in nats, robots lost at the end, robots lost at equal log loss, and log loss at equal '
-        'losses. Lost: the robots lost at the end in the row.'
+        'Differences from the objective {first}, paired by world: log loss, in nats, by number of '
+        'robots and at equal losses; robots lost at the end and at equal log loss. Lost: the '
+        "robots lost at the end with the row's objective."
     ),
     columns={
         'objective': ('objective', '{}'),

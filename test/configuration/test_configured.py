@@ -172,7 +172,9 @@ def test_an_earlier_mission_is_a_prior(log):
     'change', [{'blocked': (8,)}, {'resolution': 0.2}, {'origin': (0.0, 0.7)}]
 )
 def test_a_mission_in_another_field_is_no_prior(log, change):
-    with pytest.raises(ValueError, match=r'is of a mission on Grid\(.*: the parameters set Grid'):
+    with pytest.raises(
+        ValueError, match=r'is of a mission on Grid\(.*, but the parameters set Grid'
+    ):
         make_prior(VALUES | {'prior.log': log[0]}, replace(GRID, **change))
 
 

@@ -71,7 +71,7 @@ class World(Value):
         target_background: float,
     ) -> World:
         """
-        Draw a world by two uniform numbers for each cell, whatever the probabilities.
+        Draw a world; each cell takes two uniform numbers, whatever the probabilities.
 
         Parameters
         ----------

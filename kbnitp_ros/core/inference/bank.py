@@ -91,7 +91,7 @@ class Bank:
                 'nothing'
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
-        # Cache: numbers, and for them the change between deployments and `Steps` by robot type.
+        # Cache for the latest numbers: these, their change between deployments, `Steps` by type.
         self._effects: tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Steps]] | None = (
             None
         )

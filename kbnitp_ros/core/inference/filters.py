@@ -110,7 +110,7 @@ def condition(
 def hazard_change(
     prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the function that applies hazard changes between deployments to joints."""
+    """Return the function that updates joints for hazard changes between deployments."""
     possible = prior.hazard > 0.0
     appear, vanish, move = (
         rates.get(name, getattr(dynamics, name)) for name in ('appear', 'vanish', 'move')
@@ -345,7 +345,7 @@ class Explanations:
         return replace(self, possible=possible)
 
     def _explained(self, cells: tuple[int, ...]) -> Explanations:
-        """Return the explanations with a loss due to a hazard in one of these cells."""
+        """Return the explanations with one more loss, due to a hazard in one of these cells."""
         allowed, chosen = (*self.allowed, cells), dict(self.chosen)
         seen: set[int] = set()
 

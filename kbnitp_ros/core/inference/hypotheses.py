@@ -16,7 +16,7 @@ from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 
-# Log odds of certainty in sums: above any evidence, low enough not to lose evidence by rounding.
+# Log odds in place of infinity: above any evidence, small enough to round off no evidence.
 CERTAIN = 1e6
 # Log odds of a certain hazard, and of a certain target.
 CERTAIN_HAZARD = 300.0
@@ -44,7 +44,7 @@ class PriorMap:
     def of(
         cls, probability: NDArray[np.float64], undecided: NDArray[np.bool_], average: Bins | None
     ) -> PriorMap:
-        """Return a prior map; `average`: possible averages over undecided cells, if unknown."""
+        """Return a prior map; `average`: possible averages of undecided cells, None if known."""
         with np.errstate(divide='ignore'):
             log_odds = np.log(probability) - np.log1p(-probability)
         log_odds = log_odds.clip(-CERTAIN, CERTAIN)

@@ -471,7 +471,7 @@ def search(
     by_value = new_ranking(width - by_heuristic_rows, is_limited)
     by_heuristic = new_ranking(width if by_heuristic_rows else 0, is_limited)
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
-    # Slot (-1 for none) and cell, at each step, of the last label traced; and its visits by cell.
+    # Of the last label traced: slot (-1 for none) and cell at each step, and visits by cell.
     traced, visits = np.full((max_steps + 1, 2), -1), np.zeros(cells, np.int64)
     best_value = np.zeros(cells)
     completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))

@@ -17,7 +17,7 @@ from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Powers of :eq:`entropy-powers`; the first exponent is 1: its moment is the predicted survival.
+# Powers of :eq:`entropy-powers`; the first exponent is 1, for the predicted survival of a path.
 EXPONENTS = np.array([1.0, 2.026, 3.832, 9.407, 28.14, 101.5, 482.6, 4111.0])
 WEIGHTS = np.array(
     [
@@ -270,7 +270,7 @@ def _merged(outcomes: JointOutcomes) -> JointOutcomes:
 
 
 # Exponents of powers of the survival; the label search approximates behavioral entropies by sums
-# of them. The first is 1: its moment is the predicted survival.
+# of them. The first is 1, for the predicted survival of a path.
 BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 
 

@@ -159,7 +159,7 @@ def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
 
 @dataclass(frozen=True, eq=False)
 class TeamMember:
-    """A robot to plan for; robots of equal type share one instance."""
+    """A robot to plan for; one instance serves all robots of its type."""
 
     # Finder of the robot's paths, with the limits and the base of its type.
     finder: PathFinder

@@ -132,7 +132,7 @@ def _sector_centres(
 
 
 def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
-    """Return the weight that exceeds the margins of about `share` of the mass."""
+    """Return the weight with which a site's region has about `share` of the mass."""
     share -= float(mass[margin == -np.inf].sum())
     is_open = np.isfinite(margin)
     margin, mass = margin[is_open], mass[is_open]
