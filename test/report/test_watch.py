@@ -45,7 +45,9 @@ def says(page, words):
     until(page, f'document.getElementById("live")?.textContent.includes("{words}")')
 
 
-def test_the_page_follows_a_log_that_grows(browser, tmp_path):
+def test_the_page_follows_a_log_that_grows(browser, tmp_path, monkeypatch):
+    # A slow browser may take longer than the page waits for growth.
+    monkeypatch.setattr(watch, 'STILL', np.inf)
     path = tmp_path / 'mission.mcap'
     half = len(SENT) // 2
     with LogWriter(path) as log, opened(browser, path) as page:
@@ -87,9 +89,11 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path):
         shown = np.array(rows, dtype=float).ravel()
         inside = ~np.isnan(shown)
         np.testing.assert_allclose(shown[inside], last.target[inside], atol=0.5 / 255)
+        monkeypatch.setattr(watch, 'STILL', 0.0)
         says(page, 'has not grown for')
         log.close()
         says(page, 'is finished')
+        monkeypatch.setattr(watch, 'STILL', np.inf)
         # A resumed mission writes another file.
         with LogWriter(path, resume=True) as resumed:
             record_to(resumed, SENT[-1:], synced=True)
