@@ -12,9 +12,9 @@ SHELL := bash
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
 
-# Processes that run tests: tests of nodes wait for a third of their time, so that three more
-# than there are processors are better. Each test of nodes takes a ROS domain that is free.
-WORKERS ?= $(shell expr $$(nproc) + 3)
+# Processes that run tests: tests of nodes wait for a third of their time, so that two more than
+# there are processors are better. Each test of nodes takes a ROS domain that is free.
+WORKERS ?= $(shell expr $$(nproc) + 2)
 
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
