@@ -152,7 +152,7 @@ class PlannerState:
         return None if self.free_agents else Obstacle.NO_FREE_AGENT
 
     def is_plain(self, obstacle: Obstacle) -> bool:
-        """Return whether progress omits the reason for a condition, since it is normal."""
+        """Return whether a condition is normal, so that progress gives no reason for it."""
         if obstacle is Obstacle.BELIEF_BEHIND:
             return not self.refusal
         return obstacle in (

@@ -397,7 +397,7 @@ def read_mission(log: MissionLog) -> int | None:
 
 
 def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:
-    """Return whether evidence is of this mission; reports and statuses state no mission."""
+    """Return False for a path of another mission; other messages state no mission."""
     return mission is None or role.name != 'path' or logged.said[1] == mission
 
 

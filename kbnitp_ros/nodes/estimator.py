@@ -210,7 +210,7 @@ class EstimatorNode(FieldNode):
         self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
 
     def _is_begun_by(self, mission: int) -> bool:
-        """Return whether a path of `mission` replaces the current mission by `mission`."""
+        """Return whether a path that states `mission` makes it the current mission."""
         # Before the first belief, paths of several missions may arrive, as from an old bag: the
         # newest mission counts.
         is_newer = self._mission is not None and mission > self._mission

@@ -291,14 +291,9 @@ def run_forged(folder, kinds, scale=1.0, seed=1, processes=Processes):
             mission.start(*NODES)
             try:
                 _forge(mission, parameters, outcome, scale)
-                outcome.after = mission.memory()
             except StuckError as error:
                 outcome.findings.append(('stuck', f'{error}: {outcome.required} to be refused'))
                 return outcome
-            for name, now in outcome.after.items():
-                if now > outcome.before[name] + GROWTH:
-                    words = f'{name} has {now:.0f} MB, before {outcome.before[name]:.0f} MB'
-                    outcome.findings.append(('memory', words))
             codes = mission.processes.stop()
             bad = {name: code for name, code in codes.items() if code}
             outcome.findings += [('exit', f'{name} ended with {bad[name]}') for name in bad]
@@ -332,6 +327,11 @@ def _forge(mission, parameters, outcome, scale):
         return last.message.deployments == parameters['robots']
 
     mission.until(is_recorded, 'last belief on record')
+    outcome.after = mission.memory()
+    for name, now in outcome.after.items():
+        if now > outcome.before[name] + GROWTH:
+            words = f'{name} has {now:.0f} MB, before {outcome.before[name]:.0f} MB'
+            outcome.findings.append(('memory', words))
 
 
 def wrong_beliefs(log, parameters):

@@ -199,7 +199,7 @@ def test_detections_count_in_the_robot_s_cell_in_any_order(
 
 
 def test_detections_at_1_khz_and_none_at_all(field):
-    # Half a second a cell: a busy processor may stop the test for a fifth.
+    # Half a second a cell: a busy processor may stop the test for a fifth of a second.
     fleet = Fleet(field, speed=2.0)
     reports = fleet.reports()
     detections = field.node.create_publisher(Bool, '/detections', 10)
