@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TYPE_CHECKING
 
@@ -77,7 +77,11 @@ def read_path_name(message: Any) -> int:
 
 
 def report_message(
-    key: DeploymentKey, observation: Observation, stamp: int, source: Source = Source.AGENT
+    key: DeploymentKey,
+    observation: Observation,
+    stamp: int,
+    source: Source = Source.AGENT,
+    field_id: str = '',
 ) -> DeploymentReport:
     """Return the report of a deployment that ended, with a stamp in nanoseconds."""
     from kbnitp_msgs.msg import DeploymentReport, TargetReading
@@ -89,12 +93,20 @@ def report_message(
         deployment=to_stamp(key.stamp),
         survived=observation.survived,
         readings=[
-            TargetReading(cell=cell, detected=reading == 1, not_looked=reading == -1)
-            for cell, reading in zip(observation.path[1:].tolist(), readings)
+            TargetReading(
+                cell=cell,
+                detected=reading == 1,
+                not_looked=reading == -1,
+                not_entered=not is_entered,
+            )
+            for cell, reading, is_entered in zip(
+                observation.path[1:].tolist(), readings, observation.is_entered.tolist()
+            )
         ],
         steps_survived=observation.steps_survived,
         lost_at=[] if observation.lost_at is None else observation.lost_at.tolist(),
         source=source,
+        field_id=field_id,
     )
 
 
@@ -114,6 +126,8 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
                 f'readings[{number}] has detected and not_looked: at most one of them can be true'
             )
         readings.append((int(each.cell), -1 if each.not_looked else int(each.detected)))
+    # Reports of 1.0 have no not_entered and no field_id.
+    entered = tuple(not getattr(each, 'not_entered', False) for each in message.readings)
     if message.source not in list(Source):
         raise ValueError(f'source is {message.source}: it must be from 0 to {max(Source)}')
     return key, Report(
@@ -122,6 +136,8 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
         stamp,
         int(message.steps_survived),
         lost_at=tuple(map(float, message.lost_at)),
+        entered=() if all(entered) else entered,
+        field_id=getattr(message, 'field_id', ''),
     )
 
 
@@ -147,8 +163,9 @@ class AgentStatus:
     stamp: int
     # Reason of a refusal; empty for other states.
     reason: str = ''
-    # Hash of the message, which the recorder acknowledges.
-    content: int = 0
+    # Hash of the message, which the recorder acknowledges; a later version repeats a status with
+    # another hash.
+    content: int = field(default=0, compare=False)
 
 
 def status_message(

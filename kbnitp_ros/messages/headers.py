@@ -130,6 +130,10 @@ def filled(message: M, fields: Fields) -> M:
 # Bytes of a hash, which is a uint64 field.
 BYTES = 8
 
+# Fields that 1.0 lacks. They count only if they are set, so that a message which 1.0 could have
+# published keeps its hash.
+ADDED = {'field_id', 'not_entered'}
+
 
 def content_hash(message: Any) -> int:
     """Return a hash of the names and values of a message's fields."""
@@ -151,8 +155,11 @@ def _encoded(value: Any) -> Iterator[bytes]:
         text = value.encode()
         yield b's' + struct.pack('<Q', len(text)) + text
     elif fields := _encoded_fields(value.__class__):
-        yield b'm' + struct.pack('<Q', len(fields))
-        for name, encoded_name in fields:
+        named = [
+            (name, each) for name, each in fields if name not in ADDED or getattr(value, name)
+        ]
+        yield b'm' + struct.pack('<Q', len(named))
+        for name, encoded_name in named:
             yield encoded_name
             yield from _encoded(getattr(value, name))
     elif isinstance(value, Iterable):

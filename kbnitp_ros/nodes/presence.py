@@ -8,7 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 import time
 from uuid import uuid4
 
+from kbnitp_msgs.msg import AgentState
+from kbnitp_ros.core import Grid
 from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
+from kbnitp_ros.messages.states import read_state, Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.graph import PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
@@ -226,3 +229,41 @@ class HoldSubscription:
                     'publish it'
                 )
         return ''
+
+
+class StatePublisher:
+    """The publisher of the state of an agent, or of the base, on change."""
+
+    def __init__(self, node: MissionNode, grid: Grid, agent: str = '') -> None:
+        self._node = node
+        self._grid = grid
+        self._agent = agent
+        self._said: tuple[Readiness, str, bool] | None = None
+        topic = '/'.join(filter(None, [node.above, agent, 'state']))
+        self._publisher = node.create_publisher(AgentState, topic, qos.LATCHED)
+
+    def publish(self, readiness: Readiness, reason: str = '', is_at_base: bool = False) -> None:
+        """Publish a state if it differs from the last one."""
+        if self._said != (said := (readiness, reason, is_at_base)):
+            self._said = said
+            now = self._node.now()
+            self._publisher.publish(state_message(self._grid, self._agent, *said, now))
+
+
+class BaseField:
+    """The field of the base, which an agent compares with its own before it takes an order."""
+
+    def __init__(self, node: MissionNode, grid: Grid) -> None:
+        # Description of the difference, which blocks departures; empty if there is none.
+        self.awaited = ''
+        self._node = node
+        self._grid = grid
+        node.subscribe(AgentState, f'{node.above}/state', self._on_state, qos.LATCHED)
+
+    def _on_state(self, message: AgentState) -> None:
+        try:
+            differs = read_state(message, '').difference(self._grid)
+        except ValueError as error:
+            self._node.diagnostics.refuse('state', error)
+            return
+        self.awaited = f'the same field as the base: {differs}' if differs else ''

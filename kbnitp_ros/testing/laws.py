@@ -105,8 +105,8 @@ class MissionCase(Field):
 
     # Seed of the method's random draws.
     seed: int
-    # Outcomes in one world that is possible under the prior, with and without last contacts, and
-    # with missing readings.
+    # Outcomes in one world that is possible under the prior, with and without last contacts, with
+    # missing readings, and with steps that the robot cannot vouch for.
     deployments: tuple[tuple[Observation, RobotType], ...]
 
     @property
@@ -158,7 +158,10 @@ def draw_outcome(
     """Draw the observation of a robot on a path."""
     survived, read, _ = world.steps(path, model, rng)
     if survived.all():
-        return Observation(path, True, np.where(rng.random(read.size) < 0.1, -1, read))
+        entered = rng.random(read.size) < rng.choice([0.7, 1.0])
+        return Observation(
+            path, True, np.where(rng.random(read.size) < 0.1, -1, read), entered=entered
+        )
     contact = int(rng.integers(0, survived.argmin() + 1)) if rng.random() < 0.4 else 0
     return Observation(path, False, steps_survived=contact)
 

@@ -172,6 +172,7 @@ def is_a_fold_of_the_evidence(method: Method, mission: MissionCase) -> None:
             observation.survived,
             tuple(zip(cells[1:], read)),
             steps_survived=observation.steps_survived,
+            entered=tuple(observation.is_entered.tolist()) if observation.survived else (),
         )
         said += [(key, tuple(cells)), (key, report)]
         if observation.survived:
@@ -201,9 +202,9 @@ def takes_returns_in_exactly(method: Method, mission: MissionCase) -> None:
     joint = inference.belief.joint.copy()
     found = fold(inference, mission.returns)[-1]
     for observation, robot_type in mission.returns:
-        model, readings = robot_type.model(mission.model), observation.readings
+        model, (path, readings) = robot_type.model(mission.model), observation.evidence
         survival, reading = model.survival(np.arange(2)), model.reading(np.arange(2))
-        for cell, read in zip(observation.path[1:], () if readings is None else readings):
+        for cell, read in zip(path[1:], () if readings is None else readings):
             of_target = np.ones(2) if read == -1 else reading if read else 1.0 - reading
             joint[cell] *= survival[:, None] * of_target
     joint /= joint.sum(axis=(1, 2), keepdims=True)

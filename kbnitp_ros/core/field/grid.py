@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import cos, isfinite, sin, sqrt
+from hashlib import sha256
+from math import cos, isfinite, pi, remainder, sin, sqrt, tau
+import struct
 
 from kbnitp_ros.core.field.check import check_several, whole_number
 from kbnitp_ros.core.field.observation import as_path
@@ -17,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 # moves no point to the next cell.
 APART = 1000
 EPSILON = float(np.finfo(np.float64).eps)
+
+# Angles of fields are equal if they are equal in picoradians.
+PICO = 1e12
 
 # Relative tolerance of a path's length, for rounded sums.
 ROUNDING = 1e-9
@@ -144,6 +149,35 @@ class Grid:
     def cells(self) -> int:
         """Return the number of cells."""
         return self.width * self.height
+
+    @cached_property
+    def id(self) -> str:
+        """
+        Return the name of the field, 16 hex digits, the same in all nodes with the same field.
+
+        It is the beginning of the SHA-256 hash of little-endian numbers without padding: width and
+        height (uint32), resolution in metres (float32), origin x and y in metres (float64), yaw in
+        picoradians (int64, above -pi), connectivity and through_corners (uint8), number of blocked
+        cells (uint32), and the blocked cells in ascending order (uint32). Bases are not part of
+        it.
+        """
+        yaw = round(remainder(self.yaw, tau) * PICO)
+        x, y = (coordinate + 0.0 for coordinate in self.origin)
+        numbers = struct.pack(
+            '<2If2dq2BI',
+            self.width,
+            self.height,
+            self.resolution,
+            x,
+            y,
+            # Left and right half turns are the same angle.
+            abs(yaw) if abs(yaw) > pi * PICO else yaw,
+            self.connectivity,
+            self.through_corners,
+            len(frozenset(self.blocked)),
+        )
+        blocked = np.array(sorted(self.blocked), dtype='<u4').tobytes()
+        return sha256(numbers + blocked).hexdigest()[:16]
 
     @cached_property
     def free(self) -> NDArray[np.bool_]:

@@ -55,12 +55,15 @@ class Observation(Value):
 
         Stored normalised: the largest value is 1, steps before the first possible one are 0 and
         counted in `steps_survived`, and None stands for equal values in all remaining steps.
+    entered : array_like of bool, shape (steps,), optional
+        For each step of a robot that returned, whether it was in the cell for certain. A step that
+        the robot cannot vouch for gives neither survival nor reading. None if all steps count.
 
     Raises
     ------
     ValueError
-        If the path is not closed or has no step, or the readings, `steps_survived` or `lost_at`
-        do not fit the outcome.
+        If the path is not closed or has no step, or the readings, `steps_survived`, `lost_at` or
+        `entered` do not fit the outcome.
 
     """
 
@@ -69,6 +72,7 @@ class Observation(Value):
     readings: NDArray[np.bool_] | NDArray[np.int8] | None = None
     steps_survived: int = 0
     lost_at: NDArray[np.float64] | None = None
+    entered: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         path = as_path(self.path)
@@ -81,6 +85,8 @@ class Observation(Value):
         frozen(path)
         object.__setattr__(self, 'path', path)
         object.__setattr__(self, 'survived', bool(yes_or_no('survived', self.survived)))
+        if self.entered is not None:
+            self._check_entered(np.array(self.entered))
         if self.readings is not None:
             self._check_readings(np.array(self.readings))
         elif self.survived:
@@ -97,7 +103,21 @@ class Observation(Value):
         if self.lost_at is not None:
             self._check_lost_at(np.array(self.lost_at, dtype=np.float64))
 
+    def _check_entered(self, given: NDArray[Any]) -> None:
+        yes_or_no('entered', given)
+        if not self.survived:
+            raise ValueError('entered is given, but the robot was lost: leave it out')
+        if given.shape != (self.steps,):
+            raise ValueError(
+                f'entered has shape {given.shape}: it must be ({self.steps},), one for each step'
+            )
+        entered = given.astype(bool)
+        frozen(entered)
+        object.__setattr__(self, 'entered', None if entered.all() else entered)
+
     def _check_readings(self, given: NDArray[Any]) -> None:
+        if self.entered is not None and given.shape == self.entered.shape:
+            given = np.where(self.entered, given, -1)
         unseen = given == -1
         yes_or_no('readings', given[~unseen])
         # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
@@ -145,6 +165,18 @@ class Observation(Value):
     def steps(self) -> int:
         """Return the number of steps of the path."""
         return len(self.path) - 1
+
+    @property
+    def is_entered(self) -> NDArray[np.bool_]:
+        """Return a mask of the steps that count, shape (steps,)."""
+        return np.ones(self.steps, dtype=bool) if self.entered is None else self.entered
+
+    @property
+    def evidence(self) -> tuple[NDArray[np.intp], NDArray[np.bool_] | NDArray[np.int8] | None]:
+        """Return the start and the cells of the steps that count, and their readings."""
+        if self.entered is None or self.readings is None:
+            return self.path, self.readings
+        return self.path[np.append(True, self.entered)], self.readings[self.entered]
 
     @property
     def lost_on(self) -> tuple[NDArray[np.intp], NDArray[np.float64] | None]:

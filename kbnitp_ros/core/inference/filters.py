@@ -254,16 +254,17 @@ def moves(
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
     """Return the path's cells, joints given the readings, and P(outcome, Z after | Z before)."""
     check_cells(belief, observation)
-    visits = Visits.of(observation.path)
+    path, readings = observation.evidence
+    visits = Visits.of(path)
     before = belief.joint[visits.cells]
-    if observation.readings is None:
+    if readings is None:
         weights = loss_weights(observation)
         return (
             visits.cells,
             before,
             lost_transition(belief.hazard[visits.cells], model, visits, weights),
         )
-    read = read_log_likelihood(model, visits, observation.readings)
+    read = read_log_likelihood(model, visits, readings)
     endures = float(model.malfunction < 1.0)
     move = endures * survived_transition(model, visits.counts)
     return visits.cells, condition(before, read[:, None, :]), move
@@ -318,7 +319,7 @@ class Explanations:
 
     def with_deployment(self, observation: Observation, model: SensorModel) -> Explanations:
         """Return the explanations with one more deployment."""
-        path = observation.path[1:]
+        path = observation.evidence[0][1:]
         is_certain = model.lethality == 1.0
         if observation.survived:
             return self._entered(path) if is_certain else self
@@ -432,14 +433,15 @@ class OnePass:
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
         """Return the posterior (:eq:`returned`, :eq:`loss-contact`, :eq:`loss-located`)."""
         check_cells(belief, observation)
+        path, readings = observation.evidence
         if not self.correlated:
-            joint, entered = belief.joint.copy(), observation.path[1:]
+            joint, entered = belief.joint.copy(), path[1:]
             joint[entered] = Belief(joint[entered]).independent().joint
             belief = Belief(joint)
-        if observation.readings is not None:
-            visits = Visits.of(observation.path)
+        if readings is not None:
+            visits = Visits.of(path)
             survived = times_log(visits.counts[:, None], model.log_survival)
-            read = read_log_likelihood(model, visits, observation.readings)
+            read = read_log_likelihood(model, visits, readings)
             return given(belief, visits.cells, survived[:, :, None] + read[:, None, :])
         if observation.steps_survived:
             known = Visits.of(observation.path[: observation.steps_survived + 1])

@@ -130,7 +130,7 @@ class Checker:
         for shift in RETURN_SHIFTS:
             gain = np.log(shift) if observation.survived else 0.0
             ratios.append(gain - np.log1p((shift - 1.0) * np.exp(log_return)))
-        readings = observation.readings
+        _, readings = observation.evidence
         positive = 0 if readings is None else np.count_nonzero(readings == 1)
         for shift, log_total in zip(READING_SHIFTS, log_shifted):
             ratios.append(positive * np.log(shift) + log_return - log_total)

@@ -42,19 +42,18 @@ class Evidence:
     @classmethod
     def of(cls, observation: Observation, robot_type: RobotType) -> Evidence:
         """Count an outcome by cell."""
-        visits = Visits.of(observation.path)
-        readings = observation.readings
-        read = np.full(observation.steps, -1) if readings is None else readings
+        path, readings = observation.evidence
+        visits, steps = Visits.of(path), path.size - 1
+        read = np.full(steps, -1) if readings is None else readings
         cells = visits.cells.size
         positive, negative = (
             np.bincount(visits.of_step[read == reading], minlength=cells) for reading in (1, 0)
         )
         entered = visits.of_step[:, None] == np.arange(cells)
         made = entered.cumsum(axis=0) - entered
-        at = np.eye(visits.counts.max() + 1)[made]
+        at = np.eye(visits.counts.max(initial=0) + 1)[made]
         inside, elsewhere = (
-            (at * where[..., None]).reshape(observation.steps, -1).T
-            for where in (entered, ~entered)
+            (at * where[..., None]).reshape(steps, -1).T for where in (entered, ~entered)
         )
         lost_in = None if observation.survived else loss_weights(observation)
         return cls(
@@ -109,10 +108,10 @@ def assimilated(
     if not correlated:
         joint = hazard[:, :, None] * joint.sum(axis=1)[:, None]
     counts, cell, before = evidence.visits.counts, evidence.visits.of_step, evidence.before
-    powers = steps.survived(counts.max())
+    powers = steps.survived(counts.max(initial=0))
     if evidence.lost_in is None:
         negative, positive = (
-            np.cumprod([np.ones_like(read), *[read] * number.max()], axis=0)[number]
+            np.cumprod([np.ones_like(read), *[read] * number.max(initial=0)], axis=0)[number]
             for read, number in zip(steps.read, (evidence.negative, evidence.positive))
         )
         alive = moved_by(np.array(powers)[counts], joint)

@@ -71,6 +71,10 @@ class Report:
         Hash of the report's message, which identifies it in a log; 0 without a message.
     lost_at : tuple of float
         Likelihood of a loss in each step of a lost robot's path; empty if all are alike.
+    entered : tuple of bool
+        For each step whether the robot vouches for its cell; empty if it vouches for all.
+    field_id : str
+        `Grid.id` of the agent's field; '' if it is not stated. Ignored in comparisons.
 
     """
 
@@ -80,6 +84,8 @@ class Report:
     steps_survived: int = 0
     content: int = field(default=0, compare=False)
     lost_at: tuple[float, ...] = ()
+    entered: tuple[bool, ...] = ()
+    field_id: str = field(default='', compare=False)
 
 
 class MissionRecord:
@@ -195,7 +201,9 @@ class MissionRecord:
         outcome = self._outcome(key, report)
         known = self.outcomes.get(key)
         differs = (
-            known is not None and known != outcome and ending_key(known) == ending_key(outcome)
+            known is not None
+            and ending_key(known) == ending_key(outcome)
+            and not is_same_outcome(known, outcome)
         )
         if differs:
             self.contradicted[key] = (
@@ -264,22 +272,38 @@ def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
     return outcome.survived, outcome.steps_survived, located, lost_at
 
 
+def is_same_outcome(one: Observation, other: Observation) -> bool:
+    """Return whether two outcomes are equal, apart from steps that only one of them counts."""
+    # An agent of an earlier version vouches for all its steps.
+    if one == other or one.readings is None or other.readings is None:
+        return one == other
+    if one.entered is None is other.entered or not np.array_equal(one.path, other.path):
+        return False
+    both = one.is_entered & other.is_entered
+    return np.array_equal(one.readings[both], other.readings[both])
+
+
 def outcome_rank(outcome: Observation) -> tuple[Any, ...]:
     """Return a sort key of a deployment's reported outcomes; the greatest counts."""
     readings = [] if outcome.readings is None else outcome.readings.tolist()
-    read = sum(each >= 0 for each in readings)
-    return ending_key(outcome), read, readings, outcome.path.tolist()
+    read, entered = sum(each >= 0 for each in readings), int(outcome.is_entered.sum())
+    return ending_key(outcome), read, entered, readings, outcome.path.tolist()
 
 
 def report_size(report: Report) -> int:
     """Return the approximate bytes of a report in memory."""
-    return REPORT + READING * (len(report.readings) + len(report.lost_at))
+    return REPORT + READING * (len(report.readings) + len(report.lost_at) + len(report.entered))
 
 
 def make_observation(
     report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
 ) -> Observation:
     """Return the observation from a report and a path; ValueError if the report is impossible."""
+    if report.field_id not in ('', grid.id):
+        raise ValueError(
+            f'deployment {key} was made in another field: field_id is {report.field_id!r}, and '
+            f'here it is {grid.id!r}; give the robot the field of the base, and report again'
+        )
     read = [reading for _, reading in report.readings]
     walk = path
     if report.survived:
@@ -299,6 +323,9 @@ def make_observation(
     try:
         readings = np.array(read) if read else None
         lost_at = np.array(report.lost_at) if report.lost_at else None
-        return Observation(walk, report.survived, readings, report.steps_survived, lost_at)
+        entered = np.array(report.entered) if report.entered else None
+        return Observation(
+            walk, report.survived, readings, report.steps_survived, lost_at, entered
+        )
     except ValueError as error:
         raise ValueError(f'report of deployment {key}: {error}') from error

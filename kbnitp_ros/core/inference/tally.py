@@ -55,10 +55,11 @@ class Tally:
         """Return the tally with one more deployment, by a robot of this type."""
         sensors = RobotType(**robot_type.sensors)
         known = self.with_type(sensors)
-        of_type, steps = known.robot_types.index(sensors), observation.path[1:]
+        of_type, (path, readings) = known.robot_types.index(sensors), observation.evidence
+        steps = path[1:]
         tally = replace(known, deployments=self.deployments + 1)
-        if observation.readings is not None:
-            seen, not_seen = (steps[observation.readings == reading] for reading in (1, 0))
+        if readings is not None:
+            seen, not_seen = (steps[readings == reading] for reading in (1, 0))
             return replace(
                 tally,
                 survived=add_steps(known.survived, of_type, steps),
