@@ -20,6 +20,12 @@ from numpy.typing import NDArray
 K = TypeVar('K')
 V = TypeVar('V')
 
+# Number of returns without a step, one after another, after which an agent gets no more orders.
+MAX_STILL = 2
+
+# Beginning of the reason of a deployment whose report the estimator refuses.
+REFUSED = 'the estimator refuses its report: '
+
 # Maximum numbers of acknowledgements and of statuses kept until their paths arrive.
 MAX_REMEMBERED = 1000
 
@@ -44,6 +50,9 @@ class DeploymentInFlight:
     due: int | None = None
     # Whether the deployment had timed out at the last check.
     is_overdue: bool = False
+    # Whether only the operator can declare the robot lost: it was heard to be back, or it was in
+    # another field.
+    is_left_to_operator: bool = False
 
 
 class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
@@ -64,6 +73,15 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         self._others: dict[DeploymentKey, int] = {}
         self._sent_by_agent: Counter[str] = Counter()
         self._time = 0
+        # Deployments that are neither evidence nor losses until the operator decides, with the
+        # reason: their robots are known to be back, or not to have left.
+        self.held: dict[DeploymentKey, str] = {}
+        # Deployments that ended, by name, since an estimator may refuse their reports later.
+        self._ended: dict[str, tuple[DeploymentKey, DeploymentInFlight]] = {}
+        # Deployments that came back without a step, and their number since the last other ending,
+        # by agent.
+        self.unmoved: set[DeploymentKey] = set()
+        self._still: Counter[str] = Counter()
 
     @property
     def paths(self) -> dict[DeploymentKey, NDArray[np.intp]]:
@@ -74,6 +92,16 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
     def sent(self) -> int:
         """Return the number of robots sent, without refused orders."""
         return len(self._sent)
+
+    @property
+    def still_agents(self) -> list[str]:
+        """Return the agents whose last robots came back without a step."""
+        return [agent for agent, times in self._still.items() if times >= MAX_STILL]
+
+    def release(self, *agents: str) -> None:
+        """Give orders again to agents whose robots came back without a step."""
+        for agent in agents:
+            del self._still[agent]
 
     @property
     def undeparted(self) -> list[DeploymentKey]:
@@ -166,8 +194,50 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
             is_recorded = (key, robot.departure) in self._recorded
             robot.has_departed |= is_recorded or not self._values['recorded']
 
-    def end(self, key: DeploymentKey, reported: int | None = None) -> None:
+    def hold(self, key: DeploymentKey, why: str, *, is_left_to_operator: bool) -> bool:
+        """Hold a deployment that is not over; return whether the reason is new."""
+        robot = self.get(key)
+        if robot is None:
+            return False
+        robot.is_left_to_operator |= is_left_to_operator
+        self._await_again(robot)
+        is_new = self.held.get(key) != why
+        self.held[key] = why
+        return is_new
+
+    def follow(self, refused: Mapping[str, str]) -> list[DeploymentKey]:
+        """Hold the deployments whose reports the estimator refuses; return those that are new."""
+        # A later report of the same deployment may have been accepted.
+        for key in [key for key, why in self.held.items() if why.startswith(REFUSED)]:
+            if str(key) not in refused:
+                self.end(key)
+        new = [self._ended.pop(name) for name in refused if name in self._ended]
+        for key, robot in new:
+            self[key] = robot
+            self.unmoved.discard(key)
+            self.hold(key, f'{REFUSED}{refused[str(key)]}', is_left_to_operator=True)
+        return [key for key, _ in new]
+
+    def leave(self, agent: str) -> None:
+        """Await the robots of an agent that stood at its base."""
+        for key in [key for key in self.held if key.agent == agent]:
+            if not self[key].is_left_to_operator:
+                del self.held[key]
+                self._await_again(self[key])
+
+    @staticmethod
+    def _await_again(robot: DeploymentInFlight) -> None:
+        robot.due, robot.is_overdue = None, False
+
+    def end(self, key: DeploymentKey, reported: int | None = None, moved: bool = True) -> None:
         """Remove a deployment that was reported by its agent or given up."""
+        self.held.pop(key, None)
+        if key in self:
+            self._ended[str(key)] = key, self[key]
+            self._still[key.agent] = 0 if moved else self._still[key.agent] + 1
+        self.unmoved.discard(key)
+        if not moved:
+            self.unmoved.add(key)
         if self.departures.is_refused(key):
             # The agent refused the order, but a robot that returned must have departed.
             self._sent.add(key)
@@ -181,7 +251,7 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
             return []
         overdue = []
         for key, robot in list(self.items()):
-            if not self.has_departed(key):
+            if robot.is_left_to_operator or not self.has_departed(key):
                 continue
             # Shift the timeout if the clock was set back.
             if robot.due is None:

@@ -8,12 +8,16 @@ from dataclasses import dataclass
 from enum import auto, Enum
 from typing import Any
 
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.agent_states import AgentStates
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, MAX_STILL
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.files import counted, some
 from kbnitp_ros.messages.operator_actions import OperatorState
 from kbnitp_ros.messages.progress import MissionState
+
+# Version whose messages this base exchanges with agents.
+VERSION = '1.9'
 
 
 class Obstacle(Enum):
@@ -50,6 +54,8 @@ class PlannerState:
     agents: Sequence[str]
     # The deployments in flight.
     in_flight: DeploymentsInFlight
+    # What the agents say of themselves.
+    states: AgentStates
     # The state set by the operator's actions.
     operator: OperatorState
     # Description of the pending operator action; empty if none is pending.
@@ -81,10 +87,12 @@ class PlannerState:
     why_worthless: str = ''
     # The plans that wait for the operator's approval.
     proposed: Sequence[DeploymentKey] = ()
-    # Agents without a node, agents whose nodes do not report departures, and agents that get no
-    # order for a while after they refused an order.
+    # Agents without a node, agents whose nodes do not report departures, agents whose nodes have
+    # messages of another version, and agents that get no order for a while after they refused an
+    # order.
     absent: Collection[str] = ()
     silent: Collection[str] = ()
+    outdated: Collection[str] = ()
     left_alone: Collection[str] = ()
 
     @property
@@ -96,16 +104,18 @@ class PlannerState:
     def robots(self) -> int:
         """Return the number of robots to deploy, or after end_mission the number that departed."""
         if self.operator.is_ended:
-            return self.sent - len(self.in_flight.undeparted)
-        robots: int = self.values['robots']
+            return self.sent - len({*self.in_flight.undeparted, *self.in_flight.held})
+        # Robots that came back without a step are sent again.
+        robots: int = self.values['robots'] + len(self.in_flight.unmoved)
         return robots
 
     @property
     def unreported(self) -> list[DeploymentKey]:
         """Return the deployments in flight that the next round waits for."""
-        # Agents that left the graph do not delay other agents. After end_mission, robots at their
-        # base do not depart any more.
-        left_out = self.in_flight.undeparted if self.operator.is_ended else ()
+        # Agents that left the graph do not delay other agents, nor do held deployments. After
+        # end_mission, robots at their base do not depart any more.
+        at_base = self.in_flight.undeparted if self.operator.is_ended else ()
+        left_out = {*self.in_flight.held, *at_base}
         return [
             key for key in self.in_flight if key.agent not in self.absent and key not in left_out
         ]
@@ -121,7 +131,8 @@ class PlannerState:
     def free_agents(self) -> list[str]:
         """Return the agents that are present and have no robot in flight."""
         out = {key.agent for key in self.in_flight}
-        taken = {*out, *self.absent, *self.mute, *self.left_alone}
+        taken = {*out, *self.absent, *self.mute, *self.outdated, *self.left_alone}
+        taken |= {*self.states.foreign, *self.states.unstated, *self.in_flight.still_agents}
         return [agent for agent in self.agents if agent not in taken]
 
     @property
@@ -199,7 +210,9 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:
-            return f'the last robots in flight: {some(now.in_flight)} (parameter robots)'
+            out = [key for key in now.in_flight if key not in now.in_flight.held]
+            last = f'the last robots in flight: {some(out)} (parameter robots)' if out else ''
+            return '; '.join(filter(None, [last, held_robots(now)]))
         case Obstacle.PAUSED:
             return f'the operator to end the pause by the service {now.service("pause")}'
         case Obstacle.NO_FREE_AGENT:
@@ -226,7 +239,8 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
 def deployed(now: PlannerState) -> str:
     """Return the number of deployments of a mission that is over."""
     by_operator = ', ended by the operator' * now.operator.is_ended
-    return f'{now.newest or 0} of {now.values["robots"]} robots deployed{by_operator}'
+    deployed = (now.newest or 0) - len(now.in_flight.unmoved)
+    return f'{deployed} of {now.values["robots"]} robots deployed{by_operator}'
 
 
 def not_repeated(kept: int) -> str:
@@ -264,7 +278,9 @@ def report(now: PlannerState) -> str:
             f'{agent}/recorded (parameter recorded)'
         )
     if not now.in_flight.has_departed(key) and key.agent not in now.silent:
-        return f'the departure of {key}, which its agent reports on {agent}/status'
+        said = now.states.reason(key.agent)
+        says = f'; {key.agent} says: {said}' if said else ''
+        return f'the departure of {key}, which its agent reports on {agent}/status{says}'
     if now.values['silent_loss']:
         deadline = now.values['return_deadline']
         return (
@@ -274,12 +290,34 @@ def report(now: PlannerState) -> str:
     return f'{wait}, without a time limit (parameter silent_loss is false)'
 
 
+def held_robots(now: PlannerState) -> str:
+    """Describe the held deployments, and the operator's choice; empty if there are none."""
+    held = [f'{key}: {why}' for key, why in now.in_flight.held.items()]
+    if not held:
+        return ''
+    return (
+        f'the operator to decide on {some(held)}; mend the robot, and its report counts when it '
+        f'is repeated, or count it as lost by {now.service("give_up")}'
+    )
+
+
 def free_agent(now: PlannerState) -> str:
     """Explain why no agent is free."""
     absent, mute, left_alone = now.absent, now.mute, now.left_alone
+    unstated = [agent for agent in now.states.unstated if agent not in absent]
+    out = [key for key in now.in_flight if key not in now.in_flight.held]
+    still = now.in_flight.still_agents
     reasons = [
         f'nobody publishes {now.topics(absent, "report")}' if absent else '',
-        f'{some(now.in_flight)} in flight' if now.in_flight else '',
+        f'{some(out)} in flight' if out else '',
+        held_robots(now),
+        f'{some(now.outdated)} must be of version {VERSION} or later' if now.outdated else '',
+        f'the field of {some(unstated)} on {now.topics(unstated, "state")}' if unstated else '',
+        f'{some(still)} came back without a step {MAX_STILL} times in a row: mend the robot, or '
+        f'call {now.service("pause")} with false to send it again'
+        if still
+        else '',
+        now.states.reasons(),
         f'{some(left_alone)} refused the last order' if left_alone else '',
         f'nobody publishes {now.topics(mute, "status")}, so a robot that never left would '
         'count as lost (parameter presume_departure)'

@@ -30,6 +30,7 @@ from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import mission_of_path, read_stamp
 from kbnitp_ros.messages.operator_actions import read_action_name
 from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief
+from kbnitp_ros.messages.states import read_state
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 DECISION = 'kbnitp_msgs/msg/Decision'
@@ -40,6 +41,7 @@ PATH = 'nav_msgs/msg/Path'
 PROGRESS = 'kbnitp_msgs/msg/Progress'
 RECORDED = 'kbnitp_msgs/msg/Recorded'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
+STATE = 'kbnitp_msgs/msg/AgentState'
 STATUS = 'kbnitp_msgs/msg/AgentStatus'
 
 VIEWS = ('hazard', 'target', 'kappa')
@@ -52,6 +54,7 @@ OF_MISSION = {
     'operator': OPERATOR,
     'operator/recorded': RECORDED,
     'progress': PROGRESS,
+    'state': STATE,
     'decision': DECISION,
     'decision/lane': PATH,
     'hold': 'std_msgs/msg/Bool',
@@ -62,6 +65,7 @@ OF_AGENT = {
     'path': PATH,
     'proposal': PATH,
     'report': REPORT,
+    'state': STATE,
     'status': STATUS,
     'recorded': RECORDED,
     **dict.fromkeys(TRUTH, GRID),
@@ -72,6 +76,7 @@ EVIDENCE = ('path', 'report', 'status', 'recorded')
 ROLES_OF = {
     'planner': (
         *EVIDENCE,
+        'state',
         'proposal',
         'belief',
         'progress',
@@ -82,8 +87,8 @@ ROLES_OF = {
         'hold',
     ),
     'estimator': (*EVIDENCE, 'belief', 'model', 'progress', *(f'belief/{name}' for name in VIEWS)),
-    'agent': EVIDENCE,
-    'robot': EVIDENCE,
+    'agent': (*EVIDENCE, 'state'),
+    'robot': (*EVIDENCE, 'state'),
     'recorder': (*OF_MISSION, *OF_AGENT),
 }
 
@@ -170,7 +175,11 @@ class Roles:
     def difference(self, stated: Mapping[str, str]) -> str:
         """Describe the first role for which another node states another topic; empty if none."""
         for role, topic in stated.items():
-            if (own := self.names.get(role)) is None:
+            own = self.names.get(role)
+            # Logs of 1.0 have no states.
+            if own is None and role.endswith('state'):
+                continue
+            if own is None:
                 agents = ', '.join(self.agents)
                 agent = role.partition('/')[0]
                 return f'agent {agent} is not in the parameter agents, which names {agents}'
@@ -306,6 +315,8 @@ def read_content(role: Role, message: Any) -> Any:
             return read_report(message, role.agent)
         case 'status':
             return read_status(message, role.agent)
+        case 'state':
+            return read_state(message, role.agent)
         case 'operator':
             return read_action_name(message)
         case 'belief':

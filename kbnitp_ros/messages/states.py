@@ -71,7 +71,7 @@ class AgentState:
 
 def corners(grid: Grid) -> str:
     """Return the value of the parameter grid.corners."""
-    return 'cut' if grid.through_corners else 'keep'
+    return 'cut' if grid.through_corners else 'avoid'
 
 
 def state_message(

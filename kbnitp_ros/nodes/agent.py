@@ -13,6 +13,7 @@ from kbnitp_ros.configuration.agents import (
     make_execution,
     make_robot_types,
     make_sensor_model,
+    own_base,
     true_dynamics,
 )
 from kbnitp_ros.configuration.field import read_world
@@ -25,7 +26,8 @@ from kbnitp_ros.messages.deployments import OrderState, report_message, status_m
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import check_mission, mission_of_path
 from kbnitp_ros.messages.markers import pose_message, readings_marker
-from kbnitp_ros.nodes.presence import HoldSubscription
+from kbnitp_ros.messages.states import Readiness
+from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
@@ -62,6 +64,7 @@ class Simulation:
     def __init__(self, node: FieldNode, record: RecordedMission) -> None:
         self.node = node
         self.grid = node.grid
+        self.base_field = BaseField(node, node.grid)
         values = node.values
         common = make_sensor_model(values)
         robot_types = make_robot_types(values, self.grid)
@@ -239,8 +242,12 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
+        own_grid = simulation.grid.at(own_base(self._node.values, name, simulation.grid))
+        self._states = StatePublisher(self._node, own_grid, name)
         # Accepted deployments whose robots have not departed.
         self._at_home: list[DeploymentKey] = []
+        # Whether the last robot has departed, and has not returned.
+        self._is_away = False
         # Deployments with a departure on record.
         self._departed = {key for key in record.orders if record.has_departed(key)}
         self._hold = HoldSubscription(self._node, self._depart_all)
@@ -268,12 +275,26 @@ class SimulatedAgent(RecordedPaths[SentPath]):
     @property
     def awaited(self) -> str:
         """Describe the condition that blocks departures; empty if there is none."""
-        return (self._hold.awaited if self._at_home else '') or super().awaited
+        return self._why_held or super().awaited
+
+    @property
+    def _why_held(self) -> str:
+        return (self._simulation.base_field.awaited or self._hold.awaited) if self._at_home else ''
+
+    def publish_state(self, awaited: str) -> None:
+        """Publish the state of the agent, and what a robot at its base waits for."""
+        if self._is_away:
+            self._states.publish(Readiness.OUT)
+        elif awaited:
+            self._states.publish(Readiness.WAITING, awaited, is_at_base=True)
+        else:
+            self._states.publish(Readiness.READY, is_at_base=True)
 
     def _take_path(self, sent: SentPath) -> None:
         """Accept a path; start its robot unless new departures are held."""
         key = self._simulation.accept(sent)
         self._at_home.append(key)
+        self._is_away = False
         self._publish_status(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
             departure = status_message(key, OrderState.DEPARTED, key.stamp)
@@ -282,7 +303,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
 
     def _depart_all(self) -> None:
         """Start waiting robots; if departures are held, only those with a recorded departure."""
-        is_held = bool(self._at_home and self._hold.awaited)
+        is_held = bool(self._why_held)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)
             if not self._node.values['recorded']:
@@ -290,6 +311,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
 
     def _depart(self, key: DeploymentKey) -> None:
         self._at_home.remove(key)
+        self._is_away = True
         self._publish_status(key, OrderState.DEPARTED)
 
     def _move(self, key: DeploymentKey) -> None:
@@ -335,7 +357,9 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         if not observation.survived and self._node.values['silent_loss']:
             return
         stamp = self._node.now()
-        self.reports.publish(report_message(key, observation, stamp))
+        self._is_away = False
+        field_id = self._simulation.grid.id
+        self.reports.publish(report_message(key, observation, stamp, field_id=field_id))
         if observation.survived:
             self._readings.publish(readings_marker(self._simulation.grid, observation, stamp))
 
@@ -376,15 +400,19 @@ class AgentNode(FieldNode):
         if not self._agents[0].is_listening:
             if missing := self.missing_listeners([agent.reports for agent in self._agents]):
                 self.diagnostics.state = waiting_for(missing)
+                for agent in self._agents:
+                    agent.publish_state(missing)
                 return
-            for agent in (*self._agents, *self._others):
-                agent.listen()
+            for paths in (*self._agents, *self._others):
+                paths.listen()
         awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]
         if agent_awaited := self._simulation.awaited:
             awaited.append(
                 f'the path of {agent_awaited} in the same round, for at most {PATIENCE} s: robots '
                 'change the field in the order of their agents (parameter hazards.dynamics)'
             )
+        for agent in self._agents:
+            agent.publish_state(agent.awaited or self._simulation.base_field.awaited)
         names = ', '.join(each.agent for each in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
         self.diagnostics.state = waiting_for(awaited[0]) if awaited else f'taking paths of {names}'

@@ -4,19 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 import time
 
-from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
+from kbnitp_ros.base.agent_states import AgentStates
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, longest_absence
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import recorded_losses
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core import DeploymentKey, Report
 from kbnitp_ros.core.field.observation import lost_after_contact
 from kbnitp_ros.core.inference.record import make_observation
-from kbnitp_ros.log.record import MissingError, RecordedMission
+from kbnitp_ros.log.record import is_back, MissingError, RecordedMission
 from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
@@ -26,6 +28,8 @@ from kbnitp_ros.messages.deployments import (
     Source,
 )
 from kbnitp_ros.messages.headers import content_hash, LAST_COUNTED_ON, mission_of_path, read_name
+from kbnitp_ros.messages.operator_actions import Action
+from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from nav_msgs.msg import Path
@@ -67,6 +71,9 @@ class Dispatch:
             for agent in agents
         }
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
+        self.states = AgentStates(node.grid, self._values, agents)
+        # Reasons of agents that were logged.
+        self._told: set[tuple[str, str]] = set()
         # Robots that were given up, and the time until which they may return.
         self._late: dict[DeploymentKey, float] = {}
         # Pauses of agents after refusals: the length in seconds, and the end.
@@ -80,7 +87,11 @@ class Dispatch:
 
     def restore(self, record: RecordedMission) -> None:
         """Restore the robots of a recorded mission, and publish their paths again."""
+        actions = record.operator.actions.values()
+        resumed_at = {each.robots_left for each in actions if each.action == Action.RESUME}
         for key in record.orders:
+            if self.in_flight.sent in resumed_at:
+                self.in_flight.release(*self.in_flight.still_agents)
             path, content = record.paths[key], record.path_contents[key]
             self.in_flight.send(key, path, content)
             self.in_flight.record(key, content)
@@ -95,8 +106,12 @@ class Dispatch:
             # The publisher of the former planner, which kept the path, is gone.
             self.paths[key.agent].publish(record.messages[key])
             self._rounds.count_path(path)
-            if (outcome := record.outcome(key)) is not None:
-                self.in_flight.end(key, record.reports[key].stamp if outcome.survived else None)
+            if record.outcome(key) is not None:
+                self._end(key, record.reports[key])
+            elif key in record.held:
+                self.hold(key, record.held[key])
+        if self.in_flight.sent in resumed_at:
+            self.in_flight.release(*self.in_flight.still_agents)
         for key, report in recorded_losses(record, self._values):
             self._losses[key.agent].publish(report)
             self._await_late(key, record.paths[key])
@@ -110,6 +125,7 @@ class Dispatch:
         for agent in self._agents:
             self._node.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self._node.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
+            self._node.subscribe_to_agent(AgentState, agent, partial(self._on_state, agent))
             if self._values['recorded']:
                 self._node.subscribe_to_agent(Recorded, agent, partial(self._on_recorded, agent))
 
@@ -155,10 +171,24 @@ class Dispatch:
         self._await_late(key, path)
 
     def give_up_overdue(self) -> None:
-        """Report timed-out robots as lost."""
-        if self._values['silent_loss']:
-            for key in self.in_flight.overdue(self._node.elapsed()):
+        """Report timed-out robots as lost, except robots that were seen not to be."""
+        if not self._values['silent_loss']:
+            return
+        for key in self.in_flight.overdue(self._node.elapsed()):
+            if why := self._why_not_lost(key):
+                self.hold(key, why, is_left_to_operator=key.agent in self.states.foreign)
+            else:
                 self.give_up(key, Source.SILENCE)
+
+    def _why_not_lost(self, key: DeploymentKey) -> str:
+        status = self.in_flight.departures.status(key)
+        return self.states.why_not_lost(key.agent, status.stamp if status else key.stamp)
+
+    def hold(self, key: DeploymentKey, why: str, *, is_left_to_operator: bool = True) -> None:
+        """Hold a deployment that counts neither as evidence nor as a loss."""
+        if self.in_flight.hold(key, why, is_left_to_operator=is_left_to_operator):
+            self._log_departure(key)
+            self._node.get_logger().warning(f'{key} is held, and counts for nothing: {why}')
 
     def log_departures(self) -> None:
         """Log the departures."""
@@ -188,18 +218,50 @@ class Dispatch:
             return
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/report', error)
+            self._hold_refused(agent, message, error)
             return
         self._log_departure(key)
-        self.in_flight.end(key, report.stamp if report.survived else None)
+        self._end(key, report)
         if report.survived:
             if key in self._late:
                 self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
-            if is_awaited and len({cell for cell, _ in report.readings}) == 1:
+            if is_awaited and key in self.in_flight.unmoved:
                 self._node.get_logger().warning(
-                    f'{key} returned without moving, which counts as a deployment: see the '
-                    'console of its robot'
+                    f'{key} returned without moving, and does not count as a robot of the '
+                    f'mission: {self.states.reason(agent) or "see the console of its robot"}'
                 )
         self._knowledge.note_report(key, report)
+        self._act()
+
+    def _hold_refused(self, agent: str, message: DeploymentReport, why: ValueError) -> None:
+        """Hold the deployment of a refused report of a robot that was not lost in this field."""
+        with suppress(ValueError):
+            key = DeploymentKey(agent, read_name('deployment', message.deployment))
+            if message.agent == agent and is_back(message, self._node.grid):
+                self.hold(key, f'its report is refused: {why}')
+                self._act()
+
+    def _end(self, key: DeploymentKey, report: Report) -> None:
+        """Remove a reported deployment from the deployments in flight."""
+        moved = not report.survived or len({cell for cell, _ in report.readings}) > 1
+        self.in_flight.end(key, report.stamp if report.survived else None, moved)
+
+    def _on_state(self, agent: str, message: AgentState) -> None:
+        try:
+            is_withdrawn = self.states.take(agent, read_state(message, agent))
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/state', error)
+            return
+        reason = self.states.reason(agent)
+        self._node.diagnostics.values[f'agent {agent}'] = reason
+        if reason and (agent, reason) not in self._told:
+            self._told.add((agent, reason))
+            self._node.get_logger().warning(f'{agent} says: {reason}')
+        if is_withdrawn and agent in self.in_flight.still_agents:
+            self.in_flight.release(agent)
+        for key in [key for key in self.in_flight.held if key.agent == agent]:
+            if not self._why_not_lost(key):
+                self.in_flight.leave(agent)
         self._act()
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:

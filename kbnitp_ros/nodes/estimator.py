@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -13,11 +12,12 @@ from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.configuration.table import MAX_AGENTS
-from kbnitp_ros.core import DeploymentKey, Ledger
+from kbnitp_ros.core import DeploymentKey, Ledger, Report
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import (
     check_same_field,
     Departures,
+    is_back,
     is_of_mission,
     MissingError,
     read_mission,
@@ -31,7 +31,7 @@ from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp,
 from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import HELD, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import NewEvidence, Views
@@ -115,11 +115,15 @@ class EstimatorNode(FieldNode):
         evidence = log.read('path', 'report', 'status')
         for role, logged in self.log_progress(evidence, f'reading {log.path}'):
             # Evidence that was refused before the restart is refused again.
-            with suppress(ValueError):
+            try:
                 if role.name == 'status':
                     self._departures.take(*logged.said)
                 elif is_of_mission(role, logged, self._mission):
                     record(self._ledger, role, logged)
+            except ValueError as error:
+                if role.name == 'report':
+                    key, report = logged.said
+                    self._hold(key, report, error)
         for key in self._ledger.deployments:
             self._departures.end(key, None)
 
@@ -171,6 +175,10 @@ class EstimatorNode(FieldNode):
     ) -> None:
         try:
             key, report = read_report(message, agent)
+        except ValueError as error:
+            self._refuse(f'{agent}/report', error)
+            return
+        try:
             if not report.survived:
                 self._departures.check_loss(key)
             named = replace(report, content=content_hash(message))
@@ -179,6 +187,7 @@ class EstimatorNode(FieldNode):
             if not self._early.keep(deadline, agent, message):
                 self._refuse(f'{agent}/report', error)
         except ValueError as error:
+            self._hold(key, report, error)
             self._refuse(f'{agent}/report', error)
         else:
             self._departures.end(key, report.stamp if report.survived else None)
@@ -191,6 +200,11 @@ class EstimatorNode(FieldNode):
                     'the position of the robot was uncertain'
                 )
             self._accept(key, changed)
+
+    def _hold(self, key: DeploymentKey, report: Report, why: ValueError) -> None:
+        """Publish that a deployment counts for nothing although its robot is back."""
+        if is_back(report, self.grid) and key not in self._ledger.outcomes:
+            self.diagnostics.values[f'{HELD}{key}'] = str(why)
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Record an agent's status, which does not affect the belief."""
@@ -233,6 +247,7 @@ class EstimatorNode(FieldNode):
         self.diagnostics.refuse(topic, error)
 
     def _accept(self, key: DeploymentKey, changed: bool) -> None:
+        self.diagnostics.values.pop(f'{HELD}{key}', None)
         self._update_warning()
         self._count_out()
         if self._awaiting.is_canceled():

@@ -17,7 +17,7 @@ from kbnitp_ros.files import counted
 from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import LAST_REFUSAL
+from kbnitp_ros.nodes.runtime.diagnostics import HELD, LAST_REFUSAL
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from rclpy.subscription import Subscription
 
@@ -52,8 +52,15 @@ class NewestBelief:
     def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
         evidence = tuple(f'{agent}/' for agent in self._agents)
         said = values.get(LAST_REFUSAL, '')
-        if said.startswith(evidence) and name in self._node.authors('belief', BELIEF):
+        refused = {key.removeprefix(HELD): values[key] for key in values if key.startswith(HELD)}
+        is_news = said.startswith(evidence) or refused or self._in_flight.held
+        if not is_news or name not in self._node.authors('belief', BELIEF):
+            return
+        if said.startswith(evidence):
             self.refusal = f'{name} says: {said}'
+        for key in self._in_flight.follow(refused):
+            why = self._in_flight.held[key]
+            self._node.get_logger().warning(f'{key} is held, and counts for nothing: {why}')
 
     def subscribe(self) -> None:
         """Subscribe to beliefs; called again after one of several estimators has left."""

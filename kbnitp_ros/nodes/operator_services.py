@@ -153,7 +153,8 @@ class Operator:
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
         # A pending action may change the state.
-        if not self._pending and request.data == self.state.is_paused:
+        releases = not request.data and self._in_flight.still_agents
+        if not self._pending and request.data == self.state.is_paused and not releases:
             state = 'is paused' if request.data else 'is not paused'
             return answered(response, not self.state.is_ended, f'the mission {state} already')
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)

@@ -30,11 +30,12 @@ from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
 from kbnitp_ros.messages.headers import from_stamp, next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
+from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
-from kbnitp_ros.nodes.presence import Peers
+from kbnitp_ros.nodes.presence import Peers, StatePublisher
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -85,6 +86,7 @@ class PlannerNode(FieldNode):
             self._restore(log)
             check_robots(self.values['robots'], self._sent)
         self._operator.hold(self._operator.state.is_holding)
+        StatePublisher(self, self.grid).publish(Readiness.READY)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
         # Subscribe to paths before beliefs, since beliefs are checked against the paths received.
@@ -154,6 +156,8 @@ class PlannerNode(FieldNode):
             for key in action.paths:
                 if key in self._in_flight:
                     self._dispatch.give_up(key, Source.OPERATOR, action.steps_survived)
+        elif action.action == Action.RESUME:
+            self._in_flight.release(*self._in_flight.still_agents)
         self._deploy()
 
     def _planner_state(self) -> PlannerState:
@@ -163,6 +167,7 @@ class PlannerNode(FieldNode):
             values=self.values,
             agents=self._agents,
             in_flight=self._in_flight,
+            states=self._dispatch.states,
             operator=self._operator.state,
             unrecorded_action=self._operator.awaited,
             sent=self._sent,
@@ -181,6 +186,7 @@ class PlannerNode(FieldNode):
             proposed=tuple(self._operator.proposed),
             absent=self._peers.absent,
             silent=self._peers.silent,
+            outdated=self._peers.outdated,
             left_alone=self._dispatch.left_alone,
         )
 

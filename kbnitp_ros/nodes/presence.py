@@ -9,11 +9,13 @@ import time
 from uuid import uuid4
 
 from kbnitp_msgs.msg import AgentState
+from kbnitp_ros.base.obstacles import VERSION
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
+from kbnitp_ros.log.schema import describe
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.graph import PUBLISHED
+from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from std_msgs.msg import Bool
 
@@ -115,6 +117,9 @@ class Peers:
         self._agents = agents
         # Number of other publishers by topic.
         self._others: Counter[str] = Counter()
+        # Hashes of the type of reports: of this node, and of the publishers of each agent.
+        _, self._own = describe(REPORT)
+        self._versions: dict[str, set[str]] = {}
         self._unknown_agents: set[str] = set()
 
     @property
@@ -128,6 +133,11 @@ class Peers:
         return [agent for agent in self._agents if not self._others[f'{agent}/report']]
 
     @property
+    def outdated(self) -> list[str]:
+        """Return the agents whose nodes have reports of another version."""
+        return [agent for agent in self._agents if self._versions.get(agent, set()) - {self._own}]
+
+    @property
     def silent(self) -> list[str]:
         """Return the agents whose nodes do not report departures."""
         count = self._node.count_authors
@@ -138,6 +148,8 @@ class Peers:
         for agent in self._agents:
             # The planner itself publishes reports, of robots that are given up.
             before, now = self._count(f'{agent}/report', REPORT, own=1)
+            if now != before:
+                self._look_for_versions(agent)
             if now > max(before, 1):
                 self._node.diagnostics.refuse(
                     f'{agent}/report',
@@ -165,6 +177,22 @@ class Peers:
         before = self._others[topic]
         self._others[topic] = max(self._node.count_authors(topic, type_name) - own, 0)
         return before, self._others[topic]
+
+    def _look_for_versions(self, agent: str) -> None:
+        """Refuse nodes of an agent whose reports cannot be read."""
+        topic = f'{agent}/report'
+        name = self._node.resolve_topic_name(topic)
+        known = self._node.get_publishers_info_by_topic(name)
+        reports = [each for each in known if each.topic_type == REPORT]
+        self._versions[agent] = {str(each.topic_type_hash) for each in reports}
+        for each in reports:
+            if str(each.topic_type_hash) != self._own:
+                self._node.refuse_once(
+                    topic,
+                    f'node {full_name(each.node_namespace, each.node_name)} has messages of '
+                    'another version of kbnitp_msgs: robots and base must both be of version '
+                    f'{VERSION} or later',
+                )
 
     def _look_for_planners(self, topic: str) -> None:
         """Warn of other planners that publish paths of an agent, once their names are known."""

@@ -24,6 +24,9 @@ MISSION_REASON = 'mission_reason'
 # Key for the last refusal.
 LAST_REFUSAL = 'last_refusal'
 
+# Key of an estimator, before the name of a deployment whose report it refuses.
+HELD = 'held '
+
 # Maximum number of refusals published per period, and of characters of each. Further refusals are
 # only counted, so that a flood of messages does not become a flood of diagnostics.
 SHOWN_AT_ONCE = 10

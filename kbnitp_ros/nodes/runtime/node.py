@@ -11,7 +11,7 @@ import traceback
 from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
-from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import make_grid, value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import DeploymentKey, Grid
@@ -349,6 +349,7 @@ class MissionNode(Node):
 AGENT_TOPICS: dict[type, str] = {
     Path: 'path',
     DeploymentReport: 'report',
+    AgentState: 'state',
     AgentStatus: 'status',
     Recorded: 'recorded',
 }
@@ -393,7 +394,8 @@ class FieldNode(MissionNode):
     ) -> Subscription:
         """Subscribe to a topic of an agent."""
         topic = f'{self.above}/{agent}/{AGENT_TOPICS[kind]}'
-        return self.subscribe(kind, topic, callback, qos.EVIDENCE)
+        profile = qos.LATCHED if kind is AgentState else qos.EVIDENCE
+        return self.subscribe(kind, topic, callback, profile)
 
     def _on_map(self, message: OccupancyGrid) -> None:
         try:

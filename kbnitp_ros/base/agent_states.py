@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The states of the agents of a team, compared with the field of the base."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.states import AgentState, Readiness
+
+
+class AgentStates:
+    """The newest state of each agent of a team."""
+
+    def __init__(self, grid: Grid, values: Mapping[str, Any], agents: Collection[str]) -> None:
+        self._fields = {agent: grid.at(own_base(values, agent, grid)) for agent in agents}
+        self._presumes = values['presume_departure']
+        self._states: dict[str, AgentState] = {}
+        # Differences between the field of an agent and the field of the base, by agent.
+        self.foreign: dict[str, str] = {}
+
+    def take(self, agent: str, state: AgentState) -> bool:
+        """Keep a state; return whether the agent withdraws the reason of its last state."""
+        known = self._states.get(agent)
+        self._states[agent] = state
+        self.foreign.pop(agent, None)
+        if differs := state.difference(self._fields[agent]):
+            self.foreign[agent] = differs
+        is_clear = state.readiness is Readiness.READY and not state.reason
+        return known is not None and bool(known.reason) and is_clear
+
+    @property
+    def unstated(self) -> list[str]:
+        """Return the agents whose field is not known, so that they get no order."""
+        # An agent whose departures are presumed may be out of radio range: its reports say which
+        # field it has.
+        return (
+            [] if self._presumes else [each for each in self._fields if each not in self._states]
+        )
+
+    def reason(self, agent: str) -> str:
+        """Return the agent's field if it differs, or else the reason of its state; '' if none."""
+        if agent in self.foreign:
+            return f'its field differs: {self.foreign[agent]}'
+        state = self._states.get(agent)
+        return '' if state is None else state.reason
+
+    def reasons(self) -> str:
+        """Return what the agents say, in a sentence; empty if none gives a reason."""
+        said = {agent: self.reason(agent) for agent in self._fields}
+        return '; '.join(f'{agent} says: {reason}' for agent, reason in said.items() if reason)
+
+    def why_not_lost(self, agent: str, departed: int) -> str:
+        """Explain why a robot that departed at a time, in ns, is not lost; '' if it may be."""
+        if agent in self.foreign:
+            return f'a loss in another field is no evidence: {self.foreign[agent]}'
+        state = self._states.get(agent)
+        # A state from before the departure says nothing about the robot after it.
+        if state is None or not state.is_at_base or state.stamp < departed:
+            return ''
+        return f'its robot stands at its base{f" ({state.reason})" if state.reason else ""}'
