@@ -38,6 +38,8 @@ class DeploymentInFlight:
     path: NDArray[np.intp]
     # Hash of the path message.
     content: int
+    # Time at which the path was sent, nanoseconds.
+    sent_at: int
     # Whether the path is on disk, so that the agent may accept it.
     is_recorded: bool = False
     # Hash of the status that reports the departure; None before the departure.
@@ -125,9 +127,11 @@ class DeploymentsInFlight(dict[DeploymentKey, DeploymentInFlight]):
         """Return the number of deployments whose messages the publishers no longer keep."""
         return sum(max(0, sent - self.kept) for sent in self._sent_by_agent.values())
 
-    def send(self, key: DeploymentKey, path: NDArray[np.intp], content: int) -> None:
+    def send(
+        self, key: DeploymentKey, path: NDArray[np.intp], content: int, sent_at: int = 0
+    ) -> None:
         """Record that a robot was sent; `content` is the hash of its path message."""
-        self[key] = DeploymentInFlight(path, content)
+        self[key] = DeploymentInFlight(path, content, sent_at)
         self._sent.add(key)
         self._others.pop(key, None)
         self._sent_by_agent[key.agent] += 1

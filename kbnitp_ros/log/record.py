@@ -210,8 +210,6 @@ class RecordedMission(MissionRecord):
         # Time of receipt of each path, and of each report by its stamp, nanoseconds.
         self.sent: dict[DeploymentKey, int] = {}
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
-        # Deployments whose robots are back although no report of theirs counts, with the reason.
-        self.held: dict[DeploymentKey, str] = {}
         # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
         # All paths and all reports, by hash of the message; reports that match a path, by stamp.
@@ -266,12 +264,7 @@ class RecordedMission(MissionRecord):
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
         """Record a report, also if another report of the same deployment counts."""
         self._reports_read.setdefault((key, report.content), report)
-        try:
-            return super().record_report(key, report)
-        except ValueError as error:
-            if is_back(report, self.grid) and key not in self.outcomes:
-                self.held[key] = f'its report is refused: {error}'
-            raise
+        return super().record_report(key, report)
 
     def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
         outcome = super()._outcome(key, report)
@@ -280,7 +273,6 @@ class RecordedMission(MissionRecord):
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
         self.reports[key] = report
-        self.held.pop(key, None)
         if report.survived:
             self.departures.end(key, report.stamp)
         if key in self.contradicted:
@@ -337,11 +329,6 @@ class RecordedMission(MissionRecord):
     def without_path(self) -> list[DeploymentKey]:
         """Return the deployments with a report but no path."""
         return list(self._pending)
-
-
-def is_back(report: Report, grid: Grid) -> bool:
-    """Return whether a refused report shows that its robot was not lost in this field."""
-    return report.survived or report.field_id not in ('', grid.id)
 
 
 def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:

@@ -17,8 +17,8 @@ from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.core import DeploymentKey, Report
 from kbnitp_ros.core.field.observation import lost_after_contact
-from kbnitp_ros.core.inference.record import make_observation
-from kbnitp_ros.log.record import is_back, MissingError, RecordedMission
+from kbnitp_ros.core.inference.record import is_back, make_observation
+from kbnitp_ros.log.record import MissingError, RecordedMission
 from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
@@ -93,7 +93,7 @@ class Dispatch:
             if self.in_flight.sent in resumed_at:
                 self.in_flight.release(*self.in_flight.still_agents)
             path, content = record.paths[key], record.path_contents[key]
-            self.in_flight.send(key, path, content)
+            self.in_flight.send(key, path, content, record.sent[key])
             self.in_flight.record(key, content)
             if key.stamp <= LAST_COUNTED_ON:
                 self.last_stamp = key.stamp
@@ -109,7 +109,7 @@ class Dispatch:
             if record.outcome(key) is not None:
                 self._end(key, record.reports[key])
             elif key in record.held:
-                self.hold(key, record.held[key])
+                self.hold(key, f'its report is refused: {record.held[key]}')
         if self.in_flight.sent in resumed_at:
             self.in_flight.release(*self.in_flight.still_agents)
         for key, report in recorded_losses(record, self._values):
@@ -154,7 +154,7 @@ class Dispatch:
         for key, plan in plans.items():
             message = path_message(self._node.grid, plan.path, key.stamp, mission)
             content = content_hash(message)
-            self.in_flight.send(key, plan.path, content)
+            self.in_flight.send(key, plan.path, content, self._node.now())
             self._rounds.count_path(plan.path)
             self._knowledge.note_path(key, plan.path, content)
             self.paths[key.agent].publish(message)
@@ -182,7 +182,9 @@ class Dispatch:
 
     def _why_not_lost(self, key: DeploymentKey) -> str:
         status = self.in_flight.departures.status(key)
-        return self.states.why_not_lost(key.agent, status.stamp if status else key.stamp)
+        # The time of a presumed departure is not known.
+        departed = status.stamp if status else self.in_flight[key].sent_at
+        return self.states.why_not_lost(key.agent, departed)
 
     def hold(self, key: DeploymentKey, why: str, *, is_left_to_operator: bool = True) -> None:
         """Hold a deployment that counts neither as evidence nor as a loss."""

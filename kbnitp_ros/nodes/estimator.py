@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
@@ -12,12 +13,11 @@ from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.configuration.table import MAX_AGENTS
-from kbnitp_ros.core import DeploymentKey, Ledger, Report
+from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import (
     check_same_field,
     Departures,
-    is_back,
     is_of_mission,
     MissingError,
     read_mission,
@@ -115,15 +115,11 @@ class EstimatorNode(FieldNode):
         evidence = log.read('path', 'report', 'status')
         for role, logged in self.log_progress(evidence, f'reading {log.path}'):
             # Evidence that was refused before the restart is refused again.
-            try:
+            with suppress(ValueError):
                 if role.name == 'status':
                     self._departures.take(*logged.said)
                 elif is_of_mission(role, logged, self._mission):
                     record(self._ledger, role, logged)
-            except ValueError as error:
-                if role.name == 'report':
-                    key, report = logged.said
-                    self._hold(key, report, error)
         for key in self._ledger.deployments:
             self._departures.end(key, None)
 
@@ -175,10 +171,6 @@ class EstimatorNode(FieldNode):
     ) -> None:
         try:
             key, report = read_report(message, agent)
-        except ValueError as error:
-            self._refuse(f'{agent}/report', error)
-            return
-        try:
             if not report.survived:
                 self._departures.check_loss(key)
             named = replace(report, content=content_hash(message))
@@ -187,7 +179,6 @@ class EstimatorNode(FieldNode):
             if not self._early.keep(deadline, agent, message):
                 self._refuse(f'{agent}/report', error)
         except ValueError as error:
-            self._hold(key, report, error)
             self._refuse(f'{agent}/report', error)
         else:
             self._departures.end(key, report.stamp if report.survived else None)
@@ -200,11 +191,6 @@ class EstimatorNode(FieldNode):
                     'the position of the robot was uncertain'
                 )
             self._accept(key, changed)
-
-    def _hold(self, key: DeploymentKey, report: Report, why: ValueError) -> None:
-        """Publish that a deployment counts for nothing although its robot is back."""
-        if is_back(report, self.grid) and key not in self._ledger.outcomes:
-            self.diagnostics.values[f'{HELD}{key}'] = str(why)
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Record an agent's status, which does not affect the belief."""
@@ -247,7 +233,6 @@ class EstimatorNode(FieldNode):
         self.diagnostics.refuse(topic, error)
 
     def _accept(self, key: DeploymentKey, changed: bool) -> None:
-        self.diagnostics.values.pop(f'{HELD}{key}', None)
         self._update_warning()
         self._count_out()
         if self._awaiting.is_canceled():
@@ -308,7 +293,11 @@ class EstimatorNode(FieldNode):
         self._update_warning()
 
     def _update_warning(self) -> None:
-        """Publish the number of reports without a path, and warn if it exceeds `MAX_AGENTS`."""
+        """Publish held deployments and reports without a path; warn of more than `MAX_AGENTS`."""
+        values = self.diagnostics.values
+        for name in [name for name in values if name.startswith(HELD)]:
+            del values[name]
+        values |= {f'{HELD}{key}': why for key, why in self._ledger.held.items()}
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
         if pending > MAX_AGENTS:

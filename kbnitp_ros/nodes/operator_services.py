@@ -229,9 +229,14 @@ class Operator:
         self.state.apply(action)
         self.hold(self.state.is_holding)
         self._node.get_logger().info(f'the operator {action}')
+        pending = ''.join(
+            f'; {key} is held, since {why}: it counts as lost from now on'
+            for key, why in self._in_flight.held.items()
+            if key in action.paths
+        )
         self._act(action)
-        pending = ''
-        out = [key for key in self._in_flight if key not in self._in_flight.undeparted]
+        not_awaited = {*self._in_flight.undeparted, *self._in_flight.held}
+        out = [key for key in self._in_flight if key not in not_awaited]
         if action.action == Action.END and out:
             pending = f'; the mission is over once {some(out)} are reported'
         return answered(response, True, f'the operator {action}{pending}')

@@ -84,7 +84,7 @@ class PlannerNode(FieldNode):
         if self.values['resume']:
             log = resumed_log(self.values['resume'], self.roles)
             self._restore(log)
-            check_robots(self.values['robots'], self._sent)
+            check_robots(self.values['robots'], self._counted)
         self._operator.hold(self._operator.state.is_holding)
         StatePublisher(self, self.grid).publish(Readiness.READY)
         self.add_on_set_parameters_callback(self._check_changes)
@@ -126,7 +126,7 @@ class PlannerNode(FieldNode):
         newest = self._beliefs.tracker.newest
         believed = newest.robot_types if newest else {}
         try:
-            check_changes(new, self.values, self.grid, believed, self._sent)
+            check_changes(new, self.values, self.grid, believed, self._counted)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -149,6 +149,11 @@ class PlannerNode(FieldNode):
     def _sent(self) -> int:
         """Return the number of robots sent, including those known only from the belief."""
         return self._in_flight.sent + self._beliefs.sent_unknown
+
+    @property
+    def _counted(self) -> int:
+        """Return the number of robots sent, without those that came back without a step."""
+        return self._sent - len(self._in_flight.unmoved)
 
     def _act(self, action: OperatorAction) -> None:
         """Apply an action of the operator."""

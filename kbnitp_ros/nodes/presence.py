@@ -109,6 +109,10 @@ def rank(values: Mapping[str, str]) -> tuple[int, str]:
     return int(values[BEGUN]), values[INSTANCE]
 
 
+# Type hash of publishers that state none, as those of earlier distributions of ROS.
+UNHASHED = 'INVALID'
+
+
 class Peers:
     """The other participants of the mission, as last seen in the graph."""
 
@@ -135,7 +139,8 @@ class Peers:
     @property
     def outdated(self) -> list[str]:
         """Return the agents whose nodes have reports of another version."""
-        return [agent for agent in self._agents if self._versions.get(agent, set()) - {self._own}]
+        known = {self._own, UNHASHED}
+        return [agent for agent in self._agents if self._versions.get(agent, set()) - known]
 
     @property
     def silent(self) -> list[str]:
@@ -186,7 +191,7 @@ class Peers:
         reports = [each for each in known if each.topic_type == REPORT]
         self._versions[agent] = {str(each.topic_type_hash) for each in reports}
         for each in reports:
-            if str(each.topic_type_hash) != self._own:
+            if str(each.topic_type_hash) not in (self._own, UNHASHED):
                 self._node.refuse_once(
                     topic,
                     f'node {full_name(each.node_namespace, each.node_name)} has messages of '

@@ -4,6 +4,7 @@
 from dataclasses import replace
 from itertools import combinations
 
+from kbnitp_ros.base.agent_states import AgentStates
 from kbnitp_ros.base.checks import check_changes, check_robots, cut_off_note, reach_note
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_evidence import MissionEvidence
@@ -17,6 +18,7 @@ from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_report
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
 from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.messages.states import read_state, Readiness, state_message
 from laws import for_each
 import numpy as np
 import pytest
@@ -35,6 +37,13 @@ def in_flight(*keys, kept=2):
     return robots
 
 
+def states(**said):
+    known = AgentStates(GRID, {**VALUES, 'grid.base': GRID.base}, ['scout_1'])
+    stated = {'readiness': Readiness.READY, 'reason': '', 'is_at_base': True, 'stamp': 1, **said}
+    known.take('scout_1', read_state(state_message(GRID, 'scout_1', **stated), 'scout_1'))
+    return known
+
+
 def operator(*actions):
     state = OperatorState()
     for stamp, action in enumerate(actions):
@@ -47,6 +56,7 @@ CLEAR = PlannerState(
     values=VALUES,
     agents=['scout_1'],
     in_flight=in_flight(),
+    states=states(),
     operator=operator(),
     unrecorded_action='',
     sent=1,

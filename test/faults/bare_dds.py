@@ -66,9 +66,12 @@ class BareParticipant:
         self._participant = DomainParticipant(domain)
         self._writers = []
 
-    def announce(self, topic, type_name):
+    def announce(self, topic, type_name, type_hash=''):
         text = text_type(type_name)
-        writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=LATCHED)
+        # As a node of ROS states the hash of a message's type.
+        stated = Qos(Policy.Userdata(f'typehash={type_hash};'.encode()), base=LATCHED)
+        qos = stated if type_hash else LATCHED
+        writer = DataWriter(self._participant, Topic(self._participant, topic, text), qos=qos)
         writer.write(text(data='x'))
         self._writers.append(writer)
 

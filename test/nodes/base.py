@@ -136,11 +136,11 @@ class Base:
         home = Observation(cells, True, [False] * (len(cells) - 1))
         self.reports[agent].publish(report_message(key, home, key.stamp + 1))
 
-    def replayed(self):
+    def replayed(self, *, has_refused=False):
         """End all nodes and return the replay of the log, which must be bit-exact."""
         for name, code in self.field.processes.stop(60).items():
             assert code == 0, self.field.said(name)
         report = replay(self.log)
         assert report.reproduced
-        assert not report.evidence.refused
+        assert bool(report.evidence.refused) == has_refused
         return report

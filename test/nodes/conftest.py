@@ -8,11 +8,12 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import COVERED, ForkedProcesses
-from kbnitp_msgs.msg import AgentStatus, Recorded
+from kbnitp_msgs.msg import AgentState, AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration import find_parameter
 from kbnitp_ros.configuration.known import ROS_PARAMETERS
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.states import Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
 import pytest
 from rcl_interfaces.srv import SetParameters
@@ -37,6 +38,7 @@ class Field:
         self.executor = SingleThreadedExecutor(context=node.context)
         self.executor.add_node(node)
         self._outputs = {}
+        self._states = {}
         self._diagnosed = {}
         self._diagnosed_at = {}
         node.create_subscription(
@@ -132,6 +134,14 @@ class Field:
         publisher = self.node.create_publisher(kind, topic, profile)
         self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
         return publisher
+
+    def stand(self, agent, grid, reason='', is_at_base=True, state=Readiness.READY):
+        """Publish the state of an agent that the test plays."""
+        topic = f'/{agent}/state'
+        if topic not in self._states:
+            self._states[topic] = self.node.create_publisher(AgentState, topic, qos.LATCHED)
+        now = self.node.get_clock().now().nanoseconds
+        self._states[topic].publish(state_message(grid, agent, state, reason, is_at_base, now))
 
     def set_parameter(self, full_name, name, value):
         """Change a parameter of a node like `ros2 param set`; return the node's answer."""

@@ -31,11 +31,13 @@ SILENT = {
 class StatedBase(Base):
     """A base that takes silence for loss; the test plays agents that state departures."""
 
-    def __init__(self, field, agents=('scout_1',), **parameters):
+    def __init__(self, field, agents=('scout_1',), fields=None, **parameters):
         self.statuses = {
             agent: field.node.create_publisher(AgentStatus, f'/{agent}/status', qos.EVIDENCE)
             for agent in agents
         }
+        for agent in agents:
+            field.stand(agent, (fields or {}).get(agent, GRID))
         self.holds = field.listen(Bool, '/hold')
         self.progress = field.listen(Progress, '/progress')
         super().__init__(field, agents, **{**SILENT, **parameters})

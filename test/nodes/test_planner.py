@@ -49,6 +49,7 @@ class Mission:
         self.reports = field.node.create_publisher(
             DeploymentReport, '/scout_1/report', qos.EVIDENCE
         )
+        field.stand('scout_1', GRID)
         self.beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
         field.start('planner', {**PARAMETERS, **parameters})
         field.until(lambda: self.beliefs.get_subscription_count(), 'reader of belief')

@@ -434,6 +434,9 @@ class OnePass:
         """Return the posterior (:eq:`returned`, :eq:`loss-contact`, :eq:`loss-located`)."""
         check_cells(belief, observation)
         path, readings = observation.evidence
+        if path.size == 1:
+            # A return without a step that counts.
+            return belief
         if not self.correlated:
             joint, entered = belief.joint.copy(), path[1:]
             joint[entered] = Belief(joint[entered]).independent().joint

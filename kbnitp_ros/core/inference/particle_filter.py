@@ -52,8 +52,9 @@ class Evidence:
         entered = visits.of_step[:, None] == np.arange(cells)
         made = entered.cumsum(axis=0) - entered
         at = np.eye(visits.counts.max(initial=0) + 1)[made]
+        size = steps, cells * at.shape[-1]
         inside, elsewhere = (
-            (at * where[..., None]).reshape(steps, -1).T for where in (entered, ~entered)
+            (at * where[..., None]).reshape(size).T for where in (entered, ~entered)
         )
         lost_in = None if observation.survived else loss_weights(observation)
         return cls(

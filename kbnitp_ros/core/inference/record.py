@@ -117,6 +117,9 @@ class MissionRecord:
         Hashes of the messages of the known paths; 0 without a message.
     contradicted : dict of DeploymentKey to str
         Deployments with contradicting returns, each with a sentence that explains it.
+    held : dict of DeploymentKey to str
+        Deployments without an outcome whose robots were not lost in this field, although their
+        reports are refused, each with the reason.
     duplicates : int
         Number of duplicate paths and reports.
     lost : int
@@ -139,6 +142,7 @@ class MissionRecord:
         self.outcomes: dict[DeploymentKey, Observation] = {}
         self.path_contents: dict[DeploymentKey, int] = {}
         self.contradicted: dict[DeploymentKey, str] = {}
+        self.held: dict[DeploymentKey, str] = {}
         self.duplicates = self.lost = self.pending = 0
         self._pending: dict[DeploymentKey, dict[Report, None]] = {}
         self._pending_bytes = 0
@@ -169,6 +173,7 @@ class MissionRecord:
         other.paths, other.outcomes = self.paths.copy(), self.outcomes.copy()
         other.path_contents = self.path_contents.copy()
         other.contradicted = self.contradicted.copy()
+        other.held = self.held.copy()
         other.copy_pending(self)
         return other
 
@@ -198,6 +203,15 @@ class MissionRecord:
         if key not in self.paths:
             self._keep_pending(key, report)
             return False
+        try:
+            return self._record(key, report)
+        except ValueError as error:
+            if key not in self.outcomes and is_back(report, self.grid):
+                self.held[key] = str(error)
+            raise
+
+    def _record(self, key: DeploymentKey, report: Report) -> bool:
+        """Record the report of a known path; return whether the outcome changes."""
         outcome = self._outcome(key, report)
         known = self.outcomes.get(key)
         differs = (
@@ -219,6 +233,7 @@ class MissionRecord:
             return False
         self._assimilate(key, outcome, report)
         self.outcomes[key] = outcome
+        self.held.pop(key, None)
         self.lost += (not outcome.survived) - (known is not None and not known.survived)
         return True
 
@@ -288,6 +303,11 @@ def outcome_rank(outcome: Observation) -> tuple[Any, ...]:
     readings = [] if outcome.readings is None else outcome.readings.tolist()
     read, entered = sum(each >= 0 for each in readings), int(outcome.is_entered.sum())
     return ending_key(outcome), read, entered, readings, outcome.path.tolist()
+
+
+def is_back(report: Report, grid: Grid) -> bool:
+    """Return whether a report, even if it is refused, shows that no robot was lost in a field."""
+    return report.survived or report.field_id not in ('', grid.id)
 
 
 def report_size(report: Report) -> int:
