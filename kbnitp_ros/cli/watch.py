@@ -179,7 +179,7 @@ class Follower:
         mission = read_mission(self.log, namespace=self._namespace)
         page, _ = mission_page(mission, mission_curves(mission), is_live=True)
         self._describe(
-            f'Following the log: {len(mission.ended)} robots reported, {mission.in_flight} in '
+            f'Following the log: {len(mission.robots)} robots reported, {mission.in_flight} in '
             'flight.'
         )
         if page != self._bare:

@@ -19,11 +19,22 @@ from kbnitp_ros.log.roles import MissionLog, TRUTH
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
+from kbnitp_ros.messages.states import AgentState
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-ROLES = ('belief', 'decision', 'model', 'path', 'progress', 'report', 'status', *TRUTH)
+ROLES = (
+    'belief',
+    'decision',
+    'model',
+    'path',
+    'progress',
+    'report',
+    'state',
+    'status',
+    *TRUTH,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +89,8 @@ class History:
     bounds: dict[int, float] = field(default_factory=dict)
     # The last recorded decision on the goal.
     decision: Decision | None = None
+    # The last state of each agent.
+    states: dict[str, AgentState] = field(default_factory=dict)
     # The hidden truth, if the agent published it.
     world: World | None = None
     # The first corrupt place of each file, where reading ends.
@@ -140,6 +153,8 @@ def read_history(
                 evidence.take(role, logged)
             elif role.name == 'model':
                 history.models[stamp] = logged.said
+            elif role.name == 'state':
+                history.states[role.agent] = logged.said
             elif role.name == 'decision':
                 history.decision = read_decision(first.grid, message)
             elif role.name in TRUTH:

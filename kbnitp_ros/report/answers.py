@@ -293,7 +293,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
         f'{entropy[-1]:.1f} of {entropy[0]:.1f} nats of entropy. {risk(mission)}',
         'curves-title',
     )
-    ended = mission.ended
+    ended = mission.robots
     lost = sum(not each.survived for each in ended)
     yield Tile(
         'What did it cost?',

@@ -133,6 +133,11 @@ class Mission:
         """Return the outcomes of the deployments that ended."""
         return [each.outcome for each in self.deployments if each.outcome is not None]
 
+    @property
+    def robots(self) -> list[Observation]:
+        """Return the outcomes that count as robots: not of those that came back without a step."""
+        return [each for each in self.ended if not each.survived or np.ptp(each.path)]
+
     def loss_cost(self, agent: str) -> float:
         """Return the recorded cost of a lost robot of an agent, nats."""
         for values in self.parameters.values():
@@ -145,7 +150,7 @@ class Mission:
         visited = np.zeros(self.grid.cells, dtype=bool)
         for deployment in self.deployments:
             ended = deployment.outcome
-            visited[deployment.path if ended is None else ended.path] = True
+            visited[deployment.path if ended is None else ended.evidence[0]] = True
         return visited
 
 
@@ -299,6 +304,12 @@ def log_notes(log: str | Path, history: History, in_flight: int) -> Iterator[str
         yield f'{counted(in_flight, "robot")} {were} in flight when the log ended.'
     if evidence.without_path:
         yield f'No path is on record for {counted(len(evidence.without_path), "deployment")}.'
+    for key, why in evidence.held.items():
+        yield f'{key} is held, and counts for nothing: {why}'
+    for agent, state in history.states.items():
+        field = evidence.grid.at(evidence.robot_type(DeploymentKey(agent, 0)).base)
+        if reason := state.difference(field) or state.reason:
+            yield f'{agent or "The base"} says: {reason}'
     for refusal in evidence.refused[:REFUSALS]:
         yield f'Refused: {refusal}'
     if len(evidence.refused) > REFUSALS:

@@ -275,20 +275,23 @@ def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
 
 def summary(mission: Mission, curves: Curves) -> str:
     """Summarize a mission in a few sentences."""
-    ended, entropy = mission.ended, curves.entropy
+    ended, entropy = mission.robots, curves.entropy
     lost = sum(not each.survived for each in ended)
     agents = len({each.key.agent for each in mission.deployments})
+    unmoved = len(mission.ended) - len(ended)
+    sent = len(mission.deployments) - unmoved
     share = 100.0 * entropy[-1] / entropy[0] if entropy[0] else 0.0
     words = [
-        f'{counted(len(mission.deployments), "robot")} of {counted(agents, "agent")} went into '
+        f'{counted(sent, "robot")} of {counted(agents, "agent")} went into '
         f'a field of {mission.grid.width} x {mission.grid.height} cells: '
         f'{len(ended) - lost} returned, {lost} lost.',
+        f'{counted(unmoved, "robot")} came back without a step.' if unmoved else '',
         f'{share:.0f} % of the uncertainty about hazards and targets is left.',
         f'Method {mission.rules["method"]}.',
     ]
     if 'time' in mission.run:
         words.append(f'Recorded {mission.run["time"][:16].replace("T", " ")} UTC.')
-    return ' '.join(words)
+    return ' '.join(filter(None, words))
 
 
 def map_colours(mission: Mission) -> dict[str, str]:
@@ -402,7 +405,7 @@ def first_visits(mission: Mission) -> NDArray[np.intp]:
     for deployment in mission.deployments:
         known = [(deployment.path, deployment.sent or 0)]
         if deployment.outcome is not None and deployment.reported is not None:
-            known.append((deployment.outcome.path, deployment.reported))
+            known.append((deployment.outcome.evidence[0], deployment.reported))
         for path, time in known:
             first[path] = np.minimum(first[path], np.searchsorted(times, time))
     return first
@@ -475,6 +478,8 @@ def moment_facts(
         if seen.readings is not None:
             read = seen.readings.astype(int)
             yield 'outcome', f'returned after {counted(seen.steps, "step")}'
+            if out_of := seen.steps - int(seen.is_entered.sum()):
+                yield 'not vouched for', f'{counted(out_of, "step")}, which count for nothing'
             yield 'targets read', f'{(read == 1).sum()} in {counted((read >= 0).sum(), "look")}'
         else:
             yield 'outcome', f'lost on a path of {counted(seen.steps, "step")}'

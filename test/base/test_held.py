@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Held deployments are neither evidence nor losses, and robots that never moved do not count."""
+
+from dataclasses import replace
+
+from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle
+from kbnitp_ros.messages.deployments import AgentStatus, OrderState
+from kbnitp_ros.messages.operator_actions import Action
+import numpy as np
+from samples import HOME, key
+from test_obstacles import CLEAR, operator, VALUES
+
+HOME_PATH = np.array(HOME)
+SECOND = 10**9
+# Longer than a robot on `HOME` may be away.
+LONG = 100 * SECOND
+
+
+def departed(*keys):
+    robots = DeploymentsInFlight(VALUES, 10)
+    for each in keys:
+        robots.send(each, HOME_PATH, 1)
+        robots.take(each, AgentStatus(OrderState.DEPARTED, each.stamp))
+    return robots
+
+
+def overdue(robots, now):
+    """Return the robots that are overdue at two checks."""
+    robots.overdue(now)
+    return robots.overdue(now + 1)
+
+
+def test_a_held_return_is_never_overdue_and_blocks_nobody():
+    one, other = key(1), key(2, 'scout_2')
+    robots = departed(one, other)
+    robots.overdue(1)
+    assert robots.hold(one, 'its report is refused', is_left_to_operator=True)
+    assert not robots.hold(one, 'its report is refused', is_left_to_operator=True)
+    assert overdue(robots, LONG) == [other]
+    now = replace(CLEAR, agents=['scout_1', 'scout_2'], in_flight=robots, sent=3)
+    assert now.unreported == [other]
+    assert 'scout_1' not in now.free_agents
+    # The belief lacks it, and is not behind.
+    robots.end(other)
+    now = replace(now, newest=2, last_received=2)
+    assert now.obstacle is Obstacle.ALL_LEFT
+    said = describe_obstacle(now, now.obstacle)
+    assert f'the operator to decide on {one}: its report is refused' in said
+    assert '/b/give_up' in said
+    # After end_mission it is not awaited.
+    assert replace(now, operator=operator(Action.END)).obstacle is Obstacle.ALL_DEPLOYED
+    # A valid report ends it.
+    robots.end(one, 5)
+    assert not robots.held
+    assert now.free_agents == ['scout_1', 'scout_2']
+
+
+def test_a_robot_that_leaves_its_base_late_has_its_whole_time():
+    (one,) = keys = [key(1)]
+    robots = departed(*keys)
+    robots.overdue(1)
+    assert overdue(robots, LONG) == keys
+    robots.hold(one, 'it stands at its base', is_left_to_operator=False)
+    assert robots.overdue(LONG + 2) == []
+    # Still there when its time is over again.
+    assert overdue(robots, 2 * LONG) == keys
+    robots.hold(one, 'it stands at its base', is_left_to_operator=False)
+    robots.leave('scout_2')
+    assert robots.held
+    robots.leave('scout_1')
+    assert not robots.held
+    assert overdue(robots, 2 * LONG + 2) == []
+    assert overdue(robots, 3 * LONG) == keys
+
+
+def test_a_refused_report_stays_with_the_operator_whatever_the_robot_says():
+    (one,) = keys = [key(1)]
+    robots = departed(*keys)
+    robots.hold(one, 'its report is refused', is_left_to_operator=True)
+    robots.leave('scout_1')
+    assert robots.held
+    robots.overdue(1)
+    assert overdue(robots, LONG) == []
+
+
+def test_what_the_estimator_refuses_is_held_until_it_does_not():
+    (one,) = keys = [key(1)]
+    robots = departed(*keys)
+    assert robots.follow({str(one): 'impossible'}) == []
+    robots.end(one, 5)
+    assert robots.follow({'scout_1 at 7': 'unknown'}) == []
+    assert robots.follow({str(one): 'impossible'}) == keys
+    assert robots.held == {one: 'the estimator refuses its report: impossible'}
+    assert robots.follow({str(one): 'impossible'}) == []
+    assert robots.follow({}) == []
+    assert not robots
+    # Not what the planner itself refuses.
+    robots = departed(one)
+    robots.hold(one, 'its report is refused', is_left_to_operator=True)
+    robots.follow({})
+    assert robots.held
+
+
+def test_robots_without_a_step_do_not_count_and_two_stop_their_agent():
+    robots = departed(key(1), key(2), key(3))
+    now = replace(CLEAR, in_flight=robots, sent=3, newest=3, last_received=3)
+    robots.end(key(1), 5, moved=False)
+    assert robots.still_agents == []
+    robots.end(key(2), 6, moved=False)
+    robots.end(key(2), 6, moved=False)
+    assert robots.still_agents == ['scout_1']
+    assert now.robots == VALUES['robots'] + 2
+    robots.end(key(3), 7)
+    assert robots.still_agents == []
+    assert robots.unmoved == {key(1), key(2)}
+    for number in (4, 5):
+        robots.send(key(number), HOME_PATH, 1)
+        robots.end(key(number), 8, moved=False)
+    now = replace(now, sent=5, newest=5, last_received=5)
+    assert now.obstacle is Obstacle.NO_FREE_AGENT
+    said = describe_obstacle(now, now.obstacle)
+    assert 'scout_1 came back without a step 2 times in a row' in said
+    robots.release(*robots.still_agents)
+    assert now.obstacle is None
+    done = replace(now, sent=7, newest=7, last_received=7)
+    assert done.obstacle is Obstacle.ALL_DEPLOYED
+    assert describe_obstacle(done, done.obstacle) == '3 of 3 robots deployed'
