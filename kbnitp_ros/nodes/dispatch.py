@@ -31,7 +31,7 @@ from kbnitp_ros.messages.headers import content_hash, LAST_COUNTED_ON, mission_o
 from kbnitp_ros.messages.operator_actions import Action
 from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
+from kbnitp_ros.nodes.runtime.node import FieldNode, LOG_FIRST, PendingMessages
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,8 @@ class Dispatch:
         }
         self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
         self.states = AgentStates(node.grid, self._values, agents)
-        # Reasons of agents that were logged.
+        # Reason of each agent, with the time since which it gives it, and the reasons logged.
+        self._reasons: dict[str, tuple[str, float]] = {}
         self._told: set[tuple[str, str]] = set()
         # Robots that were given up, and the time until which they may return.
         self._late: dict[DeploymentKey, float] = {}
@@ -197,6 +198,14 @@ class Dispatch:
         for key in [key for key in self._goals if self.in_flight.has_departed(key)]:
             self._log_departure(key)
 
+    def log_reasons(self) -> None:
+        """Log once each reason that an agent gives for `LOG_FIRST`: short waits are normal."""
+        for agent, (reason, since) in self._reasons.items():
+            is_new = reason and (agent, reason) not in self._told
+            if is_new and time.monotonic() > since + LOG_FIRST:
+                self._told.add((agent, reason))
+                self._node.get_logger().warning(f'{agent} says: {reason}')
+
     def _log_departure(self, key: DeploymentKey) -> None:
         if goal := self._goals.pop(key, None):
             self._pauses.pop(key.agent, None)
@@ -256,9 +265,8 @@ class Dispatch:
             return
         reason = self.states.reason(agent)
         self._node.diagnostics.values[f'agent {agent}'] = reason
-        if reason and (agent, reason) not in self._told:
-            self._told.add((agent, reason))
-            self._node.get_logger().warning(f'{agent} says: {reason}')
+        if reason != self._reasons.get(agent, ('', 0.0))[0]:
+            self._reasons[agent] = reason, time.monotonic()
         if is_withdrawn and agent in self.in_flight.still_agents:
             self.in_flight.release(agent)
         for key in [key for key in self.in_flight.held if key.agent == agent]:

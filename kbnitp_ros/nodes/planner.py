@@ -142,6 +142,7 @@ class PlannerNode(FieldNode):
 
     def _go_on(self) -> None:
         self._dispatch.log_departures()
+        self._dispatch.log_reasons()
         self._dispatch.give_up_overdue()
         self._deploy()
 

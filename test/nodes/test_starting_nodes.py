@@ -320,7 +320,8 @@ def test_console_and_replay_state_the_end_of_a_mission(field):
     field.until(lambda: is_recorded(0.5), 'the change on record')
     base.do('end_mission')
     base.come_back()
-    ended = 'done: 2 of 2 robots deployed, ended by the operator'
+    # The robot that did not move does not count.
+    ended = 'done: 1 of 2 robots deployed, ended by the operator'
     base.until_state(ended)
     said = field.said('/planner')
     assert 'parameter loss_cost is 0.5 now, and was 0.0' in said

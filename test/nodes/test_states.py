@@ -51,7 +51,7 @@ def test_no_robot_leaves_and_no_report_counts_with_a_foreign_field(field):
     base = Base(field, robots=2, fields={'scout_1': Grid(6, 5)})
     words = 'its field differs: parameter grid.width is 6 there and 5 here'
     base.until_state(f'scout_1 says: {words}')
-    assert f'scout_1 says: {words}' in field.said('/planner')
+    base.until_told(f'scout_1 says: {words}')
     assert field.told('/planner', 'agent scout_1') == words
     assert not base.paths['scout_1']
     states = field.listen(AgentState, '/state')
