@@ -15,7 +15,7 @@ from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import recorded_losses
 from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.core import DeploymentKey, Report
+from kbnitp_ros.core import DeploymentKey, Observation, Report
 from kbnitp_ros.core.field.observation import lost_after_contact
 from kbnitp_ros.core.inference.record import is_back, make_observation
 from kbnitp_ros.log.record import MissingError, RecordedMission
@@ -107,8 +107,8 @@ class Dispatch:
             # The publisher of the former planner, which kept the path, is gone.
             self.paths[key.agent].publish(record.messages[key])
             self._rounds.count_path(path)
-            if record.outcome(key) is not None:
-                self._end(key, record.reports[key])
+            if outcome := record.outcome(key):
+                self._end(key, record.reports[key], outcome)
             elif key in record.held:
                 self.hold(key, f'its report is refused: {record.held[key]}')
         if self.in_flight.sent in resumed_at:
@@ -232,7 +232,8 @@ class Dispatch:
             self._hold_refused(agent, message, error)
             return
         self._log_departure(key)
-        self._end(key, report)
+        self._knowledge.note_report(key, report)
+        self._end(key, report, self._knowledge.record.outcomes.get(key))
         if report.survived:
             if key in self._late:
                 self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
@@ -241,7 +242,6 @@ class Dispatch:
                     f'{key} returned without moving, and does not count as a robot of the '
                     f'mission: {self.states.reason(agent) or "see the console of its robot"}'
                 )
-        self._knowledge.note_report(key, report)
         self._act()
 
     def _hold_refused(self, agent: str, message: DeploymentReport, why: ValueError) -> None:
@@ -252,9 +252,9 @@ class Dispatch:
                 self.hold(key, f'its report is refused: {why}')
                 self._act()
 
-    def _end(self, key: DeploymentKey, report: Report) -> None:
+    def _end(self, key: DeploymentKey, report: Report, outcome: Observation | None) -> None:
         """Remove a reported deployment from the deployments in flight."""
-        moved = not report.survived or len({cell for cell, _ in report.readings}) > 1
+        moved = outcome is None or not outcome.is_unmoved
         self.in_flight.end(key, report.stamp if report.survived else None, moved)
 
     def _on_state(self, agent: str, message: AgentState) -> None:

@@ -235,8 +235,8 @@ class Operator:
             if key in action.paths
         )
         self._act(action)
-        not_awaited = {*self._in_flight.undeparted, *self._in_flight.held}
-        out = [key for key in self._in_flight if key not in not_awaited]
+        robots = self._in_flight
+        out = [key for key in robots if key not in {*robots.undeparted, *robots.held}]
         if action.action == Action.END and out:
             pending = f'; the mission is over once {some(out)} are reported'
         return answered(response, True, f'the operator {action}{pending}')

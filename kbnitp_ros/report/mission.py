@@ -136,7 +136,7 @@ class Mission:
     @property
     def robots(self) -> list[Observation]:
         """Return the outcomes that count as robots: not of those that came back without a step."""
-        return [each for each in self.ended if not each.survived or np.ptp(each.path)]
+        return [each for each in self.ended if not each.is_unmoved]
 
     def loss_cost(self, agent: str) -> float:
         """Return the recorded cost of a lost robot of an agent, nats."""

@@ -8,11 +8,12 @@ from campaign import run_forged_missions, run_mission, run_missions
 from extent import some
 from fickle_robot import CRASHED
 from forger import FORGERIES, run_forged
-from kbnitp_msgs.msg import DeploymentReport
+from kbnitp_msgs.msg import AgentState, DeploymentReport
 from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import report_message
+from kbnitp_ros.messages.states import Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
 from mission import NAMESPACE
 import numpy as np
@@ -125,6 +126,11 @@ class Agent:
         self._publisher = mission.node.create_publisher(
             DeploymentReport, f'{NAMESPACE}/{AGENT}/report', qos.EVIDENCE
         )
+        self._states = mission.node.create_publisher(
+            AgentState, f'{NAMESPACE}/{AGENT}/state', qos.LATCHED
+        )
+        grid = make_grid(with_defaults(parameters))
+        self._states.publish(state_message(grid, AGENT, Readiness.READY, '', True, 1))
 
     def report(self, number, survived):
         mission, evidence = self._mission, self._mission.onlooker.evidence

@@ -167,6 +167,11 @@ class Observation(Value):
         return len(self.path) - 1
 
     @property
+    def is_unmoved(self) -> bool:
+        """Return whether the robot came back without a step into another cell."""
+        return self.survived and bool((self.path == self.path[0]).all())
+
+    @property
     def is_entered(self) -> NDArray[np.bool_]:
         """Return a mask of the steps that count, shape (steps,)."""
         return np.ones(self.steps, dtype=bool) if self.entered is None else self.entered
