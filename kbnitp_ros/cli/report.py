@@ -11,8 +11,7 @@ from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
-from kbnitp_ros.report.comparison import check_one_field, comparison_page
-from kbnitp_ros.report.folder import check_is_free, PARTS, whole_folder, write_report
+from kbnitp_ros.report.folder import check_is_free, PARTS, write_report
 from kbnitp_ros.report.mission import Mission, read_mission
 from kbnitp_ros.report.tables import mission_curves
 from tqdm import tqdm
@@ -22,15 +21,12 @@ Show a mission's log: report.html, a page that works without a network; maps and
 and SVG; deployments.parquet and .csv, one row a deployment; belief.npz; and the last beliefs as
 maps of map_server (hazard.yaml, target.yaml, kappa.yaml), which a mission can begin with.
 
-With the log of a second mission in the same field: comparison.html, one page with both.
-
 The exit code is 0 if all is written, and 2 if the log cannot be used or nothing can be written.
 """
 
 EXAMPLES = (
     'python3 -m kbnitp_ros report runs/small --out runs/small/report',
     'python3 -m kbnitp_ros report runs/small/mission.mcap --out shown',
-    'python3 -m kbnitp_ros report runs/small runs/other --out runs/compared',
 )
 
 
@@ -44,13 +40,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser('report', DESCRIPTION, *EXAMPLES)
     add_log(parser)
     parser.add_argument(
-        'other',
-        metavar='OTHER',
-        type=Path,
-        nargs='?',
-        help='the log of a second mission in the same field, to show beside the first',
-    )
-    parser.add_argument(
         '--out',
         metavar='DIR',
         type=Path,
@@ -60,22 +49,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         check_is_free(options.out)
-        if options.other is None:
-            missions = [report(options.log, options.out, namespace=options.namespace)]
-        else:
-            missions = compare(options.log, options.other, options.out)
+        mission = report(options.log, options.out, namespace=options.namespace)
     except (ValueError, OSError) as error:
         complain('report', error)
         return 2
-    corrupt = [found for mission in missions for found in mission.corrupt]
-    for broken in corrupt:
+    for broken in mission.corrupt:
         complain('report', broken)
-    return 2 if corrupt else 0
+    return 2 if mission.corrupt else 0
 
 
 def report(log: Path, folder: Path, note: str = '', namespace: str | None = None) -> Mission:
     """Write the report of a log, with progress bars on a terminal."""
-    mission = read(log, namespace)
+    mission = read_mission(log, partial(with_progress, log_size(log)), namespace)
     curves = mission_curves(mission, CURVES)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
         left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
@@ -84,19 +69,3 @@ def report(log: Path, folder: Path, note: str = '', namespace: str | None = None
         if note:
             say(note)
     return mission
-
-
-def compare(first: Path, second: Path, folder: Path) -> list[Mission]:
-    """Write the page of two missions, with progress bars on a terminal."""
-    missions = [read(first), read(second)]
-    check_one_field(*missions)
-    page = comparison_page(*((each, mission_curves(each, CURVES)) for each in missions))
-    with whole_folder(folder) as new:
-        new.joinpath('comparison.html').write_text(page, encoding='utf-8')
-    say(f'wrote {folder / "comparison.html"}')
-    return missions
-
-
-def read(log: Path, namespace: str | None = None) -> Mission:
-    """Return the mission of a log, with a progress bar on a terminal."""
-    return read_mission(log, partial(with_progress, log_size(log)), namespace)

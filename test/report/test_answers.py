@@ -2,12 +2,9 @@
 """Answers about one mission, and about two side by side."""
 
 from itertools import product
-import re
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.cli.report import main
-from kbnitp_ros.core import Decision, Dynamics, Grid, HazardDraws, Observation, update
-from kbnitp_ros.files import counted
+from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation, update
 from kbnitp_ros.messages.progress import decision_message, read_decision
 from kbnitp_ros.report.answers import (
     advice,
@@ -20,12 +17,11 @@ from kbnitp_ros.report.answers import (
     undecided,
     used_up_at,
 )
-from kbnitp_ros.report.comparison import differences, given_differently, reservations
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.tables import mission_curves
 from laws import for_each
 from mission_log import GRID, MODEL, record
-from missions import sent_by_single, Shown, single
+from missions import sent_by_single, Shown
 import numpy as np
 import pytest
 
@@ -170,87 +166,3 @@ def test_the_truth_gives_the_number_of_right_answers(told):
         f'By the recorded truth {free.size - missed} of {free.size} safe cells have no hazard, '
         f'{sum(hazard[cell] for cell in suspected)} of {suspected.size} suspected cells have one'
     ) in tiles['Can I trust it?'].detail
-
-
-@pytest.fixture(scope='module')
-def logs(tmp_path_factory):
-    """Return the logs of two missions in one field: the second has three robots more."""
-    folder = tmp_path_factory.mktemp('two')
-    return [single(folder / f'{name}.mcap', robots) for name, robots in (('one', 6), ('two', 9))]
-
-
-@pytest.fixture(scope='module')
-def pairs(logs):
-    return [(each, mission_curves(each)) for each in map(read_mission, logs)]
-
-
-def last(pair):
-    """Return the final hazard and the entered cells, independently computed."""
-    mission, _ = pair
-    entered = np.zeros(mission.grid.cells, dtype=bool)
-    for deployment in mission.deployments:
-        entered[deployment.outcome.path] = True
-    return mission.moments[-1].belief.hazard, entered
-
-
-def test_differences_are_those_of_the_beliefs(pairs):
-    (one, was), (other, since) = map(last, pairs)
-    said = list(differences(*pairs))
-    assert said[0] == (
-        f'Free only in A: {counted(((one <= 0.05) & (other > 0.05)).sum(), "cell")}; '
-        f'only in B: {counted(((other <= 0.05) & (one > 0.05)).sum(), "cell")}.'
-    )
-    suspected = [(hazard >= 0.5) & entered for hazard, entered in ((one, was), (other, since))]
-    assert said[2].startswith(f'{(suspected[0] & suspected[1]).sum()} in both; only in A: ')
-    only = int((suspected[1] & ~suspected[0]).sum())
-    assert (said[2].rpartition(': ')[2] == 'none.') == (only == 0)
-    entered = [(was & ~since).sum(), (since & ~was).sum()]
-    assert re.findall(r'Entered only in A: (\d+) cells?; only in B: (\d+)', said[3]) == [
-        tuple(map(str, entered))
-    ]
-    assert 'B sent 3 robots more' in said[6]
-
-
-def test_a_mission_beside_itself_has_no_difference(pairs):
-    one, _ = pairs
-    said = ' '.join(differences(one, one))
-    assert set(re.findall(r'only in [AB]: (\d+)', said)) == {'0'}
-    assert said.count('only in A: none; only in B: none') == 2
-    assert 'as many nats left in B' in said
-    assert 'B sent as many robots and lost as many.' in said
-    assert 'No difference.' in said
-    assert list(reservations(one[0], one[0])) == []
-    assert list(given_differently(one[0], one[0])) == []
-
-
-def test_different_truths_are_stated(tmp_path, pairs):
-    whole = Shown(seed=5)
-    whole.publish_truth()
-    whole.deploy(whole.walk())
-    other = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
-    first = pairs[0][0]
-    hazards = (other.world.hazard != first.world.hazard).sum()
-    (said,) = reservations(first, other)
-    assert f'differ: hazards in {hazards} cell' in said
-    unknown = read_mission(single(tmp_path / 'unknown.mcap', 2, with_truth=False))
-    assert list(reservations(first, unknown)) == ['Only A has the truth on record.']
-
-
-def test_the_command_writes_one_page(logs, tmp_path, capsys):
-    folder = tmp_path / 'compared'
-    assert main([*map(str, logs), '--out', str(folder)]) == 0
-    assert [file.name for file in folder.iterdir()] == ['comparison.html']
-    assert 'comparison.html' in capsys.readouterr().out
-    page = (folder / 'comparison.html').read_text()
-    for log in logs:
-        assert str(log) in page
-    assert main([*map(str, logs), '--out', str(folder)]) == 2
-    assert 'not empty' in capsys.readouterr().err
-
-
-def test_other_fields_are_refused(logs, tmp_path, capsys):
-    other = single(tmp_path / 'other.mcap', 2, grid=Grid(7, 6, resolution=0.5))
-    folder = tmp_path / 'compared'
-    assert main([str(logs[0]), str(other), '--out', str(folder)]) == 2
-    assert '7x6 cells of 0.5 m' in capsys.readouterr().err
-    assert not folder.exists()

@@ -23,7 +23,6 @@ from kbnitp_ros.report.answers import (
     list_findings,
     used_up_at,
 )
-from kbnitp_ros.report.comparison import comparison_page
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.tables import mission_curves
@@ -733,59 +732,18 @@ def test_a_team_shows_robots_in_flight(opened, tmp_path):
     assert 'returned after it had been given up' in page.locator('#told').inner_text()
 
 
-@pytest.fixture(scope='module')
-def two(shown, tmp_path_factory):
-    folder = tmp_path_factory.mktemp('two')
-    missions = shown[0], read_mission(single(folder / 'mission.mcap', 12))
-    page = folder / 'comparison.html'
-    page.write_text(comparison_page(*((each, mission_curves(each)) for each in missions)))
-    return missions, page
-
-
-def test_two_missions_are_drawn_as_on_record_and_their_findings_downloaded(opened, two):
-    missions, file = two
-    page = opened(file=file)
-    for name in NAMES:
-        values = [getattr(mission.moments[-1].belief, name) for mission in missions]
-        free = missions[0].grid.free
-        for drawn_as, wanted in zip(('A', 'B', 'change'), (*values, values[1] - values[0])):
-            assert drawn(page, f'{drawn_as}-{name}')[free] == pytest.approx(wanted[free])
-    lines = page.evaluate(
-        'document.getElementById("curve-0")._fullData.map(each => each.y.length)'
-    )
-    assert lines == [31, 13]
-    heads = page.locator('#answers h3').all_inner_texts()
-    assert heads == [*asked_in('docs/reading.md')][: len(heads)]
-    page = opened(file=file, is_strict=True)
-    page.locator('#findings th button').last.click()
-    told = rows(downloaded(page, 'CSV'))
-    found = {
-        (each.kind, each.x, each.y) for mission in missions for each in list_findings(mission)
-    }
-    assert {(row['what'], float(row['x (m)']), float(row['y (m)'])) for row in told} == found
-    changes = [float(row['B less A']) for row in told]
-    assert changes == sorted(changes, reverse=True)
-    for row in told:
-        change = float(row['in B']) - float(row['probability in A'])
-        assert float(row['B less A']) == pytest.approx(change)
-    page.get_by_role('button', name='Dark').click()
-    assert page.evaluate('document.documentElement.dataset.theme') == 'dark'
-
-
 @pytest.mark.full
 @pytest.mark.skipif(not AXE.exists(), reason=f'npm ci --prefix {AXE.parents[2]} installs axe-core')
 @for_each('scheme, width', product(('light', 'dark'), (1400, 390)))
-def test_the_pages_are_accessible(opened, shown, two, scheme, width):
+def test_the_page_is_accessible(opened, shown, scheme, width):
     mission, file = shown
     lost = next(each for each in mission.deployments if not each.outcome.survived)
-    for report in (file, two[1]):
-        page = opened(width, scheme=scheme, file=report)
-        if report == file:
-            move(page, lost.moment)
-            page.click('#way-to')
-        page.add_script_tag(content=AXE.read_text())
-        assert [
-            (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
-            for each in page.evaluate('axe.run()')['violations']
-        ] == []
-        assert page.evaluate('document.documentElement.scrollWidth') == width
+    page = opened(width, scheme=scheme, file=file)
+    move(page, lost.moment)
+    page.click('#way-to')
+    page.add_script_tag(content=AXE.read_text())
+    assert [
+        (each['id'], each['nodes'][0]['html'], each['nodes'][0]['failureSummary'])
+        for each in page.evaluate('axe.run()')['violations']
+    ] == []
+    assert page.evaluate('document.documentElement.scrollWidth') == width
