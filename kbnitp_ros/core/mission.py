@@ -352,6 +352,7 @@ def deployments_table(
             'survived': seen.survived,
             'steps_survived': None if seen.survived else seen.steps_survived,
             'readings': None if seen.readings is None else seen.readings.astype(int).tolist(),
+            'entered': seen.is_entered.tolist() if seen.survived else None,
         }
         for name in ('hazard', 'target') if belief else ():
             values = getattr(belief, name)

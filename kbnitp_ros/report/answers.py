@@ -49,19 +49,22 @@ class Finding:
 class Cells:
     """Classes of cells by the last belief, each of shape (cells,)."""
 
-    # The cell is on the path of a robot that was sent, its base included.
+    # A robot is known to have entered the cell, or it is a base.
     entered: NDArray[np.bool_]
-    # Free of a hazard with a probability of at least 95 %.
+    # Entered, and free of a hazard with a probability of at least 95 %.
     free: NDArray[np.bool_]
-    # Entered, and with a probability of a hazard of at least 50 %.
+    # Not entered, and free with that probability by the prior and what was learnt elsewhere.
+    assumed: NDArray[np.bool_]
+    # On the path of a robot, and with a probability of a hazard of at least 50 %.
     suspected: NDArray[np.bool_]
 
 
 def classify_cells(mission: Mission) -> Cells:
-    """Return the free, the suspected and the entered cells, without blocked cells."""
+    """Return the classes of cells, without blocked cells."""
     hazard, inside = mission.moments[-1].belief.hazard, mission.grid.free
-    entered = mission.visited() & inside
-    return Cells(entered, inside & (hazard <= FREE), entered & (hazard >= SUSPECTED))
+    entered, free = mission.entered() & inside, inside & (hazard <= FREE)
+    suspected = mission.visited() & inside & (hazard >= SUSPECTED)
+    return Cells(entered, entered & free, free & ~entered, suspected)
 
 
 def list_findings(mission: Mission) -> list[Finding]:
@@ -111,6 +114,7 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
     grid, belief, cells = mission.grid, mission.moments[-1].belief, classify_cells(mission)
     free = np.flatnonzero(cells.free)
     listed = free[np.argsort(belief.hazard[free], kind='stable')][:MAX_SAFE]
+    losses = expected_losses(mission)
     table = []
     for cell in listed.tolist():
         row, column = divmod(cell, grid.width)
@@ -130,7 +134,8 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
                 'y': y,
                 'hazard': belief.hazard[cell],
                 'target': belief.target[cell],
-                'entered': 'yes' if cells.entered[cell] else 'no',
+                # In a cell that is free of a hazard a robot fails by itself.
+                'malfunctions': losses[cell],
                 'corners': [*around.tolist(), around[0].tolist()],
                 **on_earth,
             }
@@ -250,14 +255,14 @@ class Tile(NamedTuple):
 def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     """Yield the questions of a field engineer with the answers of a log."""
     cells, inside = classify_cells(mission), mission.grid.free
-    untouched = int((cells.free & ~cells.entered).sum())
+    assumed = int(cells.assumed.sum())
     among = mission.moments[-1].belief.hazard[cells.free].sum()
     yield Tile(
         'Which cells are safe?',
         f'{cells.free.sum()} of {counted(int(inside.sum()), "cell")}',
-        'free of a hazard with 95 % or more; '
-        + (f'{untouched} of them were not entered' if untouched else 'all of them were entered')
-        + f'. {among:.2g} hazards are expected in the safe cells',
+        'entered, and free of a hazard with 95 % or more; '
+        + (f'{counted(assumed, "cell")} more without a visit, by the prior. ' if assumed else '')
+        + f'{brief(among)} hazards are expected in the safe cells',
         'safe-title',
     )
     found = list_findings(mission)
@@ -277,7 +282,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
         'findings-title',
     )
     unseen = int((inside & ~cells.entered).sum())
-    open_cells = int((inside & ~cells.free & ~cells.suspected & cells.entered).sum())
+    open_cells = int((cells.entered & ~cells.free & ~cells.suspected).sum())
     yield Tile(
         'What is not known?',
         f'{counted(unseen, "cell")} not entered',
@@ -381,12 +386,12 @@ def where_lost(mission: Mission, lost: int) -> Tile:
     question = 'Where were robots lost? (x, y in m)'
     if not lost:
         return Tile(question, 'No robot was lost', 'all robots with a report returned')
-    losses = expected_losses(mission)
+    losses, safe = expected_losses(mission), classify_cells(mission).free
     most = np.argsort(-losses, kind='stable')
     half = int(np.searchsorted(losses[most].cumsum(), lost / 2)) + 1
     first = most[: min(half, NAMED)]
     named = [
-        f'{losses[cell]:.1f} at {spot(*place)}'
+        f'{losses[cell]:.1f} at {spot(*place)}{" (malfunctions)" if safe[cell] else ""}'
         for cell, place in zip(first, mission.grid.centers(first))
     ]
     return Tile(
@@ -395,6 +400,13 @@ def where_lost(mission: Mission, lost: int) -> Tile:
         f'expected losses: {", ".join(named)}; all cells are in the map of robots lost',
         'colour-robots-lost',
     )
+
+
+def brief(number: float) -> str:
+    """Return a number with two digits, and without an exponent."""
+    if number >= 10.0:
+        return f'{number:.0f}'
+    return f'{number:.2g}' if number >= 0.01 else 'less than 0.01'
 
 
 def places(findings: list[Finding]) -> str:

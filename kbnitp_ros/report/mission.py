@@ -32,12 +32,21 @@ Parameters = Mapping[str, Mapping[str, Any]]
 PART = 1e-3
 
 
-def recorded_datum(parameters: Parameters) -> Datum | None:
-    """Return the datum of a mission; None if none is on record."""
-    given = {tuple(each['datum']) for each in parameters.values() if each.get('datum')}
-    if len(given) > 1:
-        raise ValueError(f'nodes had different datums: {sorted(given)}')
-    return Datum.of(*given) if given else None
+def recorded_datum(parameters: Parameters) -> tuple[Datum | None, str]:
+    """Return the datum of a mission, or None, and a remark if nodes had different datums."""
+    given = {name: each['datum'] for name, each in parameters.items() if each.get('datum')}
+    if not given:
+        return None, ''
+    # The datum of the estimator, if it has one.
+    used = max(given, key=lambda name: 'learn.numbers' in parameters[name])
+    datum = Datum.of(given[used])
+    if all(each == given[used] for each in given.values()):
+        return datum, ''
+    listed = '; '.join(f'{name} {[*each]}' for name, each in given.items())
+    return datum, (
+        f'Nodes had different datums, so robots located by satellite may have been elsewhere: '
+        f'{listed}. Positions on the earth are by the datum of {used}.'
+    )
 
 
 def map_site(parameters: Parameters, grid: Grid) -> tuple[Site | None, str]:
@@ -145,6 +154,15 @@ class Mission:
                 return float(values.get(f'team.{agent}.loss_cost') or values['loss_cost'])
         return 0.0
 
+    def entered(self) -> NDArray[np.bool_]:
+        """Return the cells that robots are known to have entered, and the bases, (cells,)."""
+        entered = np.zeros(self.grid.cells, dtype=bool)
+        entered[sorted(self.grid.bases)] = True
+        for ended in self.ended:
+            known = ended.steps if ended.survived else ended.steps_survived
+            entered[ended.evidence[0][: known + 1]] = True
+        return entered
+
     def visited(self) -> NDArray[np.bool_]:
         """Return the cells on the paths of robots that were sent, shape (cells,)."""
         visited = np.zeros(self.grid.cells, dtype=bool)
@@ -172,6 +190,7 @@ def read_mission(
     in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
     parameters = log.parameters
     site, unseen = map_site(parameters, grid)
+    datum, differing = recorded_datum(parameters)
     return Mission(
         log=log.path,
         grid=grid,
@@ -186,11 +205,11 @@ def read_mission(
         world=history.world,
         run=read_metadata(path, []).get(RUN, {}),
         parameters=parameters,
-        notes=[*notes, *log_notes(path, history, in_flight), *filter(None, [unseen])],
+        notes=[*notes, *log_notes(path, history, in_flight), *filter(None, [unseen, differing])],
         corrupt=history.corrupt,
         in_flight=in_flight,
         decision=history.decision,
-        datum=recorded_datum(parameters),
+        datum=datum,
         site=site,
     )
 

@@ -119,7 +119,7 @@ SAFE = (
     *PLACE,
     Column('hazard', 'hazard', 3),
     Column('target', 'target', 3),
-    Column('entered', 'entered', is_text=True),
+    Column('lost by malfunctions', 'malfunctions', 2),
 )
 
 # Columns of the table of places where a robot may have been lost.

@@ -74,10 +74,11 @@ class Mission:
     method_seed: int = 0
     dynamics: Dynamics = STATIC
     clustering: Clustering | None = None
+    hazard: float = 0.3
 
     def __post_init__(self):
         self.sent = []
-        self.prior = Belief.prior(self.grid, 0.3, 0.4, 0.7)
+        self.prior = Belief.prior(self.grid, self.hazard, 0.4, 0.7)
         self.now = START
         self.start_estimator()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers about one mission, and about two side by side."""
+"""Answers about a mission."""
 
 from itertools import product
 
@@ -9,10 +9,12 @@ from kbnitp_ros.messages.progress import decision_message, read_decision
 from kbnitp_ros.report.answers import (
     advice,
     answer_tiles,
+    brief,
     classify_cells,
     expected_losses,
     expected_used_up,
     list_findings,
+    safe_cells,
     shares,
     undecided,
     used_up_at,
@@ -43,10 +45,16 @@ def test_every_cell_is_counted_by_its_definition(told):
     hazard, cells = mission.moments[-1].belief.hazard, classify_cells(mission)
     for cell in range(mission.grid.cells):
         is_inside = cell not in mission.grid.blocked
-        entered = any(cell in each.path for each in mission.ended)
-        assert cells.free[cell] == (is_inside and hazard[cell] <= 0.05)
-        assert cells.suspected[cell] == (is_inside and entered and hazard[cell] >= 0.5)
-        assert cells.entered[cell] == entered
+        sent = any(cell in each.path for each in mission.ended)
+        entered = cell in mission.grid.bases or any(
+            cell in each.path[: (each.steps if each.survived else each.steps_survived) + 1]
+            for each in mission.ended
+        )
+        assert cells.free[cell] == (is_inside and entered and hazard[cell] <= 0.05)
+        assert cells.assumed[cell] == (is_inside and not entered and hazard[cell] <= 0.05)
+        assert cells.suspected[cell] == (is_inside and sent and hazard[cell] >= 0.5)
+        assert cells.entered[cell] == (is_inside and entered)
+    assert cells.assumed.sum() + cells.free.sum() == (mission.grid.free & (hazard <= 0.05)).sum()
     assert undecided(mission, -1) == sum(
         0.05 < hazard[cell] < 0.95 for cell in np.flatnonzero(mission.grid.free)
     )
@@ -91,7 +99,7 @@ def test_losses_add_up_to_the_robots_lost(told):
     lost = sum(not each.survived for each in mission.ended)
     losses = expected_losses(mission)
     assert losses.sum() == pytest.approx(lost)
-    assert not losses[~classify_cells(mission).entered].any()
+    assert not losses[~mission.visited()].any()
     assert tiles['What did it cost?'].answer == f'{lost} of 20 robots lost'
 
 
@@ -112,6 +120,38 @@ def test_used_up_hazards_are_former_ones_that_are_gone(tmp_path):
         assert used_up.sum() > 0.0
         total += used_up
     assert expected_used_up(mission) == pytest.approx(total)
+
+
+def test_a_loss_in_a_safe_cell_is_told_as_a_malfunction(tmp_path):
+    whole = Shown()
+    for _ in range(12):
+        whole.deploy(Observation([2, 7, 2], True, [False, False]))
+    whole.deploy(Observation([2, 7, 2], False))
+    mission, tiles = answered(whole, tmp_path)
+    cells = classify_cells(mission)
+    assert cells.free[7]
+    (row,) = (row for row in safe_cells(mission) if row['cell'] == 7)
+    assert row['malfunctions'] == expected_losses(mission)[7] > 0.4
+    assert '(malfunctions)' in tiles['Where were robots lost? (x, y in m)'].detail
+
+
+def test_cells_without_a_visit_are_counted_apart(tmp_path):
+    whole = Shown(hazard=0.01)
+    whole.deploy(Observation([2, 7, 6, 2], True, [False] * 3, entered=[True, False, True]))
+    mission, tiles = answered(whole, tmp_path)
+    safe = {row['cell'] for row in safe_cells(mission)}
+    assert 7 in safe
+    assert 6 not in safe
+    tile = tiles['Which cells are safe?']
+    assert tile.answer.startswith(f'{len(safe)} of ')
+    more = int(classify_cells(mission).assumed.sum())
+    assert f'{more} cells more without a visit, by the prior' in tile.detail
+
+
+@for_each('number, text', [(123.4, '123'), (10.0, '10'), (9.96, '10'), (0.123, '0.12')])
+def test_numbers_have_no_exponent(number, text):
+    assert brief(number) == text
+    assert brief(1e-5) == 'less than 0.01'
 
 
 def test_robots_in_flight_are_stated(tmp_path):

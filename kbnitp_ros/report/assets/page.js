@@ -34,6 +34,8 @@ async function start(signal, kept, main) {
   let now = last;
   let timer = null;
   let cell = mission.cell;
+  // Coordinates that are typed stay as they are: the second one is still to come.
+  let isTyped = false;
   // The page opens with the last belief; paths are drawn once a moment is chosen.
   let isAsked = false;
   let isNamed = false;
@@ -266,7 +268,7 @@ async function start(signal, kept, main) {
       plots.cell.data[place].y = places.map((_, moment) => shownIn(moment, name, cell));
     });
     Plotly.react(page('cell-plot'), plots.cell.data, { ...themed(plots.cell.layout), shapes: shape(now) }, config);
-    [page('x').value, page('y').value] = position(cell).map(metres);
+    if (!isTyped) [page('x').value, page('y').value] = position(cell).map(metres);
     page('cell').textContent = told(now, cell);
   }
 
@@ -350,8 +352,9 @@ async function start(signal, kept, main) {
   }
 
   let isDue = false;
-  function look(each) {
+  function look(each, typed = false) {
     cell = each;
+    isTyped = typed;
     isNamed = true;
     if (isDue) return;
     isDue = true;
@@ -371,7 +374,7 @@ async function start(signal, kept, main) {
     const { corner, along, across, resolution } = mission.grid;
     const [x, y] = ['x', 'y'].map((id, place) => Number(page(id).value) - corner[place]);
     const [column, row] = [along, across].map((axis) => Math.floor((x * axis[0] + y * axis[1]) / resolution ** 2));
-    if (column >= 0 && column < width && row >= 0 && row < height) look(row * width + column);
+    if (column >= 0 && column < width && row >= 0 && row < height) look(row * width + column, true);
     else page('cell').textContent = `(${page('x').value}, ${page('y').value}) is not in the field.`;
   }
 
