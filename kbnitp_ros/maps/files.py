@@ -53,6 +53,11 @@ class MapFile:
     mode: str
 
 
+# Grey of the unknown pixels that map_saver writes in mode trinary. With its threshold of 0.25 for
+# free pixels map_server would read them as free.
+SAVED_UNKNOWN = 205
+
+
 def read_map(yaml_path: str | Path) -> Map:
     """Return the map of a YAML file, with the values that map_server publishes."""
     file = read_map_file(Path(yaml_path))
@@ -62,6 +67,8 @@ def read_map(yaml_path: str | Path) -> Map:
     else:
         data = occupancy(darkness(gray, file.negate), file)
         data[~opaque] = UNKNOWN
+        if file.mode == 'trinary' and not file.negate:
+            data[gray == SAVED_UNKNOWN] = UNKNOWN
     return Map(data, file.resolution, file.origin, file.yaw)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import frozen
+from kbnitp_ros.core.field.check import read_only
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel, times_log
@@ -57,8 +57,8 @@ class HazardDraws:
         draws = len(self.hazardous)
         if not self.weight.size:
             object.__setattr__(self, 'weight', np.full(draws, 1.0 / draws))
-        frozen(self.hazardous)
-        frozen(self.weight)
+        for name in ('hazardous', 'weight'):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @classmethod
     def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:

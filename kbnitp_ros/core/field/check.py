@@ -55,6 +55,7 @@ def is_equal(one: Any, other: Any) -> bool:
 P = ParamSpec('P')
 R = TypeVar('R')
 T = TypeVar('T')
+Array = TypeVar('Array', bound=NDArray[Any])
 
 CORE = __name__.removesuffix('.field.check')
 
@@ -187,6 +188,13 @@ def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)
+
+
+def read_only(array: Array) -> Array:
+    """Return a read-only view of an array, which its owner may still change."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def frozen(array: NDArray[np.generic]) -> None:

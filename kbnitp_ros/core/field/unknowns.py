@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeAlias
 
-from kbnitp_ros.core.field.check import frozen, probability, Value
+from kbnitp_ros.core.field.check import probability, read_only, Value
 from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,7 @@ class Bins(Value):
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            frozen(getattr(self, field.name))
+            object.__setattr__(self, field.name, read_only(getattr(self, field.name)))
 
     @classmethod
     def known(cls, value: float) -> Bins:

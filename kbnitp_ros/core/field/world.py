@@ -44,7 +44,7 @@ class World(Value):
 
     def __post_init__(self) -> None:
         for name in ('hazard', 'target'):
-            values = yes_or_no(f'{name} of a world', getattr(self, name))
+            values = yes_or_no(f'{name} of a world', getattr(self, name)).copy()
             if values.ndim != 1 or not values.size:
                 raise ValueError(
                     f'{name} of a world has shape {values.shape}: it must be one value a cell'

@@ -13,7 +13,7 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, Learnt, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, learnt_from, log_sum
-from kbnitp_ros.core.inference.filters import check_cells, IMPOSSIBLE, RATES
+from kbnitp_ros.core.inference.filters import check_cells, IMPOSSIBLE, RATES, safe_log
 from kbnitp_ros.core.inference.particle_filter import Evidence, Floats
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,12 @@ class Kinds:
         correlated: bool = True,
         count: int | None = None,
     ) -> None:
+        if belief.grid is None:
+            raise ValueError(
+                'hazards of any kind may be moving, and moving hazards cannot be weighed: the '
+                'prior has no grid for them to move on; make it with Belief.prior(grid, ...) or '
+                'belief.on(grid)'
+            )
         self._prior, self._known = belief, model
         self._priors = {**unknowns.priors, **dynamics.unknown_rates}
         self._banks = {
@@ -59,7 +65,9 @@ class Kinds:
     def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
         """Assimilate the outcome of a deployment, counted by cell."""
         banks, ruled_out, predicted = dict(self._banks), set(self._ruled_out), []
-        for (kind, bank), weight in zip(self._banks.items(), self._weights):
+        # Weights underflow to 0 after hundreds of robots.
+        log_weights = safe_log(self._weights)
+        for (kind, bank), log_weight in zip(self._banks.items(), log_weights):
             if kind not in ruled_out:
                 banks[kind] = bank = bank.copy()
                 try:
@@ -67,7 +75,7 @@ class Kinds:
                 except ValueError:
                     ruled_out.add(kind)
                 else:
-                    predicted.append(np.log(weight) + bank.predicted[-1])
+                    predicted.append(log_weight + bank.predicted[-1])
         if not predicted:
             raise ValueError(IMPOSSIBLE)
         self._banks, self._ruled_out = banks, frozenset(ruled_out)

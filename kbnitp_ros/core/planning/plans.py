@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief, surprisal
-from kbnitp_ros.core.field.check import frozen, typed, Value, whole_number
+from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.bound import check_bound, upper_bound
@@ -66,7 +66,7 @@ class Plan(Value):
     gain: float | None = None
 
     def __post_init__(self) -> None:
-        frozen(self.path)
+        object.__setattr__(self, 'path', read_only(self.path))
 
     @classmethod
     def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:

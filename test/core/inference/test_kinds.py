@@ -211,6 +211,10 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
         (lambda: Dynamics('changing', appear=(0.1, 0.2)), 'appear is .* it must be a number'),
         (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing hazards use it'),
         (
+            lambda: Estimator(Belief(PRIOR.joint), MODEL, dynamics=Dynamics('learn')),
+            'moving hazards cannot be weighed: the prior has no grid',
+        ),
+        (
             lambda: Estimator(PRIOR, MODEL, 'relaxed_bnitp', dynamics=Dynamics('learn')),
             'relaxed_bnitp does not take hazards that are of an unknown kind: use relaxed_itp',
         ),
@@ -230,3 +234,18 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
 def test_what_cannot_be_learnt_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.slow
+def test_hundreds_of_robots_rule_a_kind_out_without_a_warning():
+    """The weight of hazards that are used up underflows to 0."""
+    estimator = Estimator(PRIOR, SensorModel(0.9, malfunction=0.001), dynamics=Dynamics('learn'))
+    for number in range(700):
+        path = [0, 1, 0]
+        back = Observation(path, True, [False, False])
+        estimator.assimilate(back if number % 2 else Observation(path, False))
+    assert estimator.kinds['used_up'] == 0.0
+    assert sum(estimator.kinds.values()) == pytest.approx(1.0)
+    assert estimator.check.reason
+    assert estimator.draws(10, np.random.default_rng(0))[0].shape == (10, 6)
