@@ -112,6 +112,12 @@ def asked_on_record(log: MissionLog) -> RecordedGoal | None:
     """Return the goal on record; None if it is not recorded."""
     with suppress(ValueError):
         first, planner = first_belief(log), recorded_planner(log)
+        if planner['goal.mask']:
+            # Decisions have the cells since 1.9; the file may have changed.
+            decisions = (logged.message for _, logged in log.read('decision'))
+            cells = next((getattr(each, 'goal_cells', ()) for each in decisions), ())
+            if len(cells):
+                planner |= {'goal.cells': [*map(int, cells)], 'goal.mask': ''}
         goal = make_goal(planner, first.grid) if first else None
         return (goal, planner['max_steps']) if goal else None
     return None

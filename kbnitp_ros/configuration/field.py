@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite
+from math import isfinite, radians, tau
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,11 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
         raise ValueError(
             f'parameter grid.base_position is {list(position)}: it must be x and y, or empty'
         )
+    if position and values['grid.base']:
+        raise ValueError(
+            f'parameters grid.base, {values["grid.base"]}, and grid.base_position both name the '
+            'base: give one of them'
+        )
     if values['map'] and values['map_topic']:
         raise ValueError('parameters map and map_topic are both given: give one of them')
     if received is None and values['map_topic']:
@@ -39,6 +44,9 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
         'through_corners': corners == 'cut' or (corners == 'auto' and field is None),
     }
     if field is not None:
+        check_angle(
+            f'the yaw of the origin of map {values["map"] or values["map_topic"]}', field.yaw
+        )
         # Rounded as in messages, so that all nodes have the same grid.
         field = replace(
             field, resolution=rounded_resolution(field.resolution), yaw=rounded_yaw(field.yaw)
@@ -61,6 +69,7 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
         raise ValueError(
             f'parameter grid.origin is {list(origin)}: it must be [x, y] or [x, y, yaw], finite'
         )
+    check_angle('the third number of parameter grid.origin', *origin[2:] or (0.0,))
     grid = Grid(
         width=values['grid.width'],
         height=values['grid.height'],
@@ -71,6 +80,15 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
     base = int(grid.cells_at([position])[0]) if position else values['grid.base']
     grid = replace(grid, base=base, blocked=values['grid.blocked'], **steps)
     return with_bases(grid, values)
+
+
+def check_angle(name: str, angle: float) -> None:
+    """Check that an angle is not in degrees."""
+    if abs(angle) > tau:
+        raise ValueError(
+            f'{name} is {angle}: it must be in rad, from {-tau:.4g} to {tau:.4g}; '
+            f'{angle} degrees are {radians(angle):.6g} rad'
+        )
 
 
 def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
@@ -96,7 +114,10 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
 
 def make_datum(values: Mapping[str, Any]) -> Datum | None:
     """Return the geographic datum of these parameters, or None; raise ValueError if invalid."""
-    return Datum.of(values['datum'])
+    datum = Datum.of(values['datum'])
+    if datum is not None:
+        check_angle('the third number of parameter datum', datum.heading)
+    return datum
 
 
 PRESENT = {'.': False, 'x': True}

@@ -166,6 +166,12 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
 def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
     """Return the estimator before the first deployment."""
     unknowns = make_unknowns(values)
+    rates = values['sensor.true_positive'], values['sensor.false_positive']
+    if rates[0] < rates[1] and not {'true_positive', 'false_positive'} & unknowns.priors.keys():
+        raise ValueError(
+            f'parameter sensor.true_positive is {rates[0]}, below sensor.false_positive, '
+            f'{rates[1]}: a detection would speak against a target; are they swapped?'
+        )
     for name in unknowns.priors:
         if all(
             getattr(robot_type, name, None) is not None

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from math import nan
@@ -188,7 +189,12 @@ def decision_fields(decision: Decision, deployments: int) -> Fields:
 
 
 def decision_message(
-    grid: Grid, decision: Decision, deployments: int, stamp: int, mission: int
+    grid: Grid,
+    decision: Decision,
+    deployments: int,
+    stamp: int,
+    mission: int,
+    goal_cells: Sequence[int] = (),
 ) -> DecisionMessage:
     """Return the message of a decision, with deployments, stamp and mission of its belief."""
     from kbnitp_msgs.msg import Decision as DecisionMessage
@@ -198,6 +204,7 @@ def decision_message(
         path=path_message(grid, decision.path, stamp, mission),
         reached=decision.reached,
         reason=decision.reason,
+        goal_cells=[*goal_cells],
         **vars(decision_fields(decision, deployments)),
     )
 
@@ -221,8 +228,8 @@ def read_decision(grid: Grid, message: Any) -> Decision:
     return Decision(
         goal=message.goal,
         p_free=message.probability,
-        # Cells of the path; the message of an area does not contain its cells.
-        cells=np.unique(path),
+        # The message of a lane has its path; that of an area has cells since 1.9.
+        cells=np.unique(path if path.size else getattr(message, 'goal_cells', path)),
         independent_draws=message.independent_draws,
         path=path,
         survival=message.survival,

@@ -11,13 +11,14 @@ from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration.agents import own_robot_types
-from kbnitp_ros.configuration.mission import make_stop
+from kbnitp_ros.configuration.mission import goal_cells, make_stop
 from kbnitp_ros.core import Decision, Grid, safest_path
 from kbnitp_ros.core.decision.decision import SafestPath
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.headers import check_frame
 from kbnitp_ros.messages.progress import decision_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
@@ -124,7 +125,12 @@ class Decisions:
         newest = self._newest
         assert newest is not None
         message = decision_message(
-            self._grid, decision, newest.deployments, newest.stamp, newest.mission
+            self._grid,
+            decision,
+            newest.deployments,
+            newest.stamp,
+            newest.mission,
+            goal_cells(self._node.values, self._grid),
         )
         self._publisher.publish(message)
         self._lane.publish(message.path)
@@ -145,6 +151,8 @@ class Decisions:
                 raise ValueError(UNKNOWN)
             if self._finding is not None:
                 raise ValueError('another call is being answered: call again later')
+            for name in ('start', 'goal'):
+                check_frame(f'{name}.header.frame_id', getattr(request, name).header.frame_id)
             start, to = (
                 int(self._grid.cells_at([[at.pose.position.x, at.pose.position.y]])[0])
                 for at in (request.start, request.goal)

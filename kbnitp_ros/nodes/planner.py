@@ -22,7 +22,7 @@ from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search
 from kbnitp_ros.configuration import agent_names
 from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
-from kbnitp_ros.configuration.mission import check_search
+from kbnitp_ros.configuration.mission import check_search, goal_cells
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import MissionLog, resumed_log
@@ -53,6 +53,10 @@ class PlannerNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('planner')
         self._agents = agent_names(self.values, self.grid)
+        if self.values['goal.mask']:
+            # The file is read once: it may change or go.
+            cells = goal_cells(self.values, self.grid)
+            self.values |= {'goal.cells': cells, 'goal.mask': ''}
         check_search(self.values, self.grid, {})
         check_periods(self.values, self._agents)
         check_reach(self.grid, self.values)

@@ -2,10 +2,18 @@
 """Goals, priors and worlds follow parameters and files, or are refused."""
 
 from dataclasses import replace
+from pathlib import Path
+import re
 
 from kbnitp_ros.configuration import make_goal, make_grid, TABLE
-from kbnitp_ros.configuration.field import read_world
-from kbnitp_ros.configuration.mission import check_goal, make_prior, make_stop, search_options
+from kbnitp_ros.configuration.field import make_datum, read_world
+from kbnitp_ros.configuration.mission import (
+    check_goal,
+    make_estimator,
+    make_prior,
+    make_stop,
+    search_options,
+)
 from kbnitp_ros.core import Area, Belief, Grid, Lane, Stop
 from laws import for_each
 from mission_log import GRID, Mission, mission, record
@@ -13,6 +21,7 @@ import numpy as np
 from PIL import Image
 import pytest
 
+DEFAULTS = {parameter.name: parameter.default for parameter in TABLE}
 SMALL = {
     'grid.width': 3, 'grid.height': 2, 'grid.resolution': 0.5, 'max_steps': 2, 'robots': 4,
 }  # fmt: skip
@@ -20,7 +29,7 @@ SMALL = {
 
 def checked(**given):
     changed = {name.replace('__', '.'): value for name, value in given.items()}
-    values = {parameter.name: parameter.default for parameter in TABLE} | SMALL | changed
+    values = DEFAULTS | SMALL | changed
     grid = make_grid(values)
     goal = make_goal(values, grid)
     check_goal(values, grid, [search_options(values)])
@@ -46,6 +55,36 @@ def test_cells_are_given_by_number_by_position_or_by_a_mask(tmp_path):
     assert checked(goal__kind='area', goal__cells=[4, 1]) == (Area([1, 4]), Stop())
     drawn = mask(tmp_path, [[0, 1, 0], [0, 1, 0]])
     assert checked(goal__kind='area', goal__mask=drawn) == (Area([1, 4]), Stop())
+
+
+@for_each(
+    'given, why',
+    [
+        ({'grid.origin': (0.0, 0.0, 90.0)}, 'in rad, .* 90.0 degrees are 1.5708 rad'),
+        ({'grid.origin': (0.0, 0.0, -6.3)}, 'third number of parameter grid.origin is -6.3'),
+        ({'grid.base': 4, 'grid.base_position': (0.5, 0.5)}, 'both name the base: give one'),
+    ],
+)
+def test_a_field_that_is_meant_otherwise_is_refused(given, why):
+    with pytest.raises(ValueError, match=why):
+        make_grid({**DEFAULTS, **given})
+
+
+def test_angles_in_degrees_of_maps_and_datums_are_refused(tmp_path):
+    drawn = mask(tmp_path, [[0, 0], [0, 0]])
+    file = Path(drawn)
+    file.write_text(re.sub(r'origin: .*', 'origin: [0.0, 0.0, 45.0]', file.read_text()))
+    with pytest.raises(ValueError, match='the yaw of the origin of map .* 45.0 degrees are 0.785'):
+        make_grid({**DEFAULTS, 'map': drawn})
+    with pytest.raises(ValueError, match='third number of parameter datum is 180.0'):
+        make_datum({'datum': (55.0, -3.0, 180.0)})
+
+
+def test_a_sensor_worse_than_chance_is_refused_unless_it_is_learnt():
+    given = {**DEFAULTS, 'sensor.true_positive': 0.1, 'sensor.false_positive': 0.4}
+    with pytest.raises(ValueError, match=r'true_positive is 0.1, below .*are they swapped\?'):
+        make_estimator(given, GRID)
+    make_estimator({**given, 'learn.numbers': ('true_positive',)}, GRID)
 
 
 def test_stops_are_those_of_the_parameters():

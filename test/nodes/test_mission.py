@@ -8,6 +8,7 @@ from kbnitp_msgs.msg import BeliefMaps, Decision, DeploymentReport, Progress
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Belief, Estimator, Ledger, Report, SensorModel
+from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
@@ -20,6 +21,7 @@ from kbnitp_ros.nodes.views import Views
 from nav_msgs.msg import OccupancyGrid, Path
 from nav_msgs.srv import GetPlan
 import numpy as np
+from PIL import Image
 import pytest
 import rclpy
 from rclpy.clock import Clock
@@ -372,6 +374,11 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     field.until(lambda: lanes and lanes[-1].poses == shown, 'lane')
 
     request = GetPlan.Request()
+    # An empty request names no frame, and so no places.
+    assert not ask(field, GetPlan, '/m/safest_path', request).plan.poses
+    refusal = "safest_path refused: start.header.frame_id is '': it must be 'map'"
+    field.until(lambda: refusal in field.said('/m/planner'), 'refusal')
+    request.start.header.frame_id = request.goal.header.frame_id = 'map'
     request.start.pose.position.x = request.start.pose.position.y = 0.5
     request.goal.pose.position.x, request.goal.pose.position.y = 4.5, 3.5
     found = ask(field, GetPlan, '/m/safest_path', request).plan
@@ -399,3 +406,32 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     told = replay(log, asked=asked_on_record(MissionLog(log)))
     assert told.reproduced, told.mismatches
     assert told.compared['/m/decision'] > len(expected), told.not_compared
+
+
+def test_a_mission_with_a_mask_replays_without_its_file(field):
+    """The planner reads it once; the log has its cells."""
+    Image.fromarray(np.array([[254, 254, 0], [254, 0, 254]], np.uint8)).save(
+        field.folder / 'mask.png'
+    )
+    mask = field.folder / 'mask.yaml'
+    mask.write_text(
+        'image: mask.png\nresolution: 1.0\norigin: [0, 0, 0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.2\n'
+    )
+    parameters = {
+        'grid.width': 3, 'grid.height': 2, 'max_steps': 4, 'robots': 4,
+        'goal.kind': 'area', 'goal.mask': str(mask),
+    }  # fmt: skip
+    log = field.folder / 'mission.mcap'
+    decisions = field.listen(Decision, '/m/decision')
+    field.start_mission(parameters, '/m', log)
+    field.until(lambda: decisions, 'decision')
+    mask.unlink()
+    field.until(lambda: field.state('/m/planner').startswith('done: 4 of 4'), 'end')
+    assert set(field.processes.stop().values()) == {0}
+    assert [*decisions[-1].goal_cells] == [1, 5]
+    recorded = MissionLog(log)
+    report = replay(recorded, asked=asked_on_record(recorded))
+    assert report.reproduced
+    assert report.compared['/m/decision'] == 5
+    assert read_history(log).decision.cells.tolist() == [1, 5]
