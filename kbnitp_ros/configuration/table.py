@@ -591,9 +591,15 @@ TABLE = (
     for_robot(
         'max_speed',
         0.0,
-        'Maximum speed of the robot, in m/s: after a faster jump the position is uncertain, and '
-        'later readings of the deployment do not count; 0 for no check.',
+        'Maximum speed of the robot, in m/s, which tells jumps of the localization; 0 for that of '
+        'Nav2 or, if Nav2 states none, two cells a second.',
         limits=(0.0, 1e6),
+    ),
+    for_robot(
+        'pose_topic',
+        '',
+        'Topic of a geometry_msgs/PoseWithCovarianceStamped, such as amcl_pose, with the standard '
+        'deviation of a position by TF without odometry; empty for none.',
     ),
     for_robot(
         'arrival_tolerance',

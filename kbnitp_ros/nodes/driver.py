@@ -26,6 +26,7 @@ from nav2_msgs.action import FollowPath, FollowWaypoints, NavigateThroughPoses
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
+from rcl_interfaces.srv import GetParameters
 from rclpy.action.client import ActionClient, ClientGoalHandle
 from rclpy.task import Future
 
@@ -135,6 +136,15 @@ def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
     ]
 
 
+# Parameters of Nav2 with its maximum speed, in m/s, by node.
+SPEEDS = {
+    'controller_server': (
+        'FollowPath.desired_linear_vel', 'FollowPath.max_vel_x', 'FollowPath.vx_max',
+    ),
+    'velocity_smoother': ('max_velocity',),
+}  # fmt: skip
+
+
 class Driver:
     """A client that drives the robot along legs, one goal at a time."""
 
@@ -160,6 +170,15 @@ class Driver:
         self._states = node.create_client(GetState, f'{self._server}/get_state')
         self._state: State | None = None
         self._asked_at = 0.0
+        # The largest speed that a node of Nav2 has as a parameter, in m/s; 0 while it is unknown.
+        self.max_speed = 0.0
+        nodes = self.name.rpartition('/')[0]
+        self._speeds = {
+            node.create_client(GetParameters, f'{nodes}/{each}/get_parameters'): names
+            for each, names in SPEEDS.items()
+        }
+        # Unanswered requests for a speed, with their times.
+        self._speed_requests: dict[Future, float] = {}
         # Whether the server accepted the last goal that probed it; None before its answer.
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
@@ -180,6 +199,8 @@ class Driver:
         # An action server of Nav2 exists before it is active, and rejects goals until then.
         if awaited := self.awaited:
             return awaited
+        if any(time.monotonic() < asked + PERIOD for asked in self._speed_requests.values()):
+            return 'Nav2 to state its maximum speed'
         if self._states.service_is_ready():
             return self._not_active()
         # A server without a lifecycle is probed by a goal at the robot's own place.
@@ -195,6 +216,29 @@ class Driver:
         if self._takes_goals is None:
             return f'the action server {self.name} to answer'
         return f'Nav2 to be ready: the action server {self.name} rejects goals'
+
+    @property
+    def is_down(self) -> bool:
+        """Return whether Nav2 is known to be absent or inactive."""
+        if self.awaited:
+            return True
+        is_inactive = self._states.service_is_ready() and bool(self._not_active())
+        return is_inactive and self._state is not None
+
+    def _ask_speed(self) -> None:
+        """Ask the nodes of Nav2 for their maximum speed; each is asked once, name by name."""
+        for client in [each for each in self._speeds if each.service_is_ready()]:
+            # Nav2 answers nothing if it lacks one of the names.
+            for name in self._speeds.pop(client):
+                request = client.call_async(GetParameters.Request(names=[name]))
+                self._speed_requests[request] = time.monotonic()
+                request.add_done_callback(self._node.guarded(self._on_speed))
+
+    def _on_speed(self, answer: Future) -> None:
+        self._speed_requests.pop(answer, None)
+        for value in answer.result().values:
+            speeds = [value.double_value, *value.double_array_value[:1]]
+            self.max_speed = max(self.max_speed, *speeds)
 
     def _not_active(self) -> str:
         """Describe the lifecycle state of the action server's node; empty if it is active."""
@@ -239,6 +283,7 @@ class Driver:
 
     def look(self) -> None:
         """End the drive if the action server is gone or silent; to be called repeatedly."""
+        self._ask_speed()
         if not self.is_busy:
             return
         if not self._client.server_is_ready():

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import hypot
+from math import inf
 import os
 from pathlib import Path
 import time
 from typing import Any
 
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from kbnitp_msgs.msg import AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
@@ -21,22 +22,21 @@ from kbnitp_ros.files import in_words
 from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
 from kbnitp_ros.messages.headers import FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
+from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_detection
-from kbnitp_ros.nodes.presence import HoldSubscription
+from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import WAITING, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.robot.journal import Deployment, Journal, Step
-from kbnitp_ros.robot.way import Itinerary, MARGIN, shortest_way, Walk, without_loops
-from kbnitp_ros.robot.whereabouts import Fixes, NO_STEP, Place, Transforms, Whereabouts
+from kbnitp_ros.robot.journal import Deployment, Journal
+from kbnitp_ros.robot.track import BY_ODOMETRY, BY_POSES
+from kbnitp_ros.robot.trip import distance_home, Trip, USUAL_SPEED
+from kbnitp_ros.robot.whereabouts import Fixes, Place, Transforms
 from sensor_msgs.msg import NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
-
-# Maximum number of detections kept until the place of the robot at their time is known.
-MAX_UNREAD = 1000
 
 # Exit code of a node that must be restarted, since DDS does not use new network links.
 NEW_LINKS = os.EX_TEMPFAIL
@@ -67,6 +67,8 @@ class RobotNode(FieldNode):
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
+        self._states = StatePublisher(self, self.grid, self._agent)
+        self._base_field = BaseField(self, self.grid)
         self._hold = HoldSubscription(self)
         self._pending = PendingPaths(self, self._agent, self._journal, self._accept, self._refuse)
         self._driver = Driver(
@@ -77,7 +79,8 @@ class RobotNode(FieldNode):
         self._whereis: Transforms | Fixes
         datum, frame = make_datum(values), values['base_frame']
         if values['position'] == 'tf':
-            self._whereis = Transforms(FRAME, frame)
+            # A deviation that is to be stated is unknown until then.
+            self._whereis = Transforms(FRAME, frame, inf if values['pose_topic'] else 0.0)
         elif datum is not None:
             self._whereis = Fixes(datum.in_map, frame, self.grid.resolution / 2)
         else:
@@ -89,13 +92,14 @@ class RobotNode(FieldNode):
         self._place: Place | None = None
         # Current problems by subject; empty texts for solved ones.
         self._troubles = {self._source: 'nothing was received yet'}
-        self._is_driving = False
+        # The deployment in flight; None at home.
+        self._trip: Trip | None = None
         # Whether the robot waits for its reported departure to be on record.
         self._is_at_gate = False
-        # Time at which the end of the last goal was noticed, nanoseconds; 0 before.
-        self._ended_at = 0
-        self._stays_until: int | None = None
-        self._try_again_at = 0.0
+        # Why the last deployment came back without a step; empty if it did not.
+        self._why_unmoved = ''
+        # Maximum speed and source of positions that were logged.
+        self._logged: tuple[float, bool] | None = None
         # Time of the last poll by the system clock and by ROS, nanoseconds.
         self._looked = 0, 0
         self._resume()
@@ -104,6 +108,11 @@ class RobotNode(FieldNode):
                 'this computer has no network link but lo, so no other computer can reach this '
                 f'robot. Once there is a link, this node ends with exit code {NEW_LINKS} and must '
                 'be started again'
+            )
+        if values['arrival_tolerance'] > self.grid.resolution / 2:
+            self.get_logger().warning(
+                f'parameter arrival_tolerance is {values["arrival_tolerance"]} m, and half a cell '
+                f'{self.grid.resolution / 2} m: a robot in another cell counts as home'
             )
         self._subscribe_to_places()
         self.subscribe(
@@ -127,6 +136,10 @@ class RobotNode(FieldNode):
         ):
             take = partial(self._take_place, partial(self._whereis.take, static=is_static))
             self.subscribe(TFMessage, topic, take, profile, keeps_all=False)
+        if topic := self.values['pose_topic']:
+            take = partial(self._take_place, self._whereis.take_deviation)
+            # AMCL publishes it reliable and transient local.
+            self.subscribe(PoseWithCovarianceStamped, topic, take, qos.LATCHED, keeps_all=False)
 
     def _resume(self) -> None:
         """Resume from the journal: publish its statuses and reports, and send the robot home."""
@@ -139,28 +152,27 @@ class RobotNode(FieldNode):
             self._publish_status(deployment.stamp, OrderState.DEPARTED, deployment.departed)
             if deployment.is_home:
                 self._report(deployment)
-        self._deployment: Deployment | None = None
         if under_way := self._journal.under_way:
-            self._set_out(under_way, ())
+            self._trip = self._set_out(under_way, ())
+            self._trip.has_driven = True
             self.get_logger().warning(
                 f'deployment {self._key(under_way)} was interrupted when the robot was switched '
-                f'off in cell {self._walk.cell}: it goes home'
+                f'off in cell {self._trip.cell}: it goes home'
             )
 
-    def _set_out(self, deployment: Deployment, path: Sequence[int]) -> None:
-        self._deployment = deployment
-        self._walk = Walk(
-            self.grid, deployment.cells[-1], self.values['tf_timeout'], self.values['max_speed']
+    def _set_out(self, deployment: Deployment, path: Sequence[int]) -> Trip:
+        """Return the trip of a deployment along a path, or home if the path is empty."""
+        key, warn = self._key(deployment), self.get_logger().warning
+        return Trip(
+            self.grid,
+            deployment,
+            path,
+            self.values,
+            self._driver,
+            lambda *step: self._keep(partial(self._journal.step, *step)),
+            lambda text: warn(f'{key}: {text}'),
+            self.values['max_speed'] or self._driver.max_speed,
         )
-        kept, speed = self.values['tf_timeout'], self.values['max_speed']
-        # Within this time the robot cannot leave its cell and return unnoticed.
-        gap = min(kept, 2 * MARGIN * self.grid.resolution / speed) if speed else kept
-        self._whereabouts = Whereabouts(round(kept * SECOND), round(gap * SECOND))
-        # Detections not assigned to a step yet: first and last possible time, and the result.
-        self._unread: list[tuple[int, int, bool]] = []
-        self._itinerary = Itinerary(self.grid, path, self.values['attempts'])
-        self._is_driving, self._ended_at = False, 0
-        self._stays_until, self._try_again_at = None, 0.0
 
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
@@ -183,55 +195,18 @@ class RobotNode(FieldNode):
 
     def _locate(self) -> None:
         """Localize the robot and, if it is out, record the cells it has entered."""
+        now = self.now()
+        self._place = None
         try:
-            self._place = self._whereis.place(self.now(), self.values['tf_timeout'])
+            self._place = self._whereis.place(now, self.values['tf_timeout'])
+            if self._trip is not None:
+                self._trip.locate(self._place, now)
         except ValueError as error:
-            self._place = None
-            self._lose(self.now(), error)
-            return
-        entered: list[int] = []
-        if self._deployment is not None:
-            try:
-                entered = self._walk.follow(self._place.x, self._place.y, self.now() / SECOND)
-            except ValueError as error:
-                self._lose(self._place.odometry, error)
-                return
-        self._publish_trouble(self._source, '')
-        self._enter(entered)
-        if self._deployment is not None:
-            if self._walk.doubt and not self._deployment.is_doubted:
-                self._doubt(self._deployment, self._walk.doubt)
-            is_well_in = self._walk.sees_its_cell(self._place.x, self._place.y)
-            step = len(self._deployment.steps) if is_well_in else 0
-            self._whereabouts.note(self._place.odometry, step)
-            self._count_readings(self._deployment)
-
-    def _lose(self, time_lost: int, error: ValueError) -> None:
-        """Discard detections while the robot's place is unknown, and publish the reason."""
-        if self._deployment is not None:
-            self._whereabouts.note(time_lost, NO_STEP)
-        self._publish_trouble(self._source, str(error))
-
-    def _enter(self, cells: Sequence[int]) -> None:
-        for cell in cells:
-            self._step(cell)
-            self._itinerary.enter(cell)
-
-    def _step(self, cell: int) -> None:
-        """Record a step of the walk, in memory and in the journal."""
-        assert self._deployment is not None
-        self._deployment.steps.append(Step(cell, self.now()))
-        self._keep(partial(self._journal.step, self._deployment, len(self._deployment.steps)))
-
-    def _doubt(self, deployment: Deployment, why: str) -> None:
-        """Stop recording readings: the robot's cell is uncertain."""
-        warning = (
-            f'{self._key(deployment)}: the position of the robot is uncertain, so later readings '
-            f'do not count: {why}'
-        )
-        self.get_logger().warning(warning)
-        self.diagnostics.values['doubt'] = warning
-        self._keep(partial(self._journal.doubt, deployment, self.now()))
+            if self._trip is not None and self._place is None:
+                self._trip.lose(now)
+            self._publish_trouble(self._source, str(error))
+        else:
+            self._publish_trouble(self._source, '')
 
     def _keep(self, write: Callable[[], None]) -> bool:
         """Write to the disk; on failure report it, and keep the record in memory."""
@@ -259,12 +234,11 @@ class RobotNode(FieldNode):
         try:
             seen, stamp = read_detection(message, self.values)
             since, until = self._detection_time(stamp, published)
+            self._locate()
+            if self._trip is not None:
+                self._trip.detect(since, until, seen, is_stamped=stamp is not None)
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
-            return
-        if self._deployment is not None and not self._deployment.is_doubted:
-            self._unread = [*self._unread[-MAX_UNREAD:], (since, until, seen)]
-        self._locate()
 
     def _detection_time(self, stamp: int | None, published: int) -> tuple[int, int]:
         """Return the interval of ROS time in which a detection was made, in nanoseconds."""
@@ -282,27 +256,12 @@ class RobotNode(FieldNode):
             )
         return made, made
 
-    def _count_readings(self, deployment: Deployment) -> None:
-        """Assign detections to the steps during which they were made."""
-        # Detections that may be of another cell are discarded.
-        unread, self._unread = self._unread, []
-        for since, until, seen in unread:
-            number = self._whereabouts.step_within(since, until)
-            if number is None:
-                self._unread.append((since, until, seen))
-            elif number != NO_STEP and not deployment.is_doubted:
-                step = deployment.steps[number - 1]
-                # The reading of a step is positive if any of its detections is positive.
-                if step.reading < seen:
-                    step.reading = int(seen)
-                    self._keep(partial(self._journal.step, deployment, number))
-
     def _look(self) -> None:
         self._looked = time.time_ns(), self.now()
         self._locate()
         self._keep(self._journal.write)
         self._driver.look()
-        is_home = self._deployment is None or self._is_at_gate
+        is_home = self._trip is None or self._is_at_gate
         if is_home and (new := addresses().items() - self._addresses.items()):
             news = ', '.join(f'{name} has {address}' for name, address in sorted(new))
             self._publish_trouble(
@@ -313,9 +272,28 @@ class RobotNode(FieldNode):
             self.end(NEW_LINKS)
             return
         self.diagnostics.waiting = self._pending.pending
-        self.diagnostics.state = (
-            self._wait() if self._deployment is None else self._go_on(self._deployment)
-        )
+        state = self._wait() if self._trip is None else self._go_on(self._trip)
+        self.diagnostics.state = state
+        self._publish_state(state)
+
+    def _publish_state(self, state: str) -> None:
+        """Publish whether the robot can leave, and what stops it."""
+        trip, place = self._trip, self._place
+        tolerance = self.values['arrival_tolerance']
+        is_at_base = place is not None and distance_home(self.grid, place) <= tolerance
+        awaited = state.removeprefix(WAITING) if state.startswith(WAITING) else ''
+        if trip is not None:
+            # A robot without a step is still at its base if it was not sent, or is seen there.
+            is_at_base = not trip.deployment.steps and (not trip.has_driven or is_at_base)
+            self._states.publish(Readiness.OUT, trip.failure or awaited, is_at_base)
+            return
+        if self._driver.is_down:
+            self._why_unmoved = ''
+        awaited = awaited or self._base_field.awaited or self._why_away() or self._driver.awaited
+        if awaited:
+            self._states.publish(Readiness.WAITING, awaited, is_at_base)
+        else:
+            self._states.publish(Readiness.READY, self._why_unmoved, is_at_base)
 
     def _wait(self) -> str:
         """Start the next deployment unless a condition blocks it; return the robot's state."""
@@ -335,11 +313,15 @@ class RobotNode(FieldNode):
             ):
                 return self._no_room
             self._pending.close(superseded)
-        if awaited := self._hold.awaited or self._not_ready():
+        if awaited := self._base_field.awaited or self._hold.awaited or self._not_ready():
             return waiting_for(awaited)
         if not self._depart(deployment):
             return self._no_room
-        return self._go_on(deployment)
+        return (
+            f'leaving on {self._key(deployment)}'
+            if self._trip is None
+            else self._go_on(self._trip)
+        )
 
     def _refuse(self, deployment: Deployment, reason: str) -> bool:
         """Refuse a path for good; return whether the refusal is in the journal."""
@@ -356,19 +338,44 @@ class RobotNode(FieldNode):
         if not self._keep(partial(self._journal.depart, deployment)):
             return False
         self._pending.close(deployment)
-        self._set_out(deployment, deployment.path)
+        self._log_limits()
+        self._trip = trip = self._set_out(deployment, deployment.path)
         self._is_at_gate = True
         departure = status_message(self._key(deployment), OrderState.DEPARTED, deployment.departed)
-        self._pending.when_recorded(departure, partial(self._leave, deployment))
+        self._pending.when_recorded(departure, partial(self._leave, trip))
         self._statuses.publish(departure)
         return True
 
-    def _leave(self, deployment: Deployment) -> None:
+    def _log_limits(self) -> None:
+        """Log once by which positions and which speed the robot vouches for its steps."""
+        speed = self.values['max_speed'] or self._driver.max_speed
+        has_odometry = self._place is not None and self._place.correction is not None
+        if self._logged == (speed, has_odometry):
+            return
+        self._logged = speed, has_odometry
+        log, cell = self.get_logger(), self.grid.resolution
+        if not speed:
+            speed = USUAL_SPEED * cell
+            log.warning(
+                f'max_speed is 0, and Nav2 states no maximum speed: {speed:g} m/s is assumed'
+            )
+        reach = (BY_ODOMETRY if has_odometry else BY_POSES).stretch * cell
+        source = (
+            'positions with odometry'
+            if has_odometry
+            else ('positions without odometry, which is far better (frames map, odom and base)')
+        )
+        log.info(
+            f'{source}: at {speed:g} m/s the robot vouches for its steps with poses at least '
+            f'every {reach / speed:.2g} s'
+        )
+
+    def _leave(self, trip: Trip) -> None:
         """Start the drive, unless a pause has ended the deployment."""
-        if self._deployment is deployment:
+        if self._trip is trip:
             self._is_at_gate = False
-            steps = len(deployment.path) - 1
-            self.get_logger().info(f'leaving on {self._key(deployment)}: {steps} steps')
+            steps = len(trip.deployment.path) - 1
+            self.get_logger().info(f'leaving on {self._key(trip.deployment)}: {steps} steps')
 
     @property
     def _no_room(self) -> str:
@@ -380,141 +387,67 @@ class RobotNode(FieldNode):
         name = 'TF' if self._source == '/tf' else 'a fix'
         return f'{name}: {self._troubles[self._source]}'
 
-    def _not_ready(self) -> str:
-        """Describe the condition that blocks the departure; empty if there is none."""
+    def _why_away(self) -> str:
+        """Describe why the robot is not known to be at its base; empty if it is."""
         if self.now() <= 0:
             return 'the clock to start'
         if self._place is None:
             return self._unplaced
-        away, tolerance = self._distance(self._place), self.values['arrival_tolerance']
+        away, tolerance = distance_home(self.grid, self._place), self.values['arrival_tolerance']
         if away > tolerance:
             return (
                 f'the robot to be at its base, cell {self.grid.base}: it is {away:.1f} m from the '
                 f'middle, at most {tolerance} m are allowed (parameter arrival_tolerance)'
             )
+        return ''
+
+    def _not_ready(self) -> str:
+        """Describe the condition that blocks the departure; empty if there is none."""
+        if awaited := self._why_away():
+            return awaited
+        assert self._place is not None
         return self._driver.not_ready((self._place.x, self._place.y), self.now())
 
-    def _go_on(self, deployment: Deployment) -> str:
+    def _go_on(self, trip: Trip) -> str:
         """Take the next action of the deployment; return the robot's state."""
         if self._is_at_gate:
-            return self._wait_at_gate(deployment)
-        itinerary = self._itinerary
-        budget: float = self.values['time_budget']
-        spent = (self.now() - deployment.departed) / SECOND
-        steps_back = len(without_loops(reversed(deployment.cells))) - 1
-        # Estimated from the pace of the steps so far.
-        way_back = steps_back * spent / max(len(deployment.steps), 1)
-        if not itinerary.heads_home and 0 < budget <= spent + way_back:
-            self.get_logger().warning(
-                f'{self._key(deployment)}: going home, since the rest of {budget} s (parameter '
-                'time_budget) is needed for the way back'
-            )
-            self._driver.cancel()
-            self._is_driving = False
-            itinerary.go_home()
-        goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
-        if self._driver.is_busy:
-            return f'driving {goal}'
-        if self._place is None:
-            return waiting_for(self._unplaced)
-        if self._is_driving:
-            # The position may lag behind the controller.
-            self._ended_at = self._ended_at or self.now()
-            is_behind = self._place.stamp < self._ended_at
-            if is_behind and self.now() < self._ended_at + self.values['tf_timeout'] * SECOND:
-                return waiting_for(f'the position of the robot after driving {goal}')
-            self._is_driving, self._ended_at = False, 0
-            self._end_leg(self._place)
-        tolerance = self.values['arrival_tolerance']
-        if itinerary.heads_home and self._distance(self._place) <= tolerance:
-            self._come_home(deployment)
-            return f'home from {self._key(deployment)}'
-        if itinerary.is_stay and self._walk.cell == itinerary.destination:
-            return self._stay()
-        if time.monotonic() < self._try_again_at:
-            return waiting_for(f'the next try {goal} (parameter retry_delay)')
-        if awaited := self._driver.awaited:
-            return waiting_for(awaited)
-        start = self._place.x, self._place.y
-        self._driver.drive(start, itinerary.next_leg(deployment.cells), self.now())
-        self._is_driving = True
-        return f'driving {goal}'
+            return self._wait_at_gate(trip)
+        state = trip.advance(self._place, self.now(), self._unplaced)
+        return self._come_home(trip) if trip.is_home else state
 
-    def _wait_at_gate(self, deployment: Deployment) -> str:
+    def _wait_at_gate(self, trip: Trip) -> str:
         """Wait until the departure is on record; a pause ends the deployment."""
+        key = self._key(trip.deployment)
         if self._hold.is_held:
             self.get_logger().warning(
-                f'{self._key(deployment)}: the operator paused the mission before its departure '
-                'was on disk; it stays at the base'
+                f'{key}: the operator paused the mission before its departure was on disk; it '
+                'stays at the base'
             )
             self._is_at_gate = False
-            self._come_home(deployment)
-            return f'home from {self._key(deployment)}'
+            trip.failure = 'the operator paused the mission'
+            return self._come_home(trip)
         return waiting_for(
-            f'the recorder to acknowledge the departure of {self._key(deployment)} on '
-            f'{self._agent}/recorded (parameter recorded)'
+            f'the recorder to acknowledge the departure of {key} on {self._agent}/recorded '
+            '(parameter recorded)'
         )
 
-    def _end_leg(self, place: Place) -> None:
-        """Handle the end of a goal of Nav2: start the next leg, a retry, or the way home."""
-        itinerary, failure = self._itinerary, self._driver.failure
-        if not failure:
-            try:
-                cell = self._walk.cell_at(place.x, place.y)
-            except ValueError as error:
-                failure = f'{self._driver.name} reports that the goal is reached, but {error}'
-            else:
-                is_there = cell == itinerary.destination
-                if itinerary.heads_home:
-                    is_there &= self._distance(place) <= self.values['arrival_tolerance']
-                if is_there:
-                    self._enter(self._walk.settle(place.x, place.y))
-                else:
-                    failure = (
-                        f'{self._driver.name} reports cell {itinerary.destination} as reached, '
-                        f'but the robot is in cell {cell}, at ({place.x:.2f}, {place.y:.2f}): '
-                        'set the goal tolerance of Nav2 below half the side of a cell, and at '
-                        'most to the parameter arrival_tolerance'
-                    )
-        if not failure:
-            itinerary.succeed()
-            return
-        was_homebound = itinerary.heads_home
-        if self._driver.was_cancelled and not was_homebound:
-            # Another client stopped the drive on purpose.
-            itinerary.go_home()
-        else:
-            itinerary.fail()
-        self._try_again_at = time.monotonic() + self.values['retry_delay']
-        then = 'trying again' if itinerary.heads_home == was_homebound else 'going home'
-        self.get_logger().warning(f'{failure}; {then}')
-
-    def _distance(self, place: Place) -> float:
-        """Return the distance of a place from the middle of the base, in metres."""
-        ((x, y),) = self.grid.centers([self.grid.base]).tolist()
-        return hypot(place.x - x, place.y - y)
-
-    def _stay(self) -> str:
-        """Stay in the cell for the parameter stay_time; return the state of the robot."""
-        now = self.now()
-        if self._stays_until is None:
-            self._stays_until = now + int(self.values['stay_time'] * SECOND)
-            self._step(self._walk.cell)
-        elif now >= self._stays_until:
-            self._stays_until = None
-            self._itinerary.succeed()
-        return f'staying in cell {self._walk.cell}'
-
-    def _come_home(self, deployment: Deployment) -> None:
-        """End a walk at the base."""
-        for cell in shortest_way(self.grid, self._walk.cell, self.grid.base)[1:]:
-            self._step(cell)
-        self._deployment = None
-        self._keep(partial(self._journal.arrive, deployment, self.now()))
+    def _come_home(self, trip: Trip) -> str:
+        """End a walk at the base, and report it; return the robot's state."""
+        deployment, now = trip.deployment, self.now()
+        key = self._key(deployment)
+        if doubt := trip.come_home(now):
+            self.get_logger().warning(f'{key}: no step is vouched for: {doubt}')
+        self._trip = None
+        self._why_unmoved = '' if deployment.steps else trip.failure or 'the robot made no step'
+        self._keep(partial(self._journal.arrive, deployment, now))
         self._report(deployment)
+        made = len(deployment.steps)
+        unsure = sum(not step.is_entered for step in deployment.steps)
         self.get_logger().info(
-            f'home from {self._key(deployment)} after {len(deployment.steps)} steps'
+            f'home from {key} after {made} steps'
+            + (f', {unsure} not vouched for' if unsure else '')
         )
+        return f'home from {key}'
 
     def _report(self, deployment: Deployment) -> None:
         most = MAX_WALK * value_for(self.values, 'max_steps', self._agent)
@@ -527,7 +460,10 @@ class RobotNode(FieldNode):
             )
             self.get_logger().warning(warning)
             self.diagnostics.values['long walk'] = warning
-        self._reports.publish(report_message(self._key(deployment), observation, now))
+        field_id = self.grid.id
+        self._reports.publish(
+            report_message(self._key(deployment), observation, now, field_id=field_id)
+        )
         self._readings.publish(readings_marker(self.grid, observation, now))
 
     def finish(self) -> None:

@@ -21,6 +21,9 @@ import numpy as np
 
 NOT_LOOKED = -1
 
+# Stands for the reading of a step that the robot does not vouch for.
+NOT_ENTERED = -2
+
 
 @dataclass
 class Step:
@@ -31,6 +34,8 @@ class Step:
     time: int
     # 1 if the detector saw a target in the cell, 0 if it saw none, -1 without a detection.
     reading: int = NOT_LOOKED
+    # Whether the robot vouches that it was in the cell; known when it is home.
+    is_entered: bool = True
 
 
 @dataclass
@@ -49,8 +54,6 @@ class Deployment:
     steps: list[Step] = field(default_factory=list)
     # Whether the robot is back at its base, after its last step.
     is_home: bool = False
-    # Whether the robot was localized at an impossible place, so that later readings do not count.
-    is_doubted: bool = False
 
     @property
     def cells(self) -> list[int]:
@@ -63,7 +66,8 @@ class Deployment:
         steps = [self.steps[number - 1] for number in kept] or [Step(self.path[0], 0)]
         walk = np.array([self.path[0], *(step.cell for step in steps)], dtype=np.intp)
         readings = np.array([step.reading for step in steps], dtype=np.int8)
-        return Observation(walk, True, readings)
+        entered = np.array([step.is_entered for step in steps])
+        return Observation(walk, True, readings, entered=entered)
 
 
 VERSION = 2
@@ -198,10 +202,16 @@ class Journal:
             step = Step(entry['cell'], entry['time'], entry['reading'])
             before = number - 1
             steps[before:number] = [step]
-        elif 'doubted' in entry:
-            self.deployments[-1].is_doubted = entry['doubted'] >= 0
-        else:
-            self.deployments[-1].is_home = entry['home'] >= 0
+        elif 'home' in entry:
+            deployment = self.deployments[-1]
+            # Journals of 1.0 do not have the evidence of steps here.
+            for step, reading in zip(deployment.steps, entry.get('evidence', ())):
+                step.is_entered = reading != NOT_ENTERED
+                step.reading = max(reading, NOT_LOOKED)
+            deployment.is_home = entry['home'] >= 0
+        elif 'doubted' not in entry:
+            # Written by 1.0; its readings after it are not recorded.
+            raise ValueError('the line is of no known kind')
 
     def _cut(self, corrupt: bytes) -> None:
         """Cut off corrupt bytes at the end; keep them in a file if they are more than one line."""
@@ -253,7 +263,7 @@ class Journal:
         self.refusals[stamp] = time, reason
 
     def step(self, deployment: Deployment, number: int) -> None:
-        """Record a step of a deployment; record it again when its reading changes."""
+        """Record a step of a deployment; raise OSError as `write` does."""
         step = deployment.steps[number - 1]
         self._unwritten.append(
             {
@@ -265,16 +275,11 @@ class Journal:
         )
         self.write()
 
-    def doubt(self, deployment: Deployment, time: int) -> None:
-        """Record that later readings do not count; raise OSError as `write` does."""
-        deployment.is_doubted = True
-        self._unwritten.append({'doubted': time})
-        self.write()
-
     def arrive(self, deployment: Deployment, time: int) -> None:
-        """Record that the robot is home; raise OSError as `write` does."""
+        """Record that the robot is home, and the evidence of its steps, as `write` does."""
         deployment.is_home = True
-        self._unwritten.append({'home': time})
+        evidence = [step.reading if step.is_entered else NOT_ENTERED for step in deployment.steps]
+        self._unwritten.append({'home': time, 'evidence': evidence})
         self.write()
 
     def write(self) -> None:

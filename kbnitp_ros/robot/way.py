@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from math import hypot
 
 from kbnitp_ros.core import Grid
 import numpy as np
@@ -160,22 +159,18 @@ MARGIN = 0.2
 class Walk:
     """The walk of a robot: its current cell, and the cells that it enters."""
 
-    def __init__(self, grid: Grid, cell: int, patience: float, max_speed: float = 0.0) -> None:
+    def __init__(self, grid: Grid, cell: int, patience: float) -> None:
         self.grid = grid
         self.cell = cell
-        # Description of the last impossible jump, after which the cell is uncertain; else empty.
-        self.doubt = ''
         self._patience = patience
-        self._max_speed = max_speed
-        # Last accepted position: x, y and its time.
-        self._seen: tuple[float, float, float] | None = None
         # Time at which the robot seemed to jump; None if it did not.
         self._away_since: float | None = None
 
     def follow(self, x: float, y: float, time: float) -> list[int]:
         """Return the cells entered on the way to a position (metres) at a time (seconds)."""
         if self._off_middle(x, y) <= 0.5 + MARGIN:
-            return self._come_to(self.cell, x, y, time)
+            self._away_since = None
+            return []
         cell = self.cell_at(x, y)
         row, col = divmod(self.cell, self.grid.width)
         to_row, to_col = divmod(cell, self.grid.width)
@@ -188,28 +183,13 @@ class Walk:
                     f'({x:.2f}, {y:.2f}): the new position is accepted if it lasts for '
                     f'{self._patience} s (parameter tf_timeout)'
                 )
-            self.doubt = self._why_doubtful(x, y, time) or self.doubt
-        return self._come_to(cell, x, y, time)
+        return self._come_to(cell)
 
-    def _come_to(self, cell: int, x: float, y: float, time: float) -> list[int]:
+    def _come_to(self, cell: int) -> list[int]:
         """Move to a cell; return the cells entered on a shortest way."""
         way = shortest_way(self.grid, self.cell, cell)[1:]
-        self.cell, self._seen, self._away_since = cell, (x, y, time), None
+        self.cell, self._away_since = cell, None
         return way
-
-    def _why_doubtful(self, x: float, y: float, time: float) -> str:
-        """Explain why the robot cannot have reached a position in time; empty if it can."""
-        if self._seen is None or not self._max_speed:
-            return ''
-        from_x, from_y, since = self._seen
-        distance, seconds = hypot(x - from_x, y - from_y), time - since
-        # A correction of the localization by less than a cell is harmless.
-        if distance <= self._max_speed * seconds + self.grid.resolution:
-            return ''
-        return (
-            f'it jumped from ({from_x:.2f}, {from_y:.2f}) to ({x:.2f}, {y:.2f}), {distance:.1f} m '
-            f'in {seconds:.2f} s, faster than {self._max_speed} m/s (parameter max_speed)'
-        )
 
     def _off_middle(self, x: float, y: float) -> float:
         """Return the larger of the x and y offsets from the middle of the cell, in cell sides."""
@@ -223,10 +203,7 @@ class Walk:
 
     def settle(self, x: float, y: float) -> list[int]:
         """Return the cells entered by a robot that stands still; its place needs no margin."""
-        cell = self.cell_at(x, y)
-        way = shortest_way(self.grid, self.cell, cell)[1:]
-        self.cell = cell
-        return way
+        return self._come_to(self.cell_at(x, y))
 
     def cell_at(self, x: float, y: float) -> int:
         """Return the cell at a position."""

@@ -9,16 +9,34 @@ from math import isfinite, sqrt
 from typing import Any, NamedTuple
 
 from kbnitp_ros.messages.headers import from_stamp, SECOND, shown
-import numpy as np
-from numpy.typing import NDArray
 
 # Maximum number of frames; a robot has tens.
 MAX_FRAMES = 1000
 
 
-# The transform of a frame to its parent: name of the parent, translation in metres, rotation as a
-# unit quaternion x, y, z, w, and time in nanoseconds (None if it is static).
-Link = tuple[str, NDArray[np.float64], NDArray[np.float64], int | None]
+# Seconds by which a stamp may be ahead: Nav2's AMCL dates its transforms up to a second ahead.
+MAX_AHEAD = 5.0
+
+Point = tuple[float, float, float]
+
+# Scores of a transform whose stamps or parents go back and forth: of each step back, above which
+# two nodes publish it, and the largest. Each message without a step back takes one off.
+STEP_BACK, MAX_SCORE, SCORE_LIMIT = 4, 8, 40
+
+
+class Link(NamedTuple):
+    """The transform of a frame to its parent."""
+
+    parent: str
+    # Rotation and translation (metres): for x, y and z the three factors and the summand.
+    rows: tuple[tuple[float, float, float, float], ...]
+    # Nanoseconds; None if it is static.
+    stamp: int | None
+
+    def apply(self, point: Point) -> Point:
+        """Return a point of the frame in its parent."""
+        x, y, z = (a * point[0] + b * point[1] + c * point[2] + d for a, b, c, d in self.rows)
+        return x, y, z
 
 
 class Place(NamedTuple):
@@ -32,62 +50,130 @@ class Place(NamedTuple):
     # The time of the first non-static transform on the way from the robot's frame to the map,
     # usually odometry. Later transforms correct odometry, may be rare, and may be dated ahead.
     odometry: int
+    # Place by odometry, in its own frame, and that frame in the map: shift in metres, and turn as
+    # a complex number; None without odometry.
+    moved: complex = 0j
+    correction: tuple[complex, complex] | None = None
+    # Stated standard deviation in metres, of a place without odometry.
+    sigma: float = 0.0
 
 
 class Transforms:
     """The newest transform of each frame to its parent."""
 
-    def __init__(self, frame: str, robot_frame: str) -> None:
+    def __init__(self, frame: str, robot_frame: str, sigma: float = 0.0) -> None:
         self._frame = frame
         self._robot_frame = robot_frame
         self._links: dict[str, Link] = {}
+        # Times at which transforms were received, nanoseconds; those received since the last look
+        # count as received at the next.
+        self._heard: dict[str, int] = {}
+        self._unheard: set[str] = set()
+        self._steps_back: dict[str, int] = {}
+        self._sigma = sigma
 
     def take(self, message: Any, *, static: bool) -> None:
         """Add a tf2_msgs/TFMessage."""
         for transform in message.transforms:
             child, pose = transform.child_frame_id.lstrip('/'), transform.transform
             move, turn = pose.translation, pose.rotation
-            translation = np.array([move.x, move.y, move.z])
-            rotation = np.array([turn.x, turn.y, turn.z, turn.w])
-            length = float(np.linalg.norm(rotation))
-            if not (np.isfinite(translation).all() and 0.9 < length < 1.1):
+            x, y, z, w = turn.x, turn.y, turn.z, turn.w
+            length = sqrt(x * x + y * y + z * z + w * w)
+            if not (all(map(isfinite, (move.x, move.y, move.z))) and 0.9 < length < 1.1):
                 raise ValueError(
-                    f'the transform to {child!r} has translation {translation.tolist()} and '
-                    f'rotation {rotation.tolist()}: they must be finite and a unit quaternion'
+                    f'the transform to {child!r} has translation {[move.x, move.y, move.z]} and '
+                    f'rotation {[x, y, z, w]}: they must be finite and a unit quaternion'
                 )
             if child not in self._links and len(self._links) == MAX_FRAMES:
                 raise ValueError(f'frame {child!r} exceeds the maximum of {MAX_FRAMES} frames')
+            x, y, z, w = x / length, y / length, z / length, w / length
+            rows = (
+                (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), move.x),
+                (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), move.y),
+                (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), move.z),
+            )
             parent = transform.header.frame_id.lstrip('/')
             stamp = None if static else from_stamp(transform.header.stamp)
-            self._links[child] = parent, translation, rotation / length, stamp
+            self._take(child, Link(parent, rows, stamp))
+
+    def _take(self, child: str, link: Link) -> None:
+        """Replace a link, and score it if its parent changes or its stamp goes back."""
+        last = self._links.get(child, link)
+        is_back = last.parent != link.parent or (last.stamp or 0) > (link.stamp or 0)
+        score = self._steps_back.get(child, 0) + (STEP_BACK if is_back else -1)
+        self._steps_back[child] = min(max(score, 0), SCORE_LIMIT)
+        self._links[child] = link
+        self._unheard.add(child)
+
+    def take_deviation(self, message: Any) -> None:
+        """Take the deviation of a geometry_msgs/PoseWithCovarianceStamped."""
+        covariance = message.pose.covariance
+        deviation = sqrt(max(covariance[0], covariance[7], 0.0))
+        if not isfinite(deviation):
+            raise ValueError(
+                f'pose.covariance has {covariance[0]} and {covariance[7]} for x and y'
+            )
+        self._sigma = deviation
 
     def place(self, now: int, oldest: float) -> Place:
-        """Return the place of the robot by transforms at most `oldest` seconds old."""
-        place: NDArray[np.float64] = np.zeros(3)
-        frame, stamp = self._robot_frame, now
-        odometry: int | None = None
-        passed = set()
+        """Return the place by transforms dated and received in the last `oldest` seconds."""
+        self._heard |= dict.fromkeys(self._unheard, now)
+        self._unheard.clear()
+        links: list[Link] = []
+        frame = self._robot_frame
         while frame != self._frame:
-            if frame not in self._links or frame in passed:
+            if frame not in self._links or len(links) == len(self._links):
                 raise ValueError(
                     f'no transform leads from {self._frame!r} to {self._robot_frame!r}: the place '
                     f'of {frame!r} is unknown'
                 )
-            passed.add(frame)
-            parent, translation, rotation, since = self._links[frame]
-            changed = now if since is None else since
-            if now - changed > oldest * SECOND:
-                raise ValueError(
-                    f'the last transform from {parent!r} to {frame!r} is older than {oldest} s '
-                    '(parameter tf_timeout)'
-                )
-            axis, w = rotation[:3], rotation[3]
-            turn = 2 * np.cross(axis, np.cross(axis, place) + w * place)
-            place = translation + (place + turn)
-            frame, stamp = parent, min(stamp, changed)
-            odometry = since if odometry is None else odometry
-        return Place(
-            float(place[0]), float(place[1]), stamp, now if odometry is None else odometry
+            link = self._links[frame]
+            self._check(frame, link, now, oldest)
+            links.append(link)
+            frame = link.parent
+        stamps = [link.stamp for link in links if link.stamp is not None]
+        # The last transform that is not static corrects odometry, if there are others below it.
+        numbers = [number for number, link in enumerate(links) if link.stamp is not None]
+        split = numbers[-1] if len(numbers) > 1 else len(links)
+        at: Point = (0.0, 0.0, 0.0)
+        for link in links[:split]:
+            at = link.apply(at)
+        points, moved = [at, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], complex(*at[:2])
+        for link in links[split:]:
+            points = [link.apply(point) for point in points]
+        (x, y, _), begin, end = points
+        shift, turn = complex(*begin[:2]), complex(*end[:2]) - complex(*begin[:2])
+        is_corrected = split < len(links) and turn != 0
+        correction = (shift, turn / abs(turn)) if is_corrected else None
+        first = stamps[0] if stamps else now
+        return Place(x, y, min([now, *stamps]), first, moved, correction, self._sigma)
+
+    def _check(self, frame: str, link: Link, now: int, oldest: float) -> None:
+        """Raise ValueError unless a link is fresh and of one publisher."""
+        name = f'from {link.parent!r} to {frame!r}'
+        if self._steps_back[frame] > MAX_SCORE:
+            raise ValueError(
+                f'two nodes publish the transform {name}: its stamps or parents go back and '
+                'forth; end one of them'
+            )
+        if link.stamp is None:
+            return
+        heard = (now - self._heard[frame]) / SECOND
+        age = (now - link.stamp) / SECOND
+        check_ahead(f'the last transform {name}', -age)
+        if max(age, heard) > oldest:
+            raise ValueError(
+                f'the last transform {name} is older than {oldest} s (parameter tf_timeout)'
+                + (f': clock behind by {age:.0f} s' if heard <= oldest else '')
+            )
+
+
+def check_ahead(what: str, ahead: float) -> None:
+    """Raise ValueError if a stamp is too many seconds ahead of this clock."""
+    if ahead > MAX_AHEAD:
+        raise ValueError(
+            f'{what} is dated in the future, clock ahead by {ahead:.0f} s: set the clocks of '
+            'this computer and of its publisher alike (use_sim_time on both or on neither)'
         )
 
 
@@ -105,6 +191,8 @@ class Fixes:
         self._frame = frame
         self._largest = largest
         self._newest: Place | None = None
+        # Time at which the newest fix was received, nanoseconds; None before the next look.
+        self._heard: int | None = None
 
     def take(self, message: Any) -> None:
         """Add a sensor_msgs/NavSatFix."""
@@ -133,13 +221,15 @@ class Fixes:
             )
         x, y = self._in_map(message.latitude, message.longitude)
         stamp = from_stamp(message.header.stamp)
-        self._newest = Place(x, y, stamp, stamp)
+        self._newest, self._heard = Place(x, y, stamp, stamp, sigma=deviation), None
 
     def place(self, now: int, oldest: float) -> Place:
-        """Return the place of the robot by a fix at most `oldest` seconds old."""
+        """Return the place by a fix dated and received in the last `oldest` seconds."""
         if self._newest is None:
             raise ValueError('no fix was accepted yet')
-        if now - self._newest.stamp > oldest * SECOND:
+        self._heard = now if self._heard is None else self._heard
+        check_ahead('the last fix', (self._newest.stamp - now) / SECOND)
+        if now - min(self._newest.stamp, self._heard) > oldest * SECOND:
             raise ValueError(f'the last fix is older than {oldest} s (parameter tf_timeout)')
         return self._newest
 
