@@ -272,7 +272,7 @@ class StatePublisher:
         self._grid = grid
         self._agent = agent
         self._said: tuple[Readiness, str, bool] | None = None
-        topic = '/'.join(filter(None, [node.above, agent, 'state']))
+        topic = f'{node.above}/{agent}/state' if agent else f'{node.above}/state'
         self._publisher = node.create_publisher(AgentState, topic, qos.LATCHED)
 
     def publish(self, readiness: Readiness, reason: str = '', is_at_base: bool = False) -> None:

@@ -12,8 +12,8 @@ import subprocess
 import time
 
 from extent import FULL, LONG, some
-from fleet import FIELD, Fleet, moves, TARGETS
-from kbnitp_msgs.msg import AgentStatus, BeliefMaps
+from fleet import FIELD, Fleet, GRID, moves, TARGETS
+from kbnitp_msgs.msg import AgentState, AgentStatus, BeliefMaps
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import REPORT
@@ -205,23 +205,58 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     assert '(parameter time_budget) is needed for the way back' in field.said('/scout_1/robot')
 
 
-def test_nothing_is_read_after_a_jump_that_no_robot_can_make(field):
+@pytest.mark.parametrize('driver', ['follow_waypoints', 'navigate_through_poses', 'follow_path'])
+def test_no_cell_is_vouched_for_that_was_not_entered_around_a_jump(field, driver):
     fleet, reports = Fleet.simulated(field, speed=1.0)
-    fleet.start(max_speed=1.5, tf_timeout=0.5)
+    fleet.start(driver=driver, max_speed=1.5, tf_timeout=0.5)
     key = fleet.send(1, [0, 1, 2, 3, 2, 1, 0])
     field.until(lambda: 2 in fleet.walked(), 'robot under way')
     fleet.inject('jump')
-    field.until(
-        lambda: 'position of the robot is uncertain' in field.said('/scout_1/robot'), 'doubt'
-    )
+    field.until(lambda: 'jump' in field.said('/scout_1/robot'), 'word of the jump')
+    # Longer than a jump must last to be accepted.
+    fleet.wait(1.5)
     fleet.inject('live')
     report = fleet.wait_for_report(reports, key)
-    first = next(number for number, (cell, _) in enumerate(report.readings) if cell > 3)
-    before, after = report.readings[:first], report.readings[first:]
-    assert all(reading == -1 for _, reading in after)
-    # The shortest way to its apparent position begins with cells where it was not seen.
-    assert all(reading in (cell in TARGETS, -1) for cell, reading in before)
-    assert before[0] == (1, False)
+    field.until(lambda: 'not vouched for' in field.said('/scout_1/robot'), 'word of the steps')
+    sure = [each for each, is_sure in zip(report.readings, report.entered) if is_sure]
+    assert sure
+    assert {cell for cell, _ in sure} <= {*fleet.walked()}
+    assert all(reading in (cell in TARGETS, -1) for cell, reading in sure)
+    assert report.readings[0] == (1, False)
+
+
+def test_a_robot_says_why_it_cannot_leave_and_where_it_stands(field):
+    fleet = Fleet(field)
+    states = field.listen(AgentState, '/scout_1/state')
+    reports = fleet.reports()
+    fleet.start(tf_timeout=1.0)
+
+    def said(words, **values):
+        field.until(
+            lambda: (
+                states
+                and words in states[-1].reason
+                and all(getattr(states[-1], name) == value for name, value in values.items())
+            ),
+            f'{words!r} {values}',
+        )
+
+    said('TF: ', state=AgentState.WAITING, at_base=False)
+    assert states[-1].field_id == GRID.id
+    fleet.simulate(wrong='reject!')
+    said('', state=AgentState.READY, at_base=True)
+    # Nav2 rejects the goals: it comes back without a step, and says why.
+    fleet.send(1, [0, 1, 0])
+    said('rejected the goal', state=AgentState.OUT, at_base=True)
+    field.until(lambda: reports, 'report')
+    said('rejected the goal', state=AgentState.READY, at_base=True)
+    fleet.inject('live')
+    key = fleet.send(2, [0, 1, 2, 3, 2, 1, 0])
+    said('', state=AgentState.OUT, at_base=False)
+    fleet.wait_for_report(reports, key)
+    said('', state=AgentState.READY, at_base=True)
+    fleet.end_simulator()
+    said('', state=AgentState.WAITING)
 
 
 @pytest.mark.parametrize('lifecycle, told', some([
