@@ -330,10 +330,13 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         if period == 0.0:
             self._return(key, made.observation)
             return
-        self._after(period * (len(made.walk) - 1), partial(self._return, key, made.observation))
-        if self._node.values['publish_pose']:
-            for step, cell in enumerate(made.walk[: made.steps_made + 1].tolist()):
-                self._after(period * step, partial(self._show, cell))
+        is_shown = self._node.values['publish_pose']
+        walk = made.walk[: made.steps_made + 1].tolist() if is_shown else []
+        shown = [partial(self._show, cell) for cell in walk]
+        events = iter([*shown, partial(self._return, key, made.observation)])
+        # rclpy runs timers that are due at the same time in any order: each takes the next event.
+        for step in (*range(len(walk)), len(made.walk) - 1):
+            self._after(period * step, lambda: next(events)())
 
     def _after(self, seconds: float, callback: Callable[[], None]) -> None:
         """Call back once after a delay, on the simulated clock if there is one."""

@@ -6,7 +6,8 @@ from dataclasses import replace
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState
-from kbnitp_ros.messages.operator_actions import Action
+from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
+from laws import for_each
 import numpy as np
 from samples import HOME, key
 from test_obstacles import CLEAR, operator, VALUES
@@ -126,3 +127,29 @@ def test_robots_without_a_step_do_not_count_and_two_stop_their_agent():
     done = replace(now, sent=7, newest=7, last_received=7)
     assert done.obstacle is Obstacle.ALL_DEPLOYED
     assert describe_obstacle(done, done.obstacle) == '3 of 3 robots deployed'
+
+
+@for_each('back', [10 * SECOND, 10**9 * SECOND])
+def test_a_robot_keeps_its_time_when_the_clock_is_set_back(back):
+    """It is overdue as long after its departure as if the clock had gone on."""
+    (one,) = keys = [key(1)]
+    robots = departed(one)
+    begun = 2 * 10**9 * SECOND
+    away = (len(HOME) - 1) * SECOND + 10 * SECOND
+    assert robots.overdue(begun) == []
+    assert robots.overdue(begun - back + 1) == []
+    # The set-back itself takes no time.
+    assert overdue(robots, begun - back + away - SECOND) == []
+    assert overdue(robots, begun - back + away + SECOND) == keys
+
+
+def test_a_refusal_of_the_operator_ends_with_the_next_departure():
+    state = OperatorState()
+    paths = {key(1): HOME_PATH}
+    state.apply(OperatorAction(1, Action.REFUSE, 4, paths))
+    state.apply(OperatorAction(2, Action.APPROVE, 4, paths))
+    assert [[each.tolist() for each in refused] for refused in state.refused(4)] == [[HOME]]
+    assert state.is_approved(4, paths)
+    for robots_left in (3, 5):
+        assert state.refused(robots_left) == []
+        assert not state.is_approved(robots_left, paths)

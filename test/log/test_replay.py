@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from kbnitp_msgs.msg import UnknownNumber
 from kbnitp_ros.cli.replay import lines, main
 from kbnitp_ros.core import (
+    Belief,
     Beta,
     DeploymentKey,
     Execution,
@@ -335,6 +336,20 @@ def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     report = replayed(instead(learnt_mission.sent, original, spoiled))
     assert told in str(report.mismatches[indices(report.mismatches).index(5)])
     assert not report.reproduced
+
+
+@for_each('change', [3e-9, 1e-6])
+def test_a_difference_above_a_billionth_is_no_rounding(whole_mission, replayed, change):
+    original = beliefs(whole_mission.sent)[5]
+    joint = np.array(original.message.joint).reshape(-1, 2, 2)
+    cell = int(np.argmax((joint > 2 * change).all(axis=(1, 2))))
+    joint[cell] += np.array([[change, 0.0], [0.0, -change]])
+    belief = Belief(joint)
+    maps = {name: getattr(belief, name) for name in ('hazard', 'target', 'kappa')}
+    spoiled = changed(original.message, joint=joint.ravel(), **maps)
+    report = replayed(instead(whole_mission.sent, original, spoiled))
+    assert '/belief' in {each.topic for each in report.mismatches}
+    assert report.grade is Grade.DIFFERENT
 
 
 @for_each('field', ['joint', 'hazard', 'target', 'kappa'])

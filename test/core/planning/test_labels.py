@@ -199,6 +199,28 @@ def test_no_path_exceeds_the_bound_of_its_first_cells(seed):
         assert hoped >= value - 2e-9
 
 
+def test_the_bound_is_reached_where_only_readings_inform():
+    """Without hazards and malfunctions each step brings as much as the bound allows it."""
+    grid = Grid(3, 3, base=4)
+    belief = Belief.prior(grid, 0.0, 0.5, 0.5)
+    model = SensorModel(0.5, malfunction=0.0)
+    options = SearchOptions(max_steps=5, max_visits=2, width=8)
+    search = labels.LabelSearch(grid, Objective.alone(grid, belief, model, options), options, 8)
+    problem, rank = search.problem, ranks(search)
+    products, visits = new_products(1, problem.gains), np.empty(9, dtype=np.int64)
+    powers = problem.weight.size
+    (value,) = valued(search, [[4, 0, 1, 2, 5, 4]])
+    for begun in ([4, 0], [4, 0, 1], [4, 0, 1, 2]):
+        take(rank[begun], problem.gains, visits, products)
+        brought = problem.chance @ products.term[0, 1:]
+        # Survival is certain, so no label is hopeless before its last step.
+        assert hoped_value(brought, 0.0, 1.0, 0.0, 0.0) == np.inf
+        hoped = hoped_value(brought, 0.0, 0.5, 0.0, problem.unread[len(begun) - 1])
+        assert value <= hoped + 1e-8
+        assert hoped <= value + 1e-8
+        assert np.array_equal(products.factor[0, powers:], np.ones(problem.chance.size))
+
+
 @pytest.mark.slow
 @for_each('seed', range(40), every=2)
 def test_an_improved_path_is_better_than_all_its_neighbours(seed):
