@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 import re
 from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, NODES
-from kbnitp_ros.configuration.known import check_known
+from kbnitp_ros.configuration.known import check_known, foreign_note
 from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.files import read_yaml
 
@@ -120,14 +120,18 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
             sections.setdefault(section, {}).update(values)
     for rule in (rule for flag, rule in given if flag in RULE):
         node, _, parameter = rule.partition(':=')[0].rpartition(':')
-        if not (nodes := _nodes_in(node, {called: name}) if node else [name]):
+        if node and not (nodes := _nodes_in(node, {called: name})):
             meant = nearest(node, [called])
             raise ValueError(f'-p {rule}: this node is not {node!r}: {meant}it is {called}')
-        check_known(parameter, nodes)
-        if not node:
+        if node:
+            check_known(parameter, nodes)
+        elif find_parameter(name, parameter):
             # ROS treats the rule like a line of section /**.
             own = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
             check_counts(sections, '/**', own, {parameter: rule.partition(':=')[2]}, '-p ')
+        else:
+            # Launch gives each node the parameters of all nodes.
+            foreign_note(parameter)
 
 
 def check_counts(
@@ -143,6 +147,20 @@ def check_counts(
                 f'{flag}{name}:={value} has no effect: in ROS, section {last!r} of the parameter '
                 f'file takes precedence; change {name} there'
             )
+
+
+def rules_last(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with the -p rules last: they count, and not a file's section /**."""
+    rest, rules, is_for_ros = list[str](), list[str](), False
+    words = iter(arguments)
+    for word in words:
+        if is_for_ros and word in RULE:
+            rules += [word, *islice(words, 1)]
+            continue
+        if word in ('--ros-args', '--'):
+            is_for_ros = word == '--ros-args'
+        rest.append(word)
+    return [*rest, '--ros-args', *rules] if rules else rest
 
 
 def names_given(arguments: Sequence[str]) -> list[str]:

@@ -5,14 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Any
 
 from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
 from kbnitp_ros.log.read import current_name
 
-# Parameters that rclpy gives every node.
-ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+# Name of the parameter in which a node states its topics.
+TOPICS = 'topics'
+
+# Parameters that every node has besides those of the table, as in its `ros2 param dump`.
+ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides', TOPICS)
+
+# Similarity of names from which on an unknown name is taken for a misspelt one.
+MISSPELT = 0.7
 
 
 def node_parameters(name: str) -> dict[str, Parameter]:
@@ -53,6 +60,22 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
         f'parameter {name} is unknown to {whose}: {nearest(name, known)}'
         f'{nodes[0]} --help lists them'
     )
+
+
+def foreign_note(name: str) -> str:
+    """Return a note on a parameter that is no node's; ValueError if it is misspelt or renamed."""
+    try:
+        check_known(name, NODES)
+    except ValueError as error:
+        known = [parameter.name for parameter in TABLE]
+        if (
+            own_name(name)
+            or current_name(name) != name
+            or get_close_matches(name, known, n=1, cutoff=MISSPELT)
+        ):
+            raise
+        return f'{error} (ignored, since a launch file may set it for other nodes)'
+    return ''
 
 
 def check_own(values: Mapping[str, Any]) -> None:

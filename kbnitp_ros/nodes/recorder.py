@@ -16,6 +16,7 @@ from typing import Any
 
 from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.base.mission_tracker import MissionTracker
+from kbnitp_ros.configuration.known import TOPICS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
@@ -35,7 +36,6 @@ from kbnitp_ros.nodes.recorded_topics import (
     time_received,
 )
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.declared import TOPICS
 from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, waiting_for
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters from users: a value without effect is refused."""
 
+from array import array
 from itertools import product
 from pathlib import Path
 import re
@@ -8,8 +9,15 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_ros.configuration import NODES
-from kbnitp_ros.configuration.given import check_given, check_sections, read_sections, values_for
-from kbnitp_ros.nodes.runtime.declared import declare
+from kbnitp_ros.configuration.given import (
+    check_given,
+    check_sections,
+    read_sections,
+    rules_last,
+    values_for,
+)
+from kbnitp_ros.configuration.known import foreign_note
+from kbnitp_ros.nodes.runtime.declared import declare, state
 from laws import for_each, spoilt
 import pytest
 import rclpy
@@ -209,9 +217,9 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
 
 
 @for_each('name, rule, told', [
-    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is a'),
-    ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-    ('recorder', 'xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
+    ('recorder', 'flie:=a.mcap', 'flie is unknown to every node: did you mean file?'),
+    ('recorder', 'goal:=lane', 'parameter goal is called goal.kind now'),
+    ('recorder', 'recorder:xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
     ('planner', 'planer:robots:=3', "this node is not 'planer': did you mean planner?"),
     ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is a'),
 ])  # fmt: skip
@@ -221,6 +229,58 @@ def test_a_bad_rule_is_refused(name, rule, told):
             check_given(name, ['--ros-args', flag, rule])
         assert told in str(refusal.value)
         assert len(str(refusal.value)) < 150
+
+
+@for_each('rule, note', [
+    # Launch gives every node what SetParameter sets.
+    ('publish_frequency:=50.0', 'did you mean publish_truth? .*ignored, since a launch file'),
+    ('robot_description:=x', 'unknown to every node: .*ignored'),
+    ('sensor.lethality:=0.3', '^$'),
+    ('use_sim_time:=true', '^$'),
+])  # fmt: skip
+def test_parameters_of_other_nodes_are_ignored_with_a_note(rule, note):
+    for name in NODES:
+        check_given(name, ['--ros-args', '-p', rule])
+    assert re.search(note, foreign_note(rule.partition(':=')[0]))
+
+
+@for_each('is_before', [True, False])
+def test_a_rule_counts_rather_than_the_wildcard_of_a_file(tmp_path, is_before):
+    path = written(tmp_path, section('/**', use_sim_time=False, robots=9))
+    file = ['--params-file', path]
+    rules = ['-p', 'use_sim_time:=true', '--param', 'robots:=3']
+    arguments = ['--ros-args', *(rules + file if is_before else file + rules), '--', 'x']
+    check_given('planner', arguments)
+    assert given_by_ros(rules_last(arguments)) == {'use_sim_time': True, 'robots': 3}
+
+
+def test_a_node_starts_from_its_own_dump(tmp_path):
+    topics = {'belief': '/belief', 'path': '/scout_1/path'}
+    context = rclpy.Context()
+    rclpy.init(context=context, args=[])
+
+    def started(names, *arguments):
+        node = Node('planner', context=context, cli_args=arguments)
+        values = declare(node, 'planner')
+        state(node, names)
+        found = {each.name: each.value for each in node.get_parameters([*node._parameters])}
+        node.destroy_node()
+        return values, found
+
+    _, found = started(topics)
+    assert {'topics', 'use_sim_time', 'start_type_description_service'} <= found.keys()
+    # rcl reads no empty lists, and `ros2 param dump` writes them.
+    dumped = {name: list(v) if isinstance(v, array | list) else v for name, v in found.items()}
+    path = written(tmp_path, section('/planner', **dumped))
+    given = ['--ros-args', '--params-file', path]
+    check_given('planner', given)
+    values, again = started(topics, *given)
+    assert values['robots'] == found['robots']
+    assert again.keys() == found.keys()
+    # Topics are stated and not set.
+    _, other = started({'belief': '/other'}, *given)
+    assert [*other['topics']] == ['belief=/other']
+    context.try_shutdown()
 
 
 @for_each('arguments', [

@@ -100,7 +100,6 @@ def test_nodes_declare_the_table(make_node, name):
     ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
     ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
     ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
-    ({'lethality': 0.5}, 'every node: did you mean learn.lethality or sensor.lethality? '),
     ({'learn': ['kappa']}, 'parameter learn is called learn.numbers now'),
     ({'team.scout_1.max_step': 9}, 'every node: did you mean team.scout_1.max_steps? '),
     ({'team.scout_1.seed': 3}, 'team.scout_1.seed: all agents have the same seed'),
@@ -297,7 +296,7 @@ def test_a_map_gives_the_field(tmp_path):
     assert make_grid(values | {'grid.connectivity': 4}) == replace(clear, connectivity=4)
     assert make_grid(values | {'unknown_blocks': False}) == replace(clear, blocked=(6, 7))
     assert make_grid(values | {'grid.base': 3}).base == 3
-    assert make_grid(values | {'grid.base': 6, 'grid.base_position': (2.2, 2.1)}).base == 2
+    assert make_grid(values | {'grid.base_position': (2.2, 2.1)}).base == 2
     coarse = make_grid(values | {'grid.resolution': 1.0, 'unknown_blocks': False})
     assert (coarse.width, coarse.height, coarse.resolution) == (2, 1, 1.0)
     assert coarse.blocked == {1}

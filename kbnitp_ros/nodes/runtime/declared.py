@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kbnitp_ros.configuration import find_parameter, node_parameters, NODES, Parameter
-from kbnitp_ros.configuration.known import check_known, check_own
+from kbnitp_ros.configuration import find_parameter, node_parameters, Parameter
+from kbnitp_ros.configuration.known import check_own, foreign_note, TOPICS
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -16,9 +16,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 import rclpy.parameter
-
-# Name of the parameter with a node's topics.
-TOPICS = 'topics'
 
 CLOCK = 'use_sim_time'
 
@@ -32,8 +29,8 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         if parameter := find_parameter(name, given):
             mine[given] = parameter
             values[given] = parameter.check(override.value)
-        elif given != TOPICS:
-            check_known(given, NODES)
+        elif note := foreign_note(given):
+            node.get_logger().warning(note)
     # A real robot has no parameter agents.
     if 'agents' in values:
         check_own(values)
@@ -75,9 +72,9 @@ def state(node: Node, names: Mapping[str, str]) -> None:
     stated = [f'{role}={topic}' for role, topic in names.items()]
     given = node._parameter_overrides.get(TOPICS)
     if given is not None and list(given.value) != stated:
-        raise ValueError(
-            f'parameter {TOPICS} is {given.value}: it cannot be set, since it shows the topics of '
-            f'the node, {stated}; remap topics with -r'
+        # A dump of the node has it.
+        node.get_logger().warning(
+            f'parameter {TOPICS} is ignored: it states the topics of the node; remap them with -r'
         )
     descriptor = ParameterDescriptor(
         description="Names of the node's topics in the mission, by role.", read_only=True

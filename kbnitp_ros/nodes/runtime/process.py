@@ -12,7 +12,7 @@ import sys
 import time
 import traceback
 
-from kbnitp_ros.configuration.given import check_given, names_given
+from kbnitp_ros.configuration.given import check_given, names_given, rules_last
 from kbnitp_ros.core.field.compiled import while_compiling
 from kbnitp_ros.files import in_words
 from kbnitp_ros.nodes.runtime.command_line import node_parser
@@ -74,7 +74,8 @@ def _run(name: str, make: Callable[[], MissionNode], arguments: list[str], linge
         check_given(name, arguments)
         parser.parse_args(remove_ros_args(arguments))
         faulthandler.dump_traceback_later(STARTUP, file=2)
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        ordered = rules_last(arguments)
+        rclpy.init(args=ordered, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except KeyboardInterrupt:
         _leave(0)
