@@ -11,6 +11,7 @@ from typing import Any
 
 from kbnitp_ros.configuration import node_parameters, Parameter
 from kbnitp_ros.configuration.given import check_counts, read_sections, values_for
+from kbnitp_ros.configuration.mission import learnt_by_default
 from kbnitp_ros.configuration.parameter import nearest
 from kbnitp_ros.log.files import new_log
 from kbnitp_ros.nodes.runtime.graph import udp_only
@@ -45,7 +46,7 @@ RESPAWN_DELAY = 2.0  # Seconds.
 OPTIONS = (
     'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
     'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
-    'method', 'seed', 'approval', 'keep_running',
+    'method', 'learn.numbers', 'seed', 'approval', 'keep_running',
 )  # fmt: skip
 
 
@@ -180,6 +181,12 @@ class MissionArguments:
             for name, text in of_real_robots.items()
             if said.get(name, known[name].default) == known[name].default
         } | self._options
+        numbers = self._values('estimator').get('learn.numbers')
+        method = self._options.get('method') or self._values('estimator').get('method')
+        learnt = learnt_by_default(method or node_parameters('estimator')['method'].default)
+        # An empty list is the default of the file.
+        if not numbers and learnt:
+            self._options = {'learn.numbers': f'[{", ".join(learnt)}]'} | self._options
         view = 'team.rviz' if len(self.agents) > 1 else 'mission.rviz'
         rviz = Node(
             package='rviz2',

@@ -25,7 +25,6 @@ from kbnitp_ros.cli.parameters import (
     asked_on_record,
     DEFAULTS,
     HELD,
-    LEARNT,
     node_values,
     NODES,
     OPTIONS,
@@ -55,9 +54,8 @@ from kbnitp_ros.configuration.agents import (
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.known import check_own
-from kbnitp_ros.configuration.mission import check_search
+from kbnitp_ros.configuration.mission import check_search, learnt_by_default
 from kbnitp_ros.configuration.parameter import own_name
-from kbnitp_ros.core import METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
 from kbnitp_ros.log.read import log_size, read_parameters
@@ -158,7 +156,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
             values['step_period'] = values['step_period'] or SILENT_STEP
     estimator = parameters['estimator']
     if estimator['learn.numbers'] is None:
-        estimator['learn.numbers'] = LEARNT if METHODS.find(estimator['method']).learns else ()
+        estimator['learn.numbers'] = learnt_by_default(estimator['method'])
     for values in parameters.values():
         values |= {name: value for name, value in HELD.items() if name in values}
         values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}

@@ -23,10 +23,7 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 # time, but processes on a busy machine do.
 RETURN_DEADLINE = 1.0
 
-# Defaults of the demo. A method learns both lethality and hazard density, or is given both: under
-# a wrong density the learnt lethality is wrong as well, since fewer but more lethal hazards
-# destroy as many robots.
-LEARNT = ('lethality', 'hazard_density')
+# Defaults of the demo.
 DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
 
 # Options, each with the parameter that it sets in every node that has this parameter.

@@ -22,6 +22,7 @@ from kbnitp_ros.core import (
     Estimator,
     Goal,
     Grid,
+    METHODS,
     ORDINARY,
     PathFinder,
     RobotType,
@@ -161,6 +162,17 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
                 f'{log} is of a mission on {known.grid}, but the parameters set {grid}'
             )
     return known.belief.on(grid)
+
+
+# Numbers that demo and launch files learn by default. A method learns both, or is given both:
+# under a wrong density the learnt lethality is wrong as well, since fewer but more lethal hazards
+# destroy as many robots.
+LEARNT = ('lethality', 'hazard_density')
+
+
+def learnt_by_default(method: str) -> tuple[str, ...]:
+    """Return the numbers that a mission with this method learns unless it is told otherwise."""
+    return LEARNT if getattr(METHODS.find(method), 'learns', False) else ()
 
 
 def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:

@@ -57,6 +57,11 @@ class EstimatorNode(FieldNode):
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
+        if estimator.parameters:
+            self.get_logger().info(
+                f'learning {", ".join(estimator.parameters)}, whatever value is given for them '
+                '(parameter learn.numbers; [] takes the given values as known)'
+            )
         # The mission of the paths in the ledger; None without paths.
         self._mission: int | None = None
         self._departures = Departures()
