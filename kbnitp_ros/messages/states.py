@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Readiness(IntEnum):
-    """Whether an agent takes orders, as in kbnitp_msgs/AgentState."""
+    """Readiness of an agent for orders, as in kbnitp_msgs/AgentState."""
 
     READY = 1
     WAITING = 2

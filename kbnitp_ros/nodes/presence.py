@@ -188,13 +188,13 @@ class Peers:
         topic = f'{agent}/report'
         name = self._node.resolve_topic_name(topic)
         known = self._node.get_publishers_info_by_topic(name)
-        reports = [each for each in known if each.topic_type == REPORT]
-        self._versions[agent] = {str(each.topic_type_hash) for each in reports}
-        for each in reports:
-            if str(each.topic_type_hash) not in (self._own, UNHASHED):
+        reports = [node for node in known if node.topic_type == REPORT]
+        self._versions[agent] = {str(node.topic_type_hash) for node in reports}
+        for node in reports:
+            if str(node.topic_type_hash) not in (self._own, UNHASHED):
                 self._node.refuse_once(
                     topic,
-                    f'node {full_name(each.node_namespace, each.node_name)} has messages of '
+                    f'node {full_name(node.node_namespace, node.node_name)} has messages of '
                     'another version of kbnitp_msgs: robots and base must both be of version '
                     f'{VERSION} or later',
                 )

@@ -20,9 +20,9 @@ LONG = 100 * SECOND
 
 def departed(*keys):
     robots = DeploymentsInFlight(VALUES, 10)
-    for each in keys:
-        robots.send(each, HOME_PATH, 1)
-        robots.take(each, AgentStatus(OrderState.DEPARTED, each.stamp))
+    for key in keys:
+        robots.send(key, HOME_PATH, 1)
+        robots.take(key, AgentStatus(OrderState.DEPARTED, key.stamp))
     return robots
 
 

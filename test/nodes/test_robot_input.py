@@ -192,8 +192,8 @@ def test_detections_count_in_the_robot_s_cell_in_any_order(
         x = float(np.interp(now, [1.0, 2.3, 2.7, 4.0], [5.5, 2.7, 2.2, 0.5]))
         pose = transform(field, 0.0, 0.0, 'map', 'odom')
         pose.transforms += transform(field, x, 0.5, 'odom').transforms
-        for each in pose.transforms:
-            each.header.stamp = stamp()
+        for link in pose.transforms:
+            link.header.stamp = stamp()
         if now > 4.2 + late and not is_home.done():
             is_home.set_result(None)
         # A busy robot misses the oldest of many messages.

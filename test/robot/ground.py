@@ -38,7 +38,7 @@ PATIENCE = 400.0
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is wrong on a deployment; lengths in cells, times in seconds from the departure."""
+    """Faults of a deployment; lengths in cells, times in seconds from the departure."""
 
     odometry: bool = True
     # Maximum speed that the robot is told, as a multiple of its speed; 0 for none.
@@ -147,7 +147,7 @@ def transform(parent: str, child: str, at: complex, turn: complex, stamp: int) -
 
 @dataclass
 class Result:
-    """What came of a deployment, beside the truth."""
+    """Outcome of a deployment, beside the truth."""
 
     # The deployment, if the robot is back.
     deployment: Deployment | None = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with a robot's position, its clock and Nav2, and how often it is vouched for."""
+"""Faults of a robot's position, its clock and Nav2, and how often it is vouched for."""
 
 from dataclasses import dataclass, replace
 from itertools import product
