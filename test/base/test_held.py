@@ -20,9 +20,9 @@ LONG = 100 * SECOND
 
 def departed(*keys):
     robots = DeploymentsInFlight(VALUES, 10)
-    for key in keys:
-        robots.send(key, HOME_PATH, 1)
-        robots.take(key, AgentStatus(OrderState.DEPARTED, key.stamp))
+    for order in keys:
+        robots.send(order, HOME_PATH, 1)
+        robots.take(order, AgentStatus(OrderState.DEPARTED, order.stamp))
     return robots
 
 
