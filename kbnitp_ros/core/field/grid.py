@@ -151,7 +151,7 @@ class Grid:
         return self.width * self.height
 
     @cached_property
-    def id(self) -> str:
+    def id(self) -> str:  # noqa: A003
         """
         Return the name of the field, 16 hex digits, the same in all nodes with the same field.
 
