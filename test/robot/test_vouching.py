@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot vouches for no cell that it did not enter, and every robot that came back is home."""
+
+from extent import FULL
+from laws import for_each
+import pytest
+
+from scenarios import BEYOND, count, SCENARIOS, without_odometry
+
+WALKS = 200 if FULL else 8
+
+# False steps and readings in a thousand reported steps.
+MAX_FALSE = 1.0
+
+# Where the rule fails more often, by the least number of walks that tells how often: a jump seen
+# between two poses like a move, and a turn of the localization, which moves all places behind it.
+LIMITS = {
+    ('jump of 1 with a turn', True): 4.0,
+    ('jump of 0.4, lasting', False): 4.0,
+    ('jump of 0.6, lasting', False): 4.0,
+}
+
+CASES = [(name, odometry) for name in SCENARIOS for odometry in (True, False)]
+
+
+def counted(name, odometry, walks):
+    scenario = SCENARIOS[name]
+    return count(scenario if odometry else without_odometry(scenario), walks)
+
+
+@pytest.mark.slow
+@for_each('name, odometry', CASES)
+def test_no_step_is_vouched_for_in_a_cell_that_was_not_entered(name, odometry):
+    most = LIMITS.get((name, odometry), MAX_FALSE)
+    counts = counted(name, odometry, WALKS if most == MAX_FALSE else 200)
+    assert 1000 * counts.false <= most * counts.reported
+    assert 1000 * counts.misread <= most * counts.reported
+    # A robot whose clock differs does not leave, and all others come home.
+    if SCENARIOS[name].ahead > 5.0:
+        assert (counts.home, counts.entered) == (0, 0)
+    else:
+        assert counts.home == counts.walks
+
+
+@pytest.mark.slow
+def test_most_steps_are_vouched_for():
+    for odometry, clean, corrected in ((True, 0.98, 0.9), (False, 0.95, 0.75)):
+        for name, least in (('clean', clean), ('corrections of 0.2 a second', corrected)):
+            counts = counted(name, odometry, 50)
+            assert counts.vouched >= least * counts.reported
+
+
+@pytest.mark.slow
+@for_each('name', BEYOND)
+def test_what_no_rule_can_tell_is_false(name):
+    # Where a rule tells these as well, docs/robots.md says too little of it.
+    assert count(BEYOND[name], 100).false > 0
