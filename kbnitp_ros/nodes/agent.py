@@ -334,7 +334,8 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         walk = made.walk[: made.steps_made + 1].tolist() if is_shown else []
         shown = [partial(self._show, cell) for cell in walk]
         events = iter([*shown, partial(self._return, key, made.observation)])
-        # rclpy runs timers that are due at the same time in any order: each takes the next event.
+        # rclpy passes over the timer after one that is destroyed as it fires, so that timers due
+        # together run out of order: each takes the next event.
         for step in (*range(len(walk)), len(made.walk) - 1):
             self._after(period * step, lambda: next(events)())
 

@@ -171,8 +171,14 @@ class RobotNode(FieldNode):
             self._driver,
             lambda *step: self._keep(partial(self._journal.step, *step)),
             lambda text: warn(f'{key}: {text}'),
-            self.values['max_speed'] or self._driver.max_speed,
+            self._max_speed,
         )
+
+    @property
+    def _max_speed(self) -> float:
+        """Return the maximum speed of the robot, in m/s; 0 while it is unknown."""
+        given: float = self.values['max_speed']
+        return given or self._driver.max_speed
 
     def _key(self, deployment: Deployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
@@ -287,7 +293,7 @@ class RobotNode(FieldNode):
             is_at_base = not trip.deployment.steps and (not trip.has_driven or is_at_base)
             self._states.publish(Readiness.OUT, trip.failure or awaited, is_at_base)
             return
-        if self._driver.is_down:
+        if self._why_unmoved and self._driver.is_down:
             self._why_unmoved = ''
         awaited = awaited or self._base_field.awaited or self._why_away() or self._driver.awaited
         if awaited:
@@ -348,7 +354,7 @@ class RobotNode(FieldNode):
 
     def _log_limits(self) -> None:
         """Log once by which positions and which speed the robot vouches for its steps."""
-        speed = self.values['max_speed'] or self._driver.max_speed
+        speed = self._max_speed
         has_odometry = self._place is not None and self._place.correction is not None
         if self._logged == (speed, has_odometry):
             return
