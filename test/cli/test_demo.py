@@ -160,7 +160,6 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
 
 
 @pytest.mark.processes
-@pytest.mark.processes
 @pytest.mark.slow
 def test_a_mission_begun_with_1_0_goes_on(tmp_path):
     """Its robot in flight has departed; its messages lack fields of today's types."""
@@ -178,6 +177,7 @@ def test_a_mission_begun_with_1_0_goes_on(tmp_path):
     assert replay(log).grade is Grade.IDENTICAL
 
 
+@pytest.mark.processes
 def test_a_running_mission_is_not_resumed(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap'):
         for log in (tmp_path, tmp_path / 'mission.mcap'):

@@ -233,7 +233,7 @@ def test_a_bad_rule_is_refused(name, rule, told):
 
 @for_each('rule, note', [
     # Launch gives every node what SetParameter sets.
-    ('publish_frequency:=50.0', 'did you mean publish_truth? .*ignored, since a launch file'),
+    ('publish_frequency:=50.0', r'did you mean publish_truth\? .*ignored, since a launch file'),
     ('robot_description:=x', 'unknown to every node: .*ignored'),
     ('sensor.lethality:=0.3', '^$'),
     ('use_sim_time:=true', '^$'),

@@ -430,6 +430,7 @@ def test_a_mission_with_a_mask_replays_without_its_file(field):
     field.until(lambda: decisions, 'decision')
     mask.unlink()
     field.until(lambda: field.state('/m/planner').startswith('done: 4 of 4'), 'end')
+    field.until(lambda: len(decisions) == 5, 'the decision after the last robot')
     assert set(field.processes.stop().values()) == {0}
     assert [*decisions[-1].goal_cells] == [1, 5]
     recorded = MissionLog(log)

@@ -81,7 +81,7 @@ CANNOT_START = [
     ('recorder', 'file:=/', "'/'"),
     ('recorder', 'file', "Couldn't parse parameter override rule"),
     ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
-    ('recorder', 'step_period:=1.0', 'step_period is unknown to the recorder: it is a'),
+    ('recorder', 'recorder:step_period:=1.0', 'step_period is unknown to the recorder: it is a'),
     ('recorder', 'max_file_size:=90000', 'max_file_size is 90000: it must be 0 or from 1048576'),
 ]  # fmt: skip
 
