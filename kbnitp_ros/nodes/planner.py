@@ -210,6 +210,11 @@ class PlannerNode(FieldNode):
         absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
         if not missing and absent:
             missing = f'a node of agent {some(absent)} (parameter await_nodes)'
+        if not missing and 'agent' in self.values['await_nodes']:
+            # Otherwise the first robots would leave without the agents whose states come later.
+            states = self._dispatch.states.unstated
+            if unstated := [each for each in states if each not in self._peers.outdated]:
+                missing = f'the field of agent {some(unstated)} (parameter await_nodes)'
         self._has_subscribers = not missing
         return missing
 
