@@ -131,7 +131,7 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
             check_counts(sections, '/**', own, {parameter: rule.partition(':=')[2]}, '-p ')
         else:
             # Launch gives each node the parameters of all nodes.
-            foreign_note(parameter)
+            foreign_note(parameter, [name])
 
 
 def check_counts(

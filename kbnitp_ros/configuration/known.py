@@ -62,17 +62,17 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
     )
 
 
-def foreign_note(name: str) -> str:
+def foreign_note(name: str, nodes: Sequence[str] = NODES) -> str:
     """Return a note on a parameter that is no node's; ValueError if it is misspelt or renamed."""
     try:
         check_known(name, NODES)
     except ValueError as error:
-        known = [parameter.name for parameter in TABLE]
-        if (
-            own_name(name)
-            or current_name(name) != name
-            or get_close_matches(name, known, n=1, cutoff=MISSPELT)
-        ):
+        # A name that is near to one of these nodes' is refused in their words.
+        for near in (nodes, NODES):
+            known = [parameter for node in near for parameter in node_parameters(node)]
+            if get_close_matches(name, known, n=1, cutoff=MISSPELT):
+                check_known(name, near)
+        if own_name(name) or current_name(name) != name:
             raise
         return f'{error} (ignored, since a launch file may set it for other nodes)'
     return ''

@@ -217,7 +217,7 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
 
 
 @for_each('name, rule, told', [
-    ('recorder', 'flie:=a.mcap', 'flie is unknown to every node: did you mean file?'),
+    ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
     ('recorder', 'goal:=lane', 'parameter goal is called goal.kind now'),
     ('recorder', 'recorder:xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
     ('planner', 'planer:robots:=3', "this node is not 'planer': did you mean planner?"),
