@@ -127,8 +127,13 @@ class DepartingMission(Mission):
             elif 'home' in told[key] and not any(report.survived for report in reports):
                 found.append(('false', f'{key} came home: {reports}'))
         found += [('lost', f'{key} departed') for key in departed - logged.reports.keys()]
-        if len(logged.reports) != self._own['robots']:
-            found.append(('double', f'{len(logged.reports)} deployments: {self._own["robots"]}'))
+        # Robots that came back without a step are sent again.
+        unmoved = [
+            key for key in logged.reports if len({*told.get(key, {}).get('home', [[]])[0]}) == 1
+        ]
+        robots = self._own['robots'] + len(unmoved)
+        if len(logged.reports) != robots:
+            found.append(('double', f'{len(logged.reports)} deployments: {robots}'))
         if not reproduced:
             found.append(('replay', f'{self.log} does not replay'))
         if not self._is_believed(logged):

@@ -13,10 +13,11 @@ from pathlib import Path
 import sys
 import time
 
-from kbnitp_msgs.msg import AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.core import DeploymentKey, Grid, Observation
 from kbnitp_ros.messages.deployments import OrderState, read_path, report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, from_stamp
+from kbnitp_ros.messages.states import Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path as PathMessage
 import numpy as np
@@ -30,6 +31,9 @@ FATES = {
 }  # fmt: skip
 # The exit code of crashes.
 CRASHED = 9
+
+# Seconds for which it gives a reason, and gives none.
+SAID = 2.0
 
 # Seconds that a late robot is away: it has been given up by then.
 LATE = 3.0
@@ -49,6 +53,9 @@ class Robot:
         node = self._node = rclpy.create_node('robot', namespace=f'{namespace}/{agent}')
         self._statuses = node.create_publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._reports = node.create_publisher(DeploymentReport, 'report', qos.EVIDENCE)
+        self._states = node.create_publisher(AgentState, 'state', qos.LATCHED)
+        self._reason, self._said_at = '', 0.0
+        self._say_state()
         self._read_journal()
         node.create_subscription(Recorded, 'recorded', self._on_recorded, qos.EVIDENCE)
         node.create_subscription(Bool, f'{namespace}/hold', self._on_hold, qos.LATCHED)
@@ -81,6 +88,14 @@ class Robot:
         self._statuses.publish(message)
         return content_hash(message)
 
+    def _say_state(self):
+        """Give a reason and withdraw it, so that the base sends it again after two crashes."""
+        if time.monotonic() > self._said_at + SAID:
+            self._reason = '' if self._reason else 'restarted'
+            self._said_at = time.monotonic()
+            state = Readiness.READY, self._reason, False, time.time_ns()
+            self._states.publish(state_message(self._grid, self._agent, *state))
+
     def _report(self, stamp):
         cells, readings = self._orders[stamp]['home']
         made = Observation(cells, True, readings)
@@ -101,6 +116,7 @@ class Robot:
     def go_on(self):
         """Handle messages, and execute orders that may start."""
         self._listen()
+        self._say_state()
         for stamp, (cells, content) in list(self._waiting.items()):
             if (stamp, content) in self._recorded and not self._held:
                 del self._waiting[stamp]

@@ -135,13 +135,13 @@ class Field:
         self.until(lambda: publisher.get_subscription_count() > 0, f'reader of {topic}')
         return publisher
 
-    def stand(self, agent, grid, reason='', is_at_base=True, state=Readiness.READY):
+    def stand(self, agent, grid, reason='', is_at_base=True, state=Readiness.READY, stamp=None):
         """Publish the state of an agent that the test plays."""
         topic = f'/{agent}/state'
         if topic not in self._states:
             self._states[topic] = self.node.create_publisher(AgentState, topic, qos.LATCHED)
-        now = self.node.get_clock().now().nanoseconds
-        self._states[topic].publish(state_message(grid, agent, state, reason, is_at_base, now))
+        at = self.node.get_clock().now().nanoseconds if stamp is None else stamp
+        self._states[topic].publish(state_message(grid, agent, state, reason, is_at_base, at))
 
     def set_parameter(self, full_name, name, value):
         """Change a parameter of a node like `ros2 param set`; return the node's answer."""

@@ -37,7 +37,8 @@ class StatedBase(Base):
             for agent in agents
         }
         for agent in agents:
-            field.stand(agent, (fields or {}).get(agent, GRID))
+            # Before any departure, whatever the clock of the base.
+            field.stand(agent, (fields or {}).get(agent, GRID), stamp=1)
         self.holds = field.listen(Bool, '/hold')
         self.progress = field.listen(Progress, '/progress')
         super().__init__(field, agents, **{**SILENT, **parameters})
