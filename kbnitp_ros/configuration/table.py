@@ -271,7 +271,7 @@ TABLE = (
     for_estimator(
         'filter.type',
         -1,
-        'Nav2 costmap filter that takes belief/hazard as its mask, announced on '
+        'Nav2 costmap filter that takes belief/hazard_mask as its mask, announced on '
         'belief/costmap_filter_info: 0 for a KeepoutFilter, 1 for a SpeedFilter in percent, 2 for '
         'a SpeedFilter in m/s; -1 for none.',
         limits=(0, 2),

@@ -26,7 +26,6 @@ from kbnitp_ros.log.record import (
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report, read_status
-from kbnitp_ros.messages.grids import check_filter, filter_info
 from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp, mission_of_path
 from kbnitp_ros.messages.progress import model_belief
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
@@ -73,7 +72,8 @@ class EstimatorNode(FieldNode):
         # Create the views first: nodes that discover `belief` then know the views already.
         self._views = Views(self, agents)
         if self.values['filter.type'] >= 0:
-            self._publish_filter_info()
+            values = (self.values[f'filter.{name}'] for name in ('type', 'base', 'multiplier'))
+            self._views.announce_mask(*values)
         is_checked = bool(estimator.check.alternatives)
         self._model = (
             self.create_publisher(ModelBelief, 'model', qos.LATCHED)
@@ -99,19 +99,6 @@ class EstimatorNode(FieldNode):
         self._unconverged = ''
         self._weak_density = ''
         self._awaiting = self.create_poll(self._publish_first)
-
-    def _publish_filter_info(self) -> None:
-        """Announce the hazard map as the mask of a Nav2 costmap filter."""
-        from nav2_msgs.msg import CostmapFilterInfo
-
-        filter_type, base = self.values['filter.type'], self.values['filter.base']
-        multiplier = self.values['filter.multiplier']
-        check_filter(filter_type, base, multiplier)
-        publisher = self.create_publisher(
-            CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED
-        )
-        mask = self.resolve_topic_name('belief/hazard')
-        publisher.publish(filter_info(filter_type, base, multiplier, mask, self.now()))
 
     def _take_in(self, log: MissionLog) -> None:
         """Apply the recorded paths, reports and statuses; duplicates change nothing."""

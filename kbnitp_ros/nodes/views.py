@@ -9,7 +9,13 @@ from functools import partial
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.core.inference.record import deployment_order
-from kbnitp_ros.messages.grids import occupancy_grid, read_occupancy_grid
+from kbnitp_ros.messages.grids import (
+    check_filter,
+    filter_info,
+    mask_grid,
+    occupancy_grid,
+    read_occupancy_grid,
+)
 from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE
@@ -19,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.publisher import Publisher
 
 # At least one in this many beliefs names all its evidence, for readers that missed beliefs.
 COMPLETE_EVERY = 64
@@ -80,6 +87,8 @@ class Views:
             name: node.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
             for name in ('hazard', 'target', 'kappa')
         }
+        # The mask of Nav2's costmap filters, if one is announced.
+        self._mask: Publisher | None = None
         self._progress = node.create_publisher(Progress, 'progress', qos.LATCHED)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self._on_timer, clock=steady, autostart=False)
@@ -88,6 +97,17 @@ class Views:
                 take = partial(self._on_truth, topic, name)
                 node.subscribe(OccupancyGrid, topic, take, qos.LATCHED)
         node.subscribe_to_diagnostics(self._on_diagnostics)
+
+    def announce_mask(self, filter_type: int, base: float, multiplier: float) -> None:
+        """Publish the hazard map as the mask of a Nav2 costmap filter as well."""
+        from nav2_msgs.msg import CostmapFilterInfo
+
+        check_filter(filter_type, base, multiplier)
+        node = self._node
+        self._mask = node.create_publisher(OccupancyGrid, 'belief/hazard_mask', qos.LATCHED)
+        info = node.create_publisher(CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED)
+        topic = self._mask.topic_name
+        info.publish(filter_info(filter_type, base, multiplier, topic, node.now()))
 
     def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
         """Publish the state of the mission from the planner's diagnostics."""
@@ -148,6 +168,8 @@ class Views:
             for name, publisher in self._maps.items():
                 values = getattr(ledger.belief, name)
                 publisher.publish(occupancy_grid(ledger.grid, values, stamp))
+            if self._mask:
+                self._mask.publish(mask_grid(ledger.grid, ledger.belief.hazard, stamp))
             world = World(**self._truth) if len(self._truth) == 2 else None
             self._message = progress_message(ledger, before, world, stamp, self.out, self._status)
         if self._pending or self._is_progress_pending:
