@@ -184,8 +184,7 @@ class MissionArguments:
         numbers = self._values('estimator').get('learn.numbers')
         method = self._options.get('method') or self._values('estimator').get('method')
         learnt = learnt_by_default(method or node_parameters('estimator')['method'].default)
-        # An empty list is the default of the file.
-        if not numbers and learnt:
+        if numbers is None and learnt:
             self._options = {'learn.numbers': f'[{", ".join(learnt)}]'} | self._options
         view = 'team.rviz' if len(self.agents) > 1 else 'mission.rviz'
         rviz = Node(

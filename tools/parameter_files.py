@@ -73,6 +73,11 @@ MISSION_FILE = """\
 """
 
 
+# A parameter whose default depends on the method. Its line is a comment, so that launch files tell
+# a value that a user gave.
+BY_METHOD = 'learn.numbers'
+
+
 def mission_file() -> str:
     """Return config/mission.yaml: all parameters by node, with their defaults."""
     rows = Counter(each.name for each in TABLE)
@@ -97,7 +102,11 @@ def section_lines(parameters: Iterable[Parameter]) -> Iterator[str]:
                 f'{parameter.description}{parameter.changeable} {kind}.', 97 - len(indent)
             )
             yield from (f'{indent}# {line}' for line in words)
-            yield f'{indent}{parameter.name.rpartition(".")[2]}: {json.dumps(parameter.default)}'
+            if parameter.name == BY_METHOD:
+                yield f'{indent}# Without this line launch files learn what demo learns.'
+            off = '# ' if parameter.name == BY_METHOD else ''
+            own_name = parameter.name.rpartition('.')[2]
+            yield f'{indent}{off}{own_name}: {json.dumps(parameter.default)}'
 
 
 if __name__ == '__main__':
