@@ -146,9 +146,10 @@ class Trip:
 
     def _enter(self, cells: Sequence[int], now: int) -> None:
         """Make the steps into these cells; poses show the last one only."""
+        # Poses lag behind the end of a goal; cells entered much later are no cells of it.
+        is_own = self._is_driving and not 0 < self._ended_at < self._placed_at - SECOND
         for number, cell in enumerate(cells, 1):
-            is_own = number == len(cells) and self._is_driving
-            self._step(cell, now, is_own=is_own)
+            self._step(cell, now, is_own=is_own and number == len(cells))
             self._itinerary.enter(cell)
             self.failure = ''
 
@@ -171,11 +172,15 @@ class Trip:
         goal = 'home' if itinerary.heads_home else f'to cell {itinerary.destination}'
         if self._driver.is_busy:
             return f'driving {goal}'
+        if self._is_driving:
+            self._ended_at = self._ended_at or now
         if place is None:
+            if self._is_driving:
+                # The robot may be carried until poses return.
+                self._track.end_goal(is_home=False)
             return f'waiting for {unplaced}'
         if self._is_driving:
             # The position may lag behind the controller.
-            self._ended_at = self._ended_at or now
             is_behind = place.stamp < self._ended_at
             if is_behind and now < self._ended_at + self._values['tf_timeout'] * SECOND:
                 return f'waiting for the position of the robot after driving {goal}'
