@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any
 
 from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
@@ -17,9 +16,6 @@ TOPICS = 'topics'
 
 # Parameters that every node has besides those of the table, as in its `ros2 param dump`.
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides', TOPICS)
-
-# Similarity of names from which on an unknown name is taken for a misspelt one.
-MISSPELT = 0.7
 
 
 def node_parameters(name: str) -> dict[str, Parameter]:
@@ -69,13 +65,23 @@ def foreign_note(name: str, nodes: Sequence[str] = NODES) -> str:
     except ValueError as error:
         # A name that is near to one of these nodes' is refused in their words.
         for near in (nodes, NODES):
-            known = [parameter for node in near for parameter in node_parameters(node)]
-            if get_close_matches(name, known, n=1, cutoff=MISSPELT):
+            if any(_is_misspelt(name, known) for node in near for known in node_parameters(node)):
                 check_known(name, near)
         if own_name(name) or current_name(name) != name:
             raise
         return f'{error} (ignored, since a launch file may set it for other nodes)'
     return ''
+
+
+def _is_misspelt(name: str, known: str) -> bool:
+    """Return whether one letter is missing, added, changed or swapped with the next."""
+    if abs(len(name) - len(known)) > 1:
+        return False
+    pairs = list(zip(name, known))
+    same = next((at for at, (one, other) in enumerate(pairs) if one != other), len(pairs))
+    one, other = name[same:], known[same:]
+    is_swapped = one[:2] == other[1::-1] and one[2:] == other[2:]
+    return is_swapped or one[1:] in (other, other[1:]) or one == other[1:]
 
 
 def check_own(values: Mapping[str, Any]) -> None:

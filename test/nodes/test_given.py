@@ -218,6 +218,10 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
 
 @for_each('name, rule, told', [
     ('recorder', 'flie:=a.mcap', 'flie is unknown to the recorder: did you mean file?'),
+    *(
+        ('planner', f'{name}:=3', 'the planner: did you mean robots?')
+        for name in ('robts', 'robtos', 'robotss', 'tobots', 'xrobots', 'robot')
+    ),
     ('recorder', 'goal:=lane', 'parameter goal is called goal.kind now'),
     ('recorder', 'recorder:xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
     ('planner', 'planer:robots:=3', "this node is not 'planer': did you mean planner?"),
@@ -235,6 +239,14 @@ def test_a_bad_rule_is_refused(name, rule, told):
     # Launch gives every node what SetParameter sets.
     ('publish_frequency:=50.0', r'did you mean publish_truth\? .*ignored, since a launch file'),
     ('robot_description:=x', 'unknown to every node: .*ignored'),
+    *(
+        (f'{name}:=1', 'ignored, since a launch file')
+        for name in (
+            'robot_base_frame', 'base_frame_id', 'global_frame', 'map_frame', 'resolution',
+            'height', 'goal_tolerance', 'xy_goal_tolerance', 'bond_timeout', 'scan_topic',
+            'lethality',
+        )
+    ),
     ('sensor.lethality:=0.3', '^$'),
     ('use_sim_time:=true', '^$'),
 ])  # fmt: skip
