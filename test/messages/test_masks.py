@@ -45,7 +45,8 @@ def check_mask(grid, hazard):
     # The whole field lies in the mask.
     origin = mask.info.origin.position
     at = (grid.centers(np.arange(grid.cells)) - (origin.x, origin.y)) / mask.info.resolution
-    assert (at > 0).all() and (at < (mask.info.width, mask.info.height)).all()
+    assert (at > 0).all()
+    assert (at < (mask.info.width, mask.info.height)).all()
     assert (data[(np.floor(at) @ (1, mask.info.width)).astype(int)] >= percent).all()
     return mask
 
