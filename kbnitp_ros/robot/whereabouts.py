@@ -58,6 +58,28 @@ class Place(NamedTuple):
     sigma: float = 0.0
 
 
+class Offset:
+    """The offset of the clock that dates a source: one number while a fault lasts."""
+
+    def __init__(self) -> None:
+        self._last = 0.0
+
+    def steady(self, seconds: float) -> str:
+        """Describe the offset; a fault whose number trembles is one fault."""
+        if abs(seconds - self._last) > 1.0:
+            self._last = seconds
+        return f'{self._last:.0f} s'
+
+    def check_ahead(self, what: str, seconds: float) -> None:
+        """Raise ValueError if a stamp was too many seconds ahead when it was received."""
+        if seconds > MAX_AHEAD:
+            raise ValueError(
+                f'{what} is dated in the future, clock ahead by {self.steady(seconds)}: set the '
+                'clocks of this computer and of its publisher alike (use_sim_time on both or on '
+                'neither)'
+            )
+
+
 class Transforms:
     """The newest transform of each frame to its parent."""
 
@@ -70,6 +92,7 @@ class Transforms:
         self._heard: dict[str, int] = {}
         self._unheard: set[str] = set()
         self._steps_back: dict[str, int] = {}
+        self._offset = Offset()
         self._sigma = sigma
 
     def take(self, message: Any, *, static: bool) -> None:
@@ -158,23 +181,14 @@ class Transforms:
             )
         if link.stamp is None:
             return
-        heard = (now - self._heard[frame]) / SECOND
-        age = (now - link.stamp) / SECOND
-        check_ahead(f'the last transform {name}', -age)
+        received = self._heard[frame]
+        self._offset.check_ahead(f'the last transform {name}', (link.stamp - received) / SECOND)
+        heard, age = (now - received) / SECOND, (now - link.stamp) / SECOND
         if max(age, heard) > oldest:
             raise ValueError(
                 f'the last transform {name} is older than {oldest} s (parameter tf_timeout)'
-                + (f': clock behind by {age:.0f} s' if heard <= oldest else '')
+                + (f': clock behind by {self._offset.steady(age)}' if heard <= oldest else '')
             )
-
-
-def check_ahead(what: str, ahead: float) -> None:
-    """Raise ValueError if a stamp is too many seconds ahead of this clock."""
-    if ahead > MAX_AHEAD:
-        raise ValueError(
-            f'{what} is dated in the future, clock ahead by {ahead:.0f} s: set the clocks of '
-            'this computer and of its publisher alike (use_sim_time on both or on neither)'
-        )
 
 
 # Values of sensor_msgs/NavSatFix: lowest status with a fix, and type of an unknown covariance.
@@ -191,6 +205,7 @@ class Fixes:
         self._frame = frame
         self._largest = largest
         self._newest: Place | None = None
+        self._offset = Offset()
         # Time at which the newest fix was received, nanoseconds; None before the next look.
         self._heard: int | None = None
 
@@ -228,7 +243,7 @@ class Fixes:
         if self._newest is None:
             raise ValueError('no fix was accepted yet')
         self._heard = now if self._heard is None else self._heard
-        check_ahead('the last fix', (self._newest.stamp - now) / SECOND)
+        self._offset.check_ahead('the last fix', (self._newest.stamp - self._heard) / SECOND)
         if now - min(self._newest.stamp, self._heard) > oldest * SECOND:
             raise ValueError(f'the last fix is older than {oldest} s (parameter tf_timeout)')
         return self._newest

@@ -75,6 +75,19 @@ def test_a_fix_of_another_time_is_no_place(ahead, told):
         source.place(now, 2.0)
 
 
+def test_a_clock_ahead_is_one_fault_while_it_lasts():
+    source, told = Transforms('map', 'base'), set()
+    for number in range(100):
+        # The lead of 30.5 s trembles, and nothing is heard in the end.
+        now = NOW + number * SECOND
+        ahead = int((30.5 + 0.2 * (-1) ** number) * SECOND)
+        poses = [moved('map', 'base', 1.5, now + ahead)] if number < 50 else []
+        with pytest.raises(ValueError) as refusal:
+            place_by(source, *poses, now=now)
+        told.add(str(refusal.value))
+    assert len(told) == 1
+
+
 @for_each('apart', [SECOND // 100, SECOND // 2])
 def test_two_publishers_of_a_transform_are_named(apart):
     # Both at 5 Hz, and one behind the other in time.
