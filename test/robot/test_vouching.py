@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot vouches for no cell that it did not enter, and every robot that came back is home."""
 
-from extent import FULL
-from laws import for_each
 import pytest
 
-from scenarios import BEYOND, count, SCENARIOS, without_odometry
+from scenarios import (
+    BEYOND,
+    CLEAN,
+    CORRECTIONS,
+    count,
+    JUMPS,
+    NAV2,
+    SCENARIOS,
+    SILENCE,
+    without_odometry,
+)
 
-WALKS = 200 if FULL else 8
+WALKS = [8, pytest.param(200, marks=pytest.mark.full)]
 
 # False steps and readings in a thousand reported steps.
 MAX_FALSE = 1.0
@@ -20,8 +28,6 @@ LIMITS = {
     ('jump of 0.6, lasting', False): 4.0,
 }
 
-CASES = [(name, odometry) for name in SCENARIOS for odometry in (True, False)]
-
 
 def counted(name, odometry, walks):
     scenario = SCENARIOS[name]
@@ -29,17 +35,20 @@ def counted(name, odometry, walks):
 
 
 @pytest.mark.slow
-@for_each('name, odometry', CASES)
-def test_no_step_is_vouched_for_in_a_cell_that_was_not_entered(name, odometry):
-    most = LIMITS.get((name, odometry), MAX_FALSE)
-    counts = counted(name, odometry, WALKS if most == MAX_FALSE else 200)
-    assert 1000 * counts.false <= most * counts.reported
-    assert 1000 * counts.misread <= most * counts.reported
-    # A robot whose clock differs does not leave, and all others come home.
-    if SCENARIOS[name].ahead > 5.0:
-        assert (counts.home, counts.entered) == (0, 0)
-    else:
-        assert counts.home == counts.walks
+@pytest.mark.parametrize('walks', WALKS)
+@pytest.mark.parametrize('odometry', [True, False])
+@pytest.mark.parametrize('names', [CLEAN, CORRECTIONS, JUMPS, SILENCE, NAV2])
+def test_no_step_is_vouched_for_in_a_cell_that_was_not_entered(names, odometry, walks):
+    for name in names:
+        most = LIMITS.get((name, odometry), MAX_FALSE)
+        counts = counted(name, odometry, walks if most == MAX_FALSE else 200)
+        assert 1000 * counts.false <= most * counts.reported, name
+        assert 1000 * counts.misread <= most * counts.reported, name
+        # A robot whose clock differs does not leave, and all others come home.
+        if SCENARIOS[name].ahead > 5.0:
+            assert (counts.home, counts.entered) == (0, 0), name
+        else:
+            assert counts.home == counts.walks, name
 
 
 @pytest.mark.slow
@@ -51,7 +60,7 @@ def test_most_steps_are_vouched_for():
 
 
 @pytest.mark.slow
-@for_each('name', BEYOND)
+@pytest.mark.parametrize('name', BEYOND)
 def test_what_no_rule_can_tell_is_false(name):
     # Where a rule tells these as well, docs/robots.md says too little of it.
     assert count(BEYOND[name], 100).false > 0
