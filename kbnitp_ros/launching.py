@@ -220,6 +220,10 @@ class MissionArguments:
             'await_nodes': [*awaits, *(['recorder'] if log else [])],
         } | {each: known[each].read(text) for each, text in self._options.items() if each in known}
         given = {each: value for each, value in values.items() if each in known} | (own or {})
+        # Launch takes no empty lists as values of parameters.
+        filled = {each: value for each, value in given.items() if value != ()}
+        empty = given.keys() - filled.keys()
+        rules = [word for each in empty for word in ('-p', f'{name}:{each}:=[]')]
         full_name = self._full_name(namespace, name)
         check_counts(self._sections, full_name, full_name, given)
         params_file = self.argument('params_file')
@@ -245,9 +249,9 @@ class MissionArguments:
                 executable=name,
                 name=name,
                 namespace=self._full_name(namespace),
-                parameters=[params_file, given | {'resume': resume}],
+                parameters=[params_file, filled | {'resume': resume}],
                 remappings=self.poses if name == 'agent' else [],
-                ros_arguments=['--enclave', full_name],
+                ros_arguments=['--enclave', full_name, *rules],
                 output='screen',
                 on_exit=end,
             )
