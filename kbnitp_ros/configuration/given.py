@@ -15,9 +15,9 @@ import re
 from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, NODES
-from kbnitp_ros.configuration.known import check_known, foreign_note
+from kbnitp_ros.configuration.known import check_known, CLOCK, foreign_note
 from kbnitp_ros.configuration.parameter import nearest
-from kbnitp_ros.files import read_yaml
+from kbnitp_ros.files import parse_yaml, read_yaml
 
 # Sections of a file for several nodes at once.
 WILDCARDS = ('*', '**')
@@ -125,10 +125,11 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
             raise ValueError(f'-p {rule}: this node is not {node!r}: {meant}it is {called}')
         if node:
             check_known(parameter, nodes)
-        elif find_parameter(name, parameter):
+        elif parameter == CLOCK or find_parameter(name, parameter):
             # ROS treats the rule like a line of section /**.
             own = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
-            check_counts(sections, '/**', own, {parameter: rule.partition(':=')[2]}, '-p ')
+            value = parse_yaml(rule.partition(':=')[2])
+            check_counts(sections, '/**', own, {parameter: value}, '-p ')
         else:
             # Launch gives each node the parameters of all nodes.
             foreign_note(parameter, [name])

@@ -15,7 +15,8 @@ from kbnitp_ros.log.read import current_name
 TOPICS = 'topics'
 
 # Parameters that every node has besides those of the table, as in its `ros2 param dump`.
-ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides', TOPICS)
+CLOCK = 'use_sim_time'
+ROS_PARAMETERS = (CLOCK, 'start_type_description_service', 'qos_overrides', TOPICS)
 
 
 def node_parameters(name: str) -> dict[str, Parameter]:

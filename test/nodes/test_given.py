@@ -256,6 +256,20 @@ def test_parameters_of_other_nodes_are_ignored_with_a_note(rule, note):
     assert re.search(note, foreign_note(rule.partition(':=')[0]))
 
 
+@for_each('in_section', [None, False, True])
+def test_a_clock_by_a_rule_counts_or_is_refused(tmp_path, in_section):
+    config = section('/**', use_sim_time=False)
+    if in_section is not None:
+        config |= section('/**/planner', use_sim_time=in_section)
+    given = ['--ros-args', '--params-file', written(tmp_path, config), '-p', 'use_sim_time:=true']
+    if in_section is False:
+        with pytest.raises(ValueError, match=r'-p use_sim_time:=True has no effect'):
+            check_given('planner', given)
+    else:
+        check_given('planner', given)
+        assert given_by_ros(rules_last(given))['use_sim_time'] is True
+
+
 @for_each('is_before', [True, False])
 def test_a_rule_counts_rather_than_the_wildcard_of_a_file(tmp_path, is_before):
     path = written(tmp_path, section('/**', use_sim_time=False, robots=9))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, node_parameters, Parameter
-from kbnitp_ros.configuration.known import check_own, foreign_note, TOPICS
+from kbnitp_ros.configuration.known import check_own, CLOCK, foreign_note, TOPICS
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -16,8 +16,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 import rclpy.parameter
-
-CLOCK = 'use_sim_time'
 
 
 def declare(node: Node, name: str) -> dict[str, Any]:
