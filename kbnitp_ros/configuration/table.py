@@ -598,8 +598,8 @@ TABLE = (
     for_robot(
         'pose_topic',
         '',
-        'Topic of a geometry_msgs/PoseWithCovarianceStamped, such as amcl_pose, with the standard '
-        'deviation of a position by TF without odometry; empty for none.',
+        'Topic of a geometry_msgs/PoseWithCovarianceStamped in nav_namespace, such as amcl_pose, '
+        'with the standard deviation of a position by TF without odometry; empty for none.',
     ),
     for_robot(
         'arrival_tolerance',

@@ -138,6 +138,8 @@ class RobotNode(FieldNode):
             self.subscribe(TFMessage, topic, take, profile, keeps_all=False)
         if topic := self.values['pose_topic']:
             take = partial(self._take_place, self._whereis.take_deviation)
+            if (nav := self.values['nav_namespace']) and not topic.startswith('/'):
+                topic = f'{nav.rstrip("/")}/{topic}'
             # AMCL publishes it reliable and transient local.
             self.subscribe(PoseWithCovarianceStamped, topic, take, qos.LATCHED, keeps_all=False)
 
@@ -366,11 +368,9 @@ class RobotNode(FieldNode):
                 f'max_speed is 0, and Nav2 states no maximum speed: {speed:g} m/s is assumed'
             )
         reach = (BY_ODOMETRY if has_odometry else BY_POSES).stretch * cell
-        source = (
-            'positions with odometry'
-            if has_odometry
-            else ('positions without odometry, which is far better (frames map, odom and base)')
-        )
+        source = 'positions with odometry'
+        if not has_odometry:
+            source = 'positions without odometry (with it, frames map, odom and base, far better)'
         log.info(
             f'{source}: at {speed:g} m/s the robot vouches for its steps with poses at least '
             f'every {reach / speed:.2g} s'

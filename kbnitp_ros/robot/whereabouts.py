@@ -131,12 +131,11 @@ class Transforms:
     def take_deviation(self, message: Any) -> None:
         """Take the deviation of a geometry_msgs/PoseWithCovarianceStamped."""
         covariance = message.pose.covariance
-        deviation = sqrt(max(covariance[0], covariance[7], 0.0))
-        if not isfinite(deviation):
+        if not (isfinite(covariance[0]) and isfinite(covariance[7])):
             raise ValueError(
                 f'pose.covariance has {covariance[0]} and {covariance[7]} for x and y'
             )
-        self._sigma = deviation
+        self._sigma = sqrt(max(covariance[0], covariance[7], 0.0))
 
     def place(self, now: int, oldest: float) -> Place:
         """Return the place by transforms dated and received in the last `oldest` seconds."""
