@@ -18,7 +18,8 @@ with the next goal:
     inactive (all goals are rejected, as by a node that is not active),
     die (the action servers go, and their goal), live (they are back, and active)
 
-With jump all that is told of where the robot is is `JUMP` m too far along x, until live.
+With jump all that is told of where the robot is is `JUMP` m too far along x, until live; with
+blind nothing is told of it.
 
 With an exclamation mark, such as reject!, with all goals until another text comes.
 """
@@ -132,7 +133,7 @@ class Robot:
         self._speed = config.get('speed', 5.0)
         self._goal = None
         self._wrong = config.get('wrong', '')
-        self._jump = 0.0
+        self._jump, self._is_blind = 0.0, False
         self._servers = []
         obstacles = '\n'.join(
             '  - {shape: {name: rectangle, length: 0.9, width: 0.9}, state: '
@@ -194,8 +195,10 @@ class Robot:
             self._servers = []
         elif message.data == 'jump':
             self._jump = JUMP
+        elif message.data == 'blind':
+            self._is_blind = True
         elif message.data == 'live':
-            self._wrong, self._jump = '', 0.0
+            self._wrong, self._jump, self._is_blind = '', 0.0, False
             if not self._servers:
                 self._live()
         else:
@@ -281,6 +284,18 @@ class Robot:
         x, y, yaw = self.place
         self._track.write(f'{json.dumps([self._namespace, x, y])}\n')
         self._track.flush()
+        if not self._is_blind:
+            self._tell_place(x, y, yaw)
+        cell = int(y) * self._config['width'] + int(x)
+        sees = cell in self._config['targets']
+        if not self._is_array:
+            self._detections.publish(Bool(data=sees))
+            return
+        self._pictures.append(self._picture(sees))
+        if len(self._pictures) > LATE:
+            self._detections.publish(self._pictures.popleft())
+
+    def _tell_place(self, x, y, yaw):
         placed = self._config['placed']
         map_x, map_y = in_map(placed, x, y)
         map_yaw = yaw + placed[2]
@@ -294,14 +309,6 @@ class Robot:
         )
         if self._config['datum']:
             self._fixes.publish(self._fix(map_x, map_y))
-        cell = int(y) * self._config['width'] + int(x)
-        sees = cell in self._config['targets']
-        if not self._is_array:
-            self._detections.publish(Bool(data=sees))
-            return
-        self._pictures.append(self._picture(sees))
-        if len(self._pictures) > LATE:
-            self._detections.publish(self._pictures.popleft())
 
     def _fix(self, x, y):
         latitude, longitude, heading = self._config['datum']

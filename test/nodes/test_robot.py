@@ -205,14 +205,26 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     assert '(parameter time_budget) is needed for the way back' in field.said('/scout_1/robot')
 
 
-@pytest.mark.parametrize('driver', ['follow_waypoints', 'navigate_through_poses', 'follow_path'])
-def test_no_cell_is_vouched_for_that_was_not_entered_around_a_jump(field, driver):
+DRIVERS = ['follow_waypoints', 'navigate_through_poses', 'follow_path']
+
+
+@pytest.mark.parametrize('driver, fault', [
+    *((driver, 'jump') for driver in DRIVERS),
+    *some((driver, 'blind') for driver in DRIVERS),
+])  # fmt: skip
+def test_no_cell_is_vouched_for_that_was_not_entered_around_a_fault(field, driver, fault):
     fleet, reports = Fleet.simulated(field, speed=1.0)
     fleet.start(driver=driver, max_speed=1.5, tf_timeout=0.5)
     key = fleet.send(1, [0, 1, 2, 3, 2, 1, 0])
     field.until(lambda: 2 in fleet.walked(), 'robot under way')
-    fleet.inject('jump')
-    field.until(lambda: 'jump' in field.said('/scout_1/robot'), 'word of the jump')
+    fleet.inject(fault)
+    states = field.listen(AgentState, '/scout_1/state')
+
+    def is_told():
+        is_blind = states and states[-1].reason.startswith('TF')
+        return is_blind if fault == 'blind' else 'jump' in field.said('/scout_1/robot')
+
+    field.until(is_told, 'word of the fault')
     # Longer than a jump must last to be accepted.
     fleet.wait(1.5)
     fleet.inject('live')
