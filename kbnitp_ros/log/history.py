@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,7 +28,6 @@ ROLES = (
     'decision',
     'model',
     'path',
-    'progress',
     'report',
     'state',
     'status',
@@ -56,8 +54,6 @@ class Moment:
     is_after_gap: bool = False
     # Learnt numbers, kinds of hazard, and the check of the model.
     state: ModelState = NOTHING_LEARNT
-    # Upper bound on the information of any path, nats; NaN if it was not computed.
-    upper_bound: float = nan
 
     @property
     def belief(self) -> Belief:
@@ -85,8 +81,6 @@ class History:
     moments: list[Moment] = field(default_factory=list)
     # Learnt numbers, kinds of hazard, and model check, by the stamp of the belief, nanoseconds.
     models: dict[int, ModelState] = field(default_factory=dict)
-    # Upper bounds on the information of any path by the stamp of the belief, nats.
-    bounds: dict[int, float] = field(default_factory=dict)
     # The last recorded decision on the goal.
     decision: Decision | None = None
     # The last state of each agent.
@@ -139,8 +133,6 @@ def read_history(
     history, truth = History(evidence), {}
     for role, logged in log.read(*ROLES, corrupt=history.corrupt, progress=progress):
         with log.leaving_out(logged):
-            message = logged.message
-            stamp = from_stamp(message.header.stamp)
             if role.name in ('path', 'report', 'status'):
                 evidence.take(role, logged)
             elif role.name == 'belief':
@@ -152,18 +144,16 @@ def read_history(
                 history.moments.append(Moment(snapshot, logged.log_time, logged.position))
                 evidence.take(role, logged)
             elif role.name == 'model':
-                history.models[stamp] = logged.said
+                history.models[from_stamp(logged.message.header.stamp)] = logged.said
             elif role.name == 'state':
                 history.states[role.agent] = logged.said
             elif role.name == 'decision':
-                history.decision = read_decision(first.grid, message)
-            elif role.name in TRUTH:
+                history.decision = read_decision(first.grid, logged.message)
+            else:
                 shown = logged.said > 0.0
                 if shown.size != first.grid.cells:
                     raise ValueError(f'it has {shown.size} cells: the grid has {first.grid.cells}')
                 truth[role.name] = shown
-            elif not isnan(message.upper_bound):
-                history.bounds[stamp] = message.upper_bound
     evidence.refused += [f'{topic}: {why}' for (topic, _), why in log.left_out.items()]
     if len(truth) == len(TRUTH):
         history.world = World(*(truth[name] for name in TRUTH))

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from math import ceil, nan
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -147,13 +147,6 @@ class Mission:
         """Return the outcomes that count as robots: not of those that came back without a step."""
         return [each for each in self.ended if not each.is_unmoved]
 
-    def loss_cost(self, agent: str) -> float:
-        """Return the recorded cost of a lost robot of an agent, nats."""
-        for values in self.parameters.values():
-            if 'loss_cost' in values:
-                return float(values.get(f'team.{agent}.loss_cost') or values['loss_cost'])
-        return 0.0
-
     def entered(self) -> NDArray[np.bool_]:
         """Return the cells that robots are known to have entered, and the bases, (cells,)."""
         entered = np.zeros(self.grid.cells, dtype=bool)
@@ -260,7 +253,6 @@ def recorded_moments(
                 is_late=said.newest in known,
                 is_after_gap=missing > 0,
                 state=history.models.get(said.stamp, NOTHING_LEARNT),
-                upper_bound=history.bounds.get(said.stamp, nan),
             )
         )
         if said.newest:

@@ -96,14 +96,13 @@ TABLE = (
     Column('targets read', 'detected'),
     Column('expected (nats)', 'information_expected', 2, is_minor=True),
     Column('gained (nats)', 'information_gained', 2, is_minor=True),
-    Column('gap (nats)', 'gap', 3, is_minor=True),
     Column('entropy (nats)', 'entropy', 1),
     Column('log loss (nats)', 'log_loss', 1, is_minor=True),
     Column('reported after (s)', 'duration', 2, is_minor=True),
 )
 
 # Columns omitted if they are empty.
-OPTIONAL = ('gap', 'log_loss')
+OPTIONAL = ('log_loss',)
 
 PLACE = (Column('x (m)', 'x', None), Column('y (m)', 'y', None))
 

@@ -11,7 +11,7 @@ from math import isnan, nan
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import log_loss, Plan
+from kbnitp_ros.core import log_loss, path_information
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.maps import quantise_belief, write_probabilities
@@ -44,9 +44,6 @@ class Curves:
     # Decrease of H(Z, X), nats; negative if entropy rose. It equals the expected information on
     # average, not for each robot. NaN for the first moment and where the belief before is missing.
     gained: Numbers
-    # Gap between the upper bound given the belief before and the value of the chosen path, nats.
-    # NaN without a bound.
-    gap: Numbers
     # Number of robots known to be lost.
     lost: NDArray[np.intp]
     # Number of robots in flight.
@@ -78,8 +75,7 @@ def mission_curves(
     gained = np.concatenate([[nan], -np.diff(joint_entropy)])
     gained[gaps] = nan
     with interpreted(len(moments) < MAX_INTERPRETED):
-        information = [information_at(mission, place) for place in progress(range(len(moments)))]
-    expected, gap = np.array(information).T
+        expected = [information_at(mission, place) for place in progress(range(len(moments)))]
     unknown = np.full(len(moments), nan)
     return Curves(
         hazard_entropy=np.array([binary_entropy(each.hazard).sum() for each in beliefs]),
@@ -91,24 +87,21 @@ def mission_curves(
         target_loss=np.array([log_loss(each.target, world.target) for each in beliefs])
         if world
         else unknown,
-        expected=expected,
+        expected=np.array(expected),
         gained=gained,
-        gap=np.maximum(0.0, gap),
         lost=lost_by(mission),
         out=np.array([each.size for each in out_at(mission)], dtype=np.intp),
     )
 
 
-def information_at(mission: Mission, place: int) -> tuple[float, float]:
-    """Return the expected information of a moment's deployment, and its gap to the bound, nats."""
+def information_at(mission: Mission, place: int) -> float:
+    """Return the expected information of a moment's deployment, nats; NaN if unknown."""
     moment = mission.moments[place]
     if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
-        return nan, nan
+        return nan
     before, deployment = mission.moments[place - 1], mission.deployments[moment.deployment]
-    agent = deployment.key.agent
-    plan = Plan.along(deployment.path, before.belief, before.agent_model(agent))
-    cost = mission.loss_cost(agent) * (1.0 - plan.survival)
-    return plan.information, before.upper_bound - plan.information + cost
+    model = before.agent_model(deployment.key.agent)
+    return path_information(before.belief, model, deployment.path)
 
 
 def lost_by(mission: Mission) -> NDArray[np.intp]:
@@ -151,7 +144,6 @@ COLUMNS = pyarrow.schema(
         ('looked', pyarrow.int64()),
         ('information_expected', pyarrow.float64()),
         ('information_gained', pyarrow.float64()),
-        ('gap', pyarrow.float64()),
         ('moment', pyarrow.int64()),
         ('held', pyarrow.int64()),
         ('entropy', pyarrow.float64()),
@@ -192,7 +184,6 @@ def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
                 'looked': None if read is None else int((read >= 0).sum()),
                 'information_expected': known(curves.expected, began),
                 'information_gained': known(curves.gained, began),
-                'gap': known(curves.gap, began),
                 'moment': at,
                 'held': None if at is None else mission.moments[at].held,
                 'entropy': known(entropy, at),

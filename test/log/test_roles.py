@@ -79,7 +79,7 @@ def read(path):
             report.evidence.reports, report.evidence.operator, report.evidence.departures,
         ],
         'history': [history.observations, history.beliefs, history.models, history.decision,
-                    history.world, history.bounds],
+                    history.world],
         'resumed': [record.paths, record.outcomes, record.departures, record.operator,
                     record.mission],
         'ledger': read_ledger(log).belief.joint,

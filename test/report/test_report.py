@@ -1,18 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports agree with the log, for every kind of log, and are written whole or not at all."""
 
-from dataclasses import replace
 from itertools import pairwise
-from math import nan
 import re
 import resource
 import subprocess
 import sys
 
-from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.report import main
 from kbnitp_ros.configuration import make_estimator, node_parameters
-from kbnitp_ros.core import Belief, Grid, log_loss, Observation, path_information, Plan
+from kbnitp_ros.core import Belief, Grid, log_loss, Observation, path_information
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.log.write import LogWriter
@@ -102,29 +99,6 @@ def test_the_tables_agree_with_the_arrays_and_the_log(shown):
         assert row['information_gained'] == pytest.approx(gained, abs=1e-12)
         assert row['entropy'] == pytest.approx(after.entropy())
     assert {row['outcome'] for row in table} == {'returned', 'lost'}
-
-
-def test_gaps_are_shown_of_plans_with_a_bound(tmp_path):
-    whole = Shown()
-    for number in range(4):
-        header = [each for each in whole.sent if each.topic == '/belief'][-1].message.header
-        bound = 1.5 if number % 2 else nan
-        for upper_bound in (nan, bound, nan):
-            whole.publish('progress', Progress(header=header, upper_bound=upper_bound))
-        whole.deploy(whole.walk())
-    mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
-    curves = mission_curves(mission)
-    assert np.isnan(curves.gap[[0, 1, 3]]).all()
-    assert np.array_equal(curves.gap[[2, 4]], 1.5 - curves.expected[[2, 4]])
-    costly = mission_curves(replace(mission, parameters={'/planner': {'loss_cost': 2.0}}))
-    plans = [
-        Plan.along(mission.deployments[each - 1].path, mission.moments[each - 1].belief, MODEL)
-        for each in (2, 4)
-    ]
-    more = [2.0 * (1.0 - planned.survival) for planned in plans]
-    assert costly.gap[[2, 4]] - curves.gap[[2, 4]] == pytest.approx(more)
-    gaps = [row['gap'] is not None for row in rows(mission, curves)]
-    assert gaps == [False, True, False, True]
 
 
 def test_the_last_belief_can_be_the_prior_of_another_mission(shown):
