@@ -151,7 +151,6 @@ class Rounds:
                 refused,
                 most_distance(self._values, agents),
             ),
-            bound=self._values['bound'],
         )
 
         def planned() -> PlannedRound:
@@ -212,12 +211,7 @@ def describe_plan(grid: Grid, plan: Plan) -> str:
     steps_to_base = grid.at(int(plan.path[0])).steps_to_base
     farthest = plan.path[np.argmax(steps_to_base[plan.path])]
     ((x, y),) = grid.centers([farthest]).tolist()
-    gap = ''
-    if plan.gap is not None and plan.upper_bound is not None:
-        worth = plan.upper_bound - plan.gap
-        share = f' ({plan.gap / worth:.1%})' if worth > 0.0 else ''
-        gap = f', at most {plan.gap:.2g} nats below the best{share}'
     return (
         f'for ({x:.6g}, {y:.6g}) m and back in {plan.path.size - 1} steps: it returns with '
-        f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats{gap}'
+        f'probability {plan.survival:.2f}, expected information {plan.information:.3g} nats'
     )

@@ -8,9 +8,10 @@ from contextlib import suppress
 from types import MappingProxyType
 from typing import Any
 
+from kbnitp_ros.cli.output import complain
 from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
-from kbnitp_ros.configuration.known import check_known
+from kbnitp_ros.configuration.known import check_known, gone_note
 from kbnitp_ros.configuration.parameter import nearest, own_name
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.replay import RecordedGoal
@@ -57,6 +58,8 @@ def node_values(
         for name, value in values_for(sections, f'/{node}').items():
             if parameter := find_parameter(node, name):
                 values[name] = parameter.check(value)
+            elif note := gone_note(node, name):
+                complain('warning', note)
         parameters[node] = values
     return parameters
 
@@ -82,6 +85,8 @@ def set_parameter(
         for owner in nodes:
             if parameter := find_parameter(owner, name):
                 parameters[owner][name] = parameter.read(text)
+            elif note := gone_note(owner, name):
+                complain('warning', note)
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
 

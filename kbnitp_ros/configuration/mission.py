@@ -32,7 +32,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.decision.rounds import check_sought
-from kbnitp_ros.core.planning.plans import check_bounded, check_team
+from kbnitp_ros.core.planning.plans import check_team
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map, read_probabilities
@@ -89,7 +89,7 @@ def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOp
     goal = make_goal(values, grid)
     make_stop(values).check(goal, values['robots'])
     for search in options:
-        check_sought(goal, search, values['bound'])
+        check_sought(goal, search)
     if goal is not None:
         goal.check(grid, values['max_steps'])
 
@@ -115,9 +115,6 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
     options = search_options(values)
     check_goal(values, grid, [options.of_type(each) for each in types])
     check_team(PathFinder(grid, options), types)
-    if values['bound']:
-        for robot_type in types:
-            check_bounded(grid.at(robot_type.base), options.of_type(robot_type), len(types))
 
 
 MAPS = ('hazard', 'target', 'kappa')

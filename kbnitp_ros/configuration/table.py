@@ -341,12 +341,6 @@ TABLE = (
         'step.',
         limits=(1, 10_000),
     ),
-    for_planner(
-        'bound',
-        False,
-        'Whether to compute, with each plan, an upper bound on the value of any path, for '
-        'progress and the report; only for a single agent that seeks information.',
-    ),
     changeable(
         'max_visits', 3, 'Maximum number of visits of a path to a cell.', limits=(1, 10_000)
     ),

@@ -79,7 +79,6 @@ ROLES_OF = {
         'state',
         'proposal',
         'belief',
-        'progress',
         'decision',
         'decision/lane',
         'operator',

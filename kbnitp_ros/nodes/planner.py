@@ -6,9 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from math import isnan, nan
 
-from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.checks import (
     check_changes,
     check_reach,
@@ -28,7 +26,7 @@ from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
-from kbnitp_ros.messages.headers import from_stamp, next_name
+from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.decisions import Decisions
@@ -36,7 +34,6 @@ from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.presence import Peers, StatePublisher
-from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -67,13 +64,6 @@ class PlannerNode(FieldNode):
         self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
         self._in_flight = self._dispatch.in_flight
         self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._decisions.take)
-        # The estimator's progress, which the planner publishes again with the bound of its plan.
-        # The stamp of the belief that the plan is based on, and the bound in nats.
-        self._progress: Progress | None = None
-        self._bound = -1, nan
-        if self.values['bound']:
-            self._bounded = self.create_publisher(Progress, 'progress', qos.LATCHED)
-            self.subscribe(Progress, 'progress', self._on_progress, qos.LATCHED)
         self._peers = Peers(self, self._agents)
         # The search for the next round, kept with its result while robots cannot leave.
         self._search: Search | None = None
@@ -316,25 +306,7 @@ class PlannerNode(FieldNode):
             return {}
         if self.values['approval'] and not self._are_approved(planned.plans):
             self._operator.propose(planned.plans, search)
-        for plan in planned.plans.values():
-            if plan.upper_bound is not None:
-                self._bound = newest.stamp, plan.upper_bound
-                self._publish_bound()
         return planned.plans
-
-    def _on_progress(self, message: Progress) -> None:
-        # Progress with a bound was published by this planner.
-        if isnan(message.upper_bound):
-            self._progress = message
-            self._publish_bound()
-
-    def _publish_bound(self) -> None:
-        """Publish progress with the bound of the last plan, if both belong to the same belief."""
-        stamp, upper_bound = self._bound
-        if self._progress and from_stamp(self._progress.header.stamp) == stamp:
-            self._progress.upper_bound = upper_bound
-            self._bounded.publish(self._progress)
-            self._progress.upper_bound = nan
 
     def _on_search_over(self) -> None:
         self._deploy()

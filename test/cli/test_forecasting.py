@@ -56,8 +56,9 @@ def test_a_mission_on_record_goes_on(tmp_path, capsys):
     path = log(tmp_path / 'run')
     sent = last_belief(MissionLog(path)).deployments
     options = ['--set', f'robots={sent + 2}', '--worlds', '3', '--workers', '1']
-    assert main([str(tmp_path / 'run'), *options]) == 0
-    told = capsys.readouterr().out
+    assert main([str(tmp_path / 'run'), *options, '--set', 'bound=true']) == 0
+    told, warnings = capsys.readouterr()
+    assert warnings.count('warning: parameter bound is gone') == 1
     assert told.startswith('3 missions of at most 2 robots, no goal')
     assert '| robots sent | 2.0 | 2 | 2 | 2 |' in told
 
@@ -74,7 +75,6 @@ def test_the_ledger_of_a_log_has_its_last_belief(tmp_path, name):
     (['--set', 'robots=0'], 'robots is 0: it must be a whole number at least 1'),
     ([*LANE, '--set', 'max_steps=2'], 'cell 15, 3 steps from cell 0: at most max_steps = 2'),
     ([*LANE, '--set', 'grid.blocked=[15]'], 'cell 15, an obstacle'),
-    ([*LANE, '--set', 'bound=true'], 'bound is true, but only plans for the goal map'),
     (['--set', 'estimator:grid.width=5'], 'planner and estimator have different fields'),
     (['--set', 'agent:seed=3'], "'agent' is no node of the forecast"),
     (['--set', 'map_topic=map'], 'map_topic is map: the forecast subscribes to no map'),

@@ -102,7 +102,6 @@ def test_stops_are_those_of_the_parameters():
     ({'goal__kind': 'lane', 'goal__position': [9.0, 0.1]}, 'is outside the grid'),
     ({'goal__kind': 'lane', 'goal__position': [0.6]}, 'it must be x and y'),
     ({'goal__kind': 'lane', 'goal__cells': [4], 'goal__position': [0.6, 0.9]}, 'give one of'),
-    ({'goal__kind': 'area', 'goal__cells': [1], 'bound': True}, 'bound is true'),
     ({'stop__losses': 5}, 'stop.losses is 5'),
 ])  # fmt: skip
 def test_a_goal_out_of_reach_is_refused(given, complaint):

@@ -2,7 +2,6 @@
 """The planner sends one robot at a time, on the belief given all before it."""
 
 import json
-import math
 import time
 
 from base import Base
@@ -291,27 +290,6 @@ def test_waiting_for_plans_is_stated_once(field):
     said = field.said('/planner')
     assert said.count('planning took') == 1
     assert 'reduce beam_width, or set planner to relaxed' in said
-
-
-def test_the_bound_of_a_plan_is_published_with_the_progress(field):
-    mission = Mission(field, {'robots': 1, 'bound': True, 'presume_departure': True})
-    shown = field.listen(Progress, '/progress')
-    progress = field.node.create_publisher(Progress, '/progress', qos.LATCHED)
-    field.until(lambda: progress.get_subscription_count() == 2, 'readers of progress')
-    mission.show_belief()
-    mission.until_sent(0)
-    stamp = belief_maps(mission.ledger, 0).header
-    progress.publish(Progress(header=stamp, ordered=7, upper_bound=math.nan))
-    bounded = plan(GRID, mission.ledger.belief, MODEL, 4, bound=True)
-
-    def is_told():
-        return any(not math.isnan(each.upper_bound) for each in shown)
-
-    field.until(is_told, 'a bound')
-    (told,) = (each for each in shown if not math.isnan(each.upper_bound))
-    assert (told.header, told.ordered, told.upper_bound) == (stamp, 7, bounded.upper_bound)
-    gap = f'at most {bounded.gap:.2g} nats below the best'
-    field.until(lambda: gap in field.said('/planner'), 'the departure with its bound')
 
 
 def test_a_planner_that_waits_for_a_belief_states_the_estimator_s_refusal(field):

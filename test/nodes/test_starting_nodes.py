@@ -53,8 +53,6 @@ ROBOT = 'agent:=scout_1 journal:=FOLDER'
 CANNOT_START = [
     ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
     ('planner', 'planner:=coverage objective:=behavioral', 'coverage does not seek it'),
-    ('planner', 'planner:=coverage bound:=true', 'planner is coverage, which seeks'),
-    ('planner', 'bound:=true agents:=[one,two]', 'there are 2 robots, but only plans'),
     (
         'planner',
         'grid.width:=100 grid.height:=100 max_steps:=200 beam_width:=10000',

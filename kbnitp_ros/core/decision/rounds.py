@@ -114,7 +114,6 @@ def plan_round(
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
     keepout: Sequence[int] | NDArray[np.intp] = (),
-    bound: bool = False,
 ) -> list[Plan]:
     """
     Plan a round for a goal, robot after robot, each for its gain given the earlier robots.
@@ -125,7 +124,7 @@ def plan_round(
         None to map the field, as `plan_team` does.
     draws : HazardDraws or None
         Draws of the hazards, if there is a goal.
-    grid, belief, model, team, options, in_flight, visited, keepout, bound
+    grid, belief, model, team, options, in_flight, visited, keepout
         As in `plan_team`.
 
     Raises
@@ -146,10 +145,9 @@ def plan_round(
         in_flight=in_flight,
         visited=visited,
         keepout=keepout,
-        bound=bound,
     )
     for robot_type in team.types:
-        check_sought(goal, options.of_type(robot_type), bound)
+        check_sought(goal, options.of_type(robot_type))
     if goal is None or draws is None:
         return for_information()
     in_use = without(grid, keepout) if len(keepout) else grid
@@ -181,7 +179,7 @@ def plan_round(
     return plans
 
 
-def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None:
+def check_sought(goal: Goal | None, options: SearchOptions) -> None:
     """Check that the options of a plan fit the goal."""
     if goal is not None and options.max_distance:
         raise ValueError(
@@ -192,9 +190,4 @@ def check_sought(goal: Goal | None, options: SearchOptions, bound: bool) -> None
         raise ValueError(
             f'objective is {options.objective}, but paths for the goal {goal.name} are not chosen '
             'by it: choose the goal map, or the objective information'
-        )
-    if goal is not None and bound:
-        raise ValueError(
-            f'bound is true, but only plans for the goal map have a bound, and the goal is '
-            f'{goal.name}: leave bound at false, or choose the goal map'
         )
