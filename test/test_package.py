@@ -70,7 +70,7 @@ IMPORT = r'^ *(?:import (?=[\w.]+$|\w+ as )|from (?=[\w.]+ import ))(\w+)'
 def imported_by(*folders):
     """Return the names of external packages that sources in folders import."""
     names = set()
-    local = {'kbnitp_ros'}
+    local = {'kbnitp_ros', *(path.stem for path in ROOT.glob('benchmarks/*.py'))}
     for folder in folders:
         for path in ROOT.joinpath(folder).rglob('*.py'):
             local.add(path.stem)

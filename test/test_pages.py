@@ -287,7 +287,8 @@ LABELS = re.findall(r'^ *:label: (\S+)$', TEXT, re.MULTILINE)
 def test_equations_have_labels_that_the_code_cites_and_no_others():
     cited = {
         label
-        for path in sorted((ROOT / 'kbnitp_ros').rglob('*.py'))
+        for folder in ('kbnitp_ros', 'benchmarks')
+        for path in sorted((ROOT / folder).rglob('*.py'))
         for label in re.findall(r':eq:`([^`]*)`', path.read_text())
     }
     assert [label for label, times in Counter(LABELS).items() if times > 1] == []

@@ -10,7 +10,6 @@ from kbnitp_ros.core import (
     Clustering,
     Grid,
     Learning,
-    plan,
     plan_team,
     run_mission,
     SearchOptions,
@@ -27,9 +26,8 @@ PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 
 
 def search_for_teams() -> None:
-    """Plan for two robots, and for one with a bound."""
+    """Plan for two robots."""
     plan_team(GRID, PRIOR, MODEL, Team(2), SearchOptions(max_steps=6))
-    plan(GRID, PRIOR, MODEL, 6, bound=True)
 
 
 def search_otherwise() -> None:

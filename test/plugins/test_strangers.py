@@ -4,7 +4,8 @@
 import subprocess
 import sys
 
-from kbnitp_ros.core import Belief, Grid, plan, SensorModel
+from bound import upper_bound
+from kbnitp_ros.core import Belief, Grid, plan, SearchOptions, SensorModel
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.log.history import read_history
 import numpy as np
@@ -159,12 +160,12 @@ def small_benchmark(tmp_path):
     scenarios.joinpath('benchmark.yaml').write_text(yaml.safe_dump(content))
     grid, model = Grid(4, 4), SensorModel(0.5)
     belief = Belief.prior(grid, 0.15, 0.205, 0.8)
-    bound = plan(grid, belief, model, 6, bound=True).upper_bound
+    path = plan(grid, belief, model, 6).path
     np.savez(
         scenarios / 'benchmark_2.npz',
         joint=[belief.joint],
         lethality=[model.lethality],
-        bound=[bound],
+        bound=[upper_bound(grid, belief, model, SearchOptions(max_steps=6), path)],
     )
     return tmp_path
 

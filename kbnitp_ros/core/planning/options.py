@@ -22,7 +22,7 @@ PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     'planner',
     partial(takes, arguments=('finder', 'objective')),
     {},
-    gone={'exact': 'it is gone: use beam, and set bound to know how much better a path may be'},
+    gone={'exact': 'it is gone: use beam; benchmarks/bound.py bounds the best path'},
 )
 
 # Alpha of Shannon's entropy, and range of alpha of behavioral entropies.

@@ -12,12 +12,10 @@ from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.bound import check_bound, upper_bound
 from kbnitp_ros.core.planning.information import (
     information_and_survival,
     team_information,
 )
-from kbnitp_ros.core.planning.labels import find_reach
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     camera_rates,
@@ -27,7 +25,7 @@ from kbnitp_ros.core.planning.objective import (
     Objective,
 )
 from kbnitp_ros.core.planning.options import SearchOptions
-from kbnitp_ros.core.planning.planners import BASELINES, check_distance, PathFinder
+from kbnitp_ros.core.planning.planners import check_distance, PathFinder
 from kbnitp_ros.core.planning.regions import divide, without
 from kbnitp_ros.plugins import Registry, takes
 import numpy as np
@@ -47,11 +45,6 @@ class Plan(Value):
         `path_information`, nats.
     survival : float
         Predicted chance that the robot returns, in [0, 1].
-    upper_bound : float or None
-        Upper bound on information - loss_cost * (1 - survival) of every path that the search may
-        return, nats; None if not requested.
-    gap : float or None
-        Difference between `upper_bound` and the value of the plan, nats, at least 0.
     gain : float or None
         Expected progress of the mission towards its goal, in the unit of the goal; None without a
         goal.
@@ -61,8 +54,6 @@ class Plan(Value):
     path: NDArray[np.intp]
     information: float
     survival: float
-    upper_bound: float | None = None
-    gap: float | None = None
     gain: float | None = None
 
     def __post_init__(self) -> None:
@@ -85,7 +76,6 @@ def plan(
     planner: str | Callable[..., Any] = 'beam',
     *,
     visited: ArrayLike = (),
-    bound: bool = False,
     **options: Any,
 ) -> Plan:
     """
@@ -106,9 +96,6 @@ def plan(
     visited : array_like of int, shape (cells,), optional
         Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
         default.
-    bound : bool
-        Whether to compute `upper_bound` and `gap`, which need the objective 'information' and a
-        planner that seeks it.
 
     Returns
     -------
@@ -120,41 +107,17 @@ def plan(
     ValueError
         If the planner or the objective is unknown, the planner does not support the objective or
         the limit of distance, a number is out of range, the distance allows no step, or belief and
-        grid have different numbers of cells; if no bound is available for the objective or the
-        planner, or it takes more memory than is allowed.
+        grid have different numbers of cells.
 
     """
     search = SearchOptions(planner, max_steps, **options)
     if search.objective == 'information_per_loss':
-        given = Team(1), search
-        (found,) = plan_team(grid, belief, model, *given, visited=visited, bound=bound)
+        (found,) = plan_team(grid, belief, model, Team(1), search, visited=visited)
         return found
     finder = PathFinder(grid, search, np.asarray(visited))
     check_distance(grid, search)
-    if bound:
-        check_bounded(grid, search)
-    return plan_alone(finder, Objective.alone(grid, belief, model, search), bound)
-
-
-def plan_alone(finder: PathFinder, objective: Objective, bound: bool) -> Plan:
-    """Return the plan of a single robot, with a bound if requested."""
-    path = finder.candidates(objective)[0].path
-    found = Plan.along(path, objective.belief, objective.model)
-    if not bound:
-        return found
-    above = upper_bound(finder.grid, objective, finder.options, path)
-    value = found.information - finder.options.loss_cost * (1.0 - found.survival)
-    return replace(found, upper_bound=max(value, above), gap=max(0.0, above - value))
-
-
-def check_bounded(grid: Grid, options: SearchOptions, robots: int = 1) -> None:
-    """Check that a bound is supported for these options."""
-    if options.planner in BASELINES:
-        raise ValueError(
-            f'planner is {options.planner}, which seeks no information, so its plans have no '
-            'bound: choose the planner beam or relaxed, or plan without a bound'
-        )
-    check_bound(find_reach(grid, options.max_steps, options.max_distance), options, robots)
+    objective = Objective.alone(grid, belief, model, search)
+    return Plan.along(finder.candidates(objective)[0].path, belief, model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +280,6 @@ def plan_team(
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
     keepout: Sequence[int] | NDArray[np.intp] = (),
-    bound: bool = False,
 ) -> list[Plan]:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -337,8 +299,6 @@ def plan_team(
         'independent' plan for the information added to the outcomes of these robots.
     keepout : sequence of int
         Cells that no robot may enter, in addition to blocked cells.
-    bound : bool
-        As in `plan`; only for one robot while none is in flight.
 
     Returns
     -------
@@ -362,9 +322,6 @@ def plan_team(
     finder = PathFinder(in_use, options, np.asarray(visited))
     for robot_type in dict.fromkeys(team.types):
         check_distance(grid.at(robot_type.base), options.of_type(robot_type))
-    if bound:
-        for robot_type in team.types:
-            check_bounded(in_use.at(robot_type.base), options, len(team.types) + len(in_flight))
     outcomes = nobody_deployed(belief)
     for path, robot_type in in_flight:
         cells = grid.at(robot_type.base).check_path(path)
@@ -378,9 +335,6 @@ def plan_team(
         }
         if in_flight:
             members = {each: member.given(outcomes) for each, member in members.items()}
-        if bound:
-            (robot,) = members.values()
-            return [plan_alone(robot.finder, robot.objective, bound)]
         paths = allocated(team.allocation, [members[each] for each in team.types])
         return [
             Plan.along(path, belief, robot_type.model(model))

@@ -42,6 +42,7 @@ PLANS = """
 import sys
 {before}
 import numpy as np
+from bound import upper_bound
 import brute_force
 from kbnitp_ros.core import (
     ALLOCATIONS, Belief, Grid, plan, plan_team, SearchOptions, SensorModel, Team
@@ -52,9 +53,9 @@ for seed, lethality in enumerate({lethalities}):
     rng = np.random.default_rng(seed)
     belief, model = Belief(brute_force.random_joint(rng, 12, 5)), SensorModel(lethality)
     for planner, width in (('relaxed', 1), ('beam', 4)):
-        found = plan(grid, belief, model, 5, planner, width=width, bound=True)
+        found = plan(grid, belief, model, 5, planner, width=width)
         print(found.path.tolist(), found.information.hex(), found.survival.hex())
-        print(found.upper_bound.hex(), found.gap.hex())
+        print(upper_bound(grid, belief, model, SearchOptions(planner, 5), found.path).hex())
 for allocation in ('greedy', 'voronoi'):
     options = SearchOptions(max_steps=4, width=3, loss_cost=0.2)
     team = plan_team(grid, belief, model, Team(3, allocation), options)

@@ -113,7 +113,6 @@ def test_information_per_loss_of_a_team_is_that_of_all_its_robots():
     ({'loss_cost': 1.0}, 'loss_cost is 1.0, and the objective information_per_loss finds it'),
     ({'alpha': 2.0}, 'alpha is 2.0, which the objective information_per_loss does not have'),
     ({'planner': 'random'}, 'information_per_loss, but the planner random does not seek'),
-    ({'bound': True}, 'objective is information_per_loss, which has no bound'),
 ])  # fmt: skip
 def test_information_per_loss_refuses_other_options(arguments, message):
     grid, belief, model = random_problem(0)

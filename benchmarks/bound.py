@@ -1,6 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Loops of the bound: a Lagrangian dual cuts off sums that no closed walk has; boxes bound the value.
+Bound the value of every path, by a Lagrangian dual with cuts.
+
+``python3 benchmarks/bound.py`` prints by how much any path may exceed a plan of ``beam`` on the
+frozen beliefs of ``study benchmark``.
+
+The derivation is in docs/mathematics: the value of a path, :eq:`bound-value`, is at most a
+function of three sums over its cells, :eq:`bound-path`; Lagrangian multipliers cut off sums that
+no closed walk has, :eq:`bound-cut`; the function is maximised over the remaining sums,
+:eq:`bound-maximum`.
 
 Cells are numbered by rank in `Reach`: the base has rank 0, and the cells within t steps of it come
 first, for every t. The multipliers of equation :eq:`bound-cut` are one array of shape (cells +
@@ -10,12 +18,33 @@ the ratio r2 / r, in [1, 2].
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from math import exp, inf, log
 from typing import Any, NamedTuple
 
+from kbnitp_ros.core import Belief, Candidate, Grid, plan, SearchOptions, SensorModel
 from kbnitp_ros.core.field.compiled import compiled
-from kbnitp_ros.core.planning.label_kernels import surprisal
+from kbnitp_ros.core.field.sensor import log_predicted_survival, times_log
+from kbnitp_ros.core.planning.label_kernels import Floats, Places, surprisal
+from kbnitp_ros.core.planning.labels import find_reach
+from kbnitp_ros.core.planning.objective import new_information, Objective, possible_readings
 import numpy as np
+
+# Maximum number of cuts, in addition to one for each number of steps, and maximum number of
+# successive cuts that lower the bound by less than the tolerance.
+MAX_CUTS = 60
+MAX_STALLED = 6
+
+# Tolerance of the bound: relative to the value, and at least this many nats.
+TOLERANCE = 2e-4
+MIN_TOLERANCE = 1e-6
+
+# Margins for rounding: absolute in nats, and relative to the loss cost.
+ROUNDING = 1e-9
+ROUNDING_OF_COST = 1e-13
+
+# Below this survival a path's information rounds to 0.
+MIN_SURVIVAL = 1e-100
 
 # Maximum number of boxes halved; at the limit the bound is valid but less tight.
 MAX_BOXES = 20_000
@@ -269,3 +298,125 @@ def maximum(region: Region, known: float, tolerance: float, at: Any) -> float:
             boxes[held + 1] = low, high, ratio, most
             held += 2
     return bound
+
+
+@dataclass(eq=False)
+class Cuts:
+    """The cuts of paths with one number of steps."""
+
+    # Number of steps of each path.
+    steps: int
+    # Survival, ratio r2 / r and sum of W that the next cut excludes.
+    point: tuple[float, float, float]
+    # Multipliers of the last cut, shape (cells + 2,).
+    multipliers: Floats
+    # D, lambda and mu of each cut, as in `Region`, shape (cuts, 3).
+    rows: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    # Upper bound on the value of each path, nats.
+    bound: float = inf
+
+
+def upper_bound(
+    grid: Grid, belief: Belief, model: SensorModel, options: SearchOptions, path: Places
+) -> float:
+    """Return an upper bound on the value of any path, nats; the search starts at `path`."""
+    if options.objective != 'information':
+        raise ValueError(f'objective is {options.objective}: only information has a bound')
+    objective = Objective.alone(grid, belief, model, options)
+    loss_cost, value = objective.loss_cost, Candidate.along(path, objective).value
+    tolerance = max(MIN_TOLERANCE, TOLERANCE * abs(value))
+    slack = ROUNDING + ROUNDING_OF_COST * loss_cost
+    log_safe = float(model.log_survival[0])
+    if exp(log_safe) == 0.0:
+        return value + slack
+    reach, max_steps = find_reach(grid, options.max_steps, options.max_distance), options.max_steps
+    visits = min(options.max_visits, max_steps)
+    added, survivable = visit_sums(belief, model, reach.cells, visits)
+    counts = np.bincount(path[1:], minlength=grid.cells)[reach.cells]
+    w, r, r2 = added[np.arange(counts.size), counts].sum(axis=0)
+    start = (inside(exp(-r)), r2 / r if r > 0.0 else 1.5, w)
+    none = np.zeros(reach.cells.size + 2)
+    lengths = [Cuts(steps, start, none.copy()) for steps in range(1, max_steps + 1)]
+
+    def cut(paths: Cuts) -> None:
+        """Add the lowest cut at the point, and bound the value over the remaining sums."""
+        steps, (survival, ratio, total) = paths.steps, paths.point
+        longest_stay = (steps - 2 * grid.steps_to_base[reach.cells] + 1).clip(min=0)
+        longest_stay[0] = steps
+        walks = Walks(reach.neighbors, reach.within, added, np.minimum(survivable, longest_stay))
+        # Allow for rounding when survivals are compared.
+        least = options.minimum_survival * (1.0 - 1e-12)
+        region = Region(exp(steps * log_safe), least, loss_cost, paths.rows)
+        if region.safest < least:
+            paths.bound = -inf
+            return
+        if region.safest < MIN_SURVIVAL:
+            paths.bound = -loss_cost
+            return
+        of_r, of_r2, enough = next_cut(region, survival, ratio, total, value)
+        if not len(paths.rows):
+            paths.multipliers[:-2] = added[:, 1] @ [1.0, -of_r, -of_r2]
+        paths.multipliers[-2:] = of_r, of_r2
+        r = -log(survival)
+        d = minimise(walks, steps, paths.multipliers, r, ratio * r, enough)
+        paths.rows = np.vstack([paths.rows, [d, *paths.multipliers[-2:]]])
+        region = region._replace(cuts=paths.rows)
+        at = np.array([survival, ratio])
+        paths.bound = min(paths.bound, maximum(region, value, tolerance, at))
+        survival, ratio = inside(at[0]), float(at[1])
+        paths.point = survival, ratio, greatest_sum(region, survival, ratio)
+
+    stalled = 0
+    for _ in range(MAX_CUTS + max_steps):
+        highest = max(lengths, key=lambda paths: paths.bound)
+        before = highest.bound
+        if before <= value + tolerance or stalled == MAX_STALLED:
+            break
+        cut(highest)
+        stalled = stalled + 1 if highest.bound > before - tolerance else 0
+    return max([value, *(paths.bound for paths in lengths)]) + slack
+
+
+def inside(survival: float) -> float:
+    """Clip a survival away from 0 and 1, where the slope of the entropy is infinite."""
+    return min(max(survival, 1e-9), 1.0 - 1e-9)
+
+
+def visit_sums(
+    belief: Belief, model: SensorModel, cells: Places, max_visits: int
+) -> tuple[Floats, Places]:
+    """Return W, r and r2 by visits, and the maximum survivable visits (:eq:`bound-terms`)."""
+    visits = np.arange(max_visits + 1)
+    hazard = belief.hazard[cells, None]
+    log_mean = log_predicted_survival(hazard, visits, model.log_survival)
+    log_square = log_predicted_survival(hazard, 2 * visits, model.log_survival)
+    alive = log_mean > -np.inf
+    log_power = times_log(visits[:, None], model.log_survival)
+    p_log_p = times_log(np.exp(log_power), log_power)
+    spread = (1.0 - hazard) * p_log_p[:, 0] + hazard * p_log_p[:, 1]
+    w = np.divide(spread, np.exp(log_mean), out=np.zeros_like(spread), where=alive)
+    readings = possible_readings(model, max_visits, ())
+    nothing_read = np.ones((cells.size, 1))
+    w[:, 1:] += new_information(readings, belief.joint[cells], nothing_read)
+    added = np.stack([w, -log_mean, -log_square], axis=-1)
+    return np.where(alive[..., None], added, 0.0), alive.sum(axis=1) - 1
+
+
+def main() -> None:
+    """Print the bound, the value of a plan and their gap, nats, for each frozen belief."""
+    # Studies load matplotlib, which takes longer than a bound.
+    from kbnitp_ros.study.benchmark import frozen, NAME
+    from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
+
+    scenario = read_scenario(scenario_file(NAME))
+    grid, options = scenario.field(), SearchOptions(max_steps=scenario.planning.max_steps)
+    print('| lethality | frozen bound | bound | value | gap |\n|---|---|---|---|---|')
+    for belief, model, recorded in frozen():
+        found = plan(grid, belief, model, options.max_steps)
+        above = upper_bound(grid, belief, model, options, found.path)
+        columns = (recorded, above, found.information, above - found.information)
+        print(f'| {model.lethality} |', *(f'{each:.4f} |' for each in columns), flush=True)
+
+
+if __name__ == '__main__':
+    main()

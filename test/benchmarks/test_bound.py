@@ -3,18 +3,9 @@
 
 from functools import cache
 
+from bound import parabola, upper_bound
 import brute_force
-from kbnitp_ros.core import (
-    Belief,
-    Grid,
-    ORDINARY,
-    plan,
-    plan_team,
-    SearchOptions,
-    SensorModel,
-    Team,
-)
-from kbnitp_ros.core.planning.bound_kernels import parabola
+from kbnitp_ros.core import Belief, Grid, path_information, plan, SearchOptions, SensorModel
 from laws import for_each
 import numpy as np
 import pytest
@@ -86,20 +77,15 @@ def test_no_path_has_a_higher_value_than_the_bound(chunk):
     for seed in range(chunk * PER_CHUNK, (chunk + 1) * PER_CHUNK):
         grid, most_steps, max_visits, belief, model, loss_cost = random_problem(seed)
         best = values(belief, model, every_path(grid, most_steps, max_visits), loss_cost).max()
-        found = plan(
-            grid,
-            belief,
-            model,
-            most_steps,
-            max_visits=max_visits,
-            loss_cost=loss_cost,
-            planner='relaxed' if seed % 3 else 'beam',
-            bound=True,
-        )
-        assert found.upper_bound >= best - 1e-12 * loss_cost, seed
-        assert found.gap >= 0.0
+        options = {'max_visits': max_visits, 'loss_cost': loss_cost}
+        planner = 'relaxed' if seed % 3 else 'beam'
+        found = plan(grid, belief, model, most_steps, planner, **options)
+        search = SearchOptions(max_steps=most_steps, **options)
+        above = upper_bound(grid, belief, model, search, found.path)
+        assert above >= best - 1e-12 * loss_cost, seed
 
 
+@pytest.mark.slow
 def test_the_parabola_touches_from_above():
     rng = np.random.default_rng(0)
     for _ in range(1000):
@@ -114,55 +100,18 @@ def test_the_parabola_touches_from_above():
         assert above[-2] == pytest.approx(0.0, abs=1e-14)
 
 
+@pytest.mark.slow
 @for_each('malfunction', [0.05, 0.5, 1.0])
 def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
     grid = Grid(2, 2, blocked=(1, 2, 3))
     belief = Belief.from_maps([0.0, 0.5, 0.5, 0.5], [0.5] * 4, [0.5] * 4)
     model = SensorModel(0.5, malfunction)
-    found = plan(grid, belief, model, 1, bound=True)
-    assert found.upper_bound == pytest.approx(found.information, abs=3e-4)
-    assert found.gap == found.upper_bound - found.information
+    above = upper_bound(grid, belief, model, SearchOptions(max_steps=1), [0, 0])
+    assert above == pytest.approx(path_information(belief, model, [0, 0]), abs=3e-4)
 
 
-def test_a_bound_changes_nothing_of_a_plan():
-    grid, most_steps, max_visits, belief, _, _ = random_problem(0)
-    alone, bounded = (
-        plan(grid, belief, SensorModel(0.5), most_steps, max_visits=max_visits, bound=bound)
-        for bound in (False, True)
-    )
-    assert alone.path.tolist() == bounded.path.tolist()
-    assert (alone.information, alone.survival) == (bounded.information, bounded.survival)
-    assert alone.upper_bound is None
-    assert alone.gap is None
-
-
-@for_each('options, message', [
-    ({'objective': 'behavioral'}, 'objective is behavioral.*no bound.*information'),
-    ({'planner': 'random'}, 'planner is random.*no bound.*beam or relaxed'),
-    ({'planner': 'coverage'}, 'planner is coverage.*no bound'),
-    ({'planner': 'shortest_unvisited'}, 'planner is shortest_unvisited.*no bound'),
-])  # fmt: skip
-def test_options_without_a_bound_are_refused(options, message):
-    grid = Grid(3, 3)
-    with pytest.raises(ValueError, match=message):
-        plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), 4, bound=True, **options)
-
-
-def test_teams_have_no_bound():
-    grid, model = Grid(3, 3), SensorModel(0.5)
-    belief, options = Belief.prior(grid, 0.3, 0.4, 0.8), SearchOptions('beam', 4)
-    with pytest.raises(ValueError, match='there are 2 robots, but only plans of a single'):
-        plan_team(grid, belief, model, Team(2), options, bound=True)
-    out = [([0, 1, 0], ORDINARY)]
-    with pytest.raises(ValueError, match='there are 2 robots, but only plans of a single'):
-        plan_team(grid, belief, model, Team(1), options, in_flight=out, bound=True)
-    alone = plan_team(grid, belief, model, Team(1), options, bound=True)
-    assert alone[0].gap is not None
-
-
-@pytest.mark.slow
-def test_a_bound_beyond_memory_is_refused_with_an_estimate():
-    grid = Grid(1000, 1000)
-    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    with pytest.raises(ValueError, match=r'a bound for max_steps = 2000.*takes about \d+\.\d GB'):
-        plan(grid, belief, SensorModel(0.5), 2000, 'relaxed', bound=True)
+@for_each('objective', ['behavioral', 'information_per_loss'])
+def test_other_objectives_have_no_bound(objective):
+    grid, options = Grid(3, 3), SearchOptions(objective=objective)
+    with pytest.raises(ValueError, match=f'objective is {objective}: only information has a'):
+        upper_bound(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), options, [0, 0])
