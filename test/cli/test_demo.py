@@ -280,7 +280,7 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
     plain, given = (chosen_parameters(parse(each)) for each in ([], ['--params', str(config)]))
     assert plain[node].keys() == given[node].keys()
     differing = {name for name, value in plain[node].items() if given[node][name] != value}
-    expected = {'planner': {'return_deadline'}, 'estimator': {'learn.numbers'}}
+    expected = {'planner': {'return_deadline'}}
     assert differing == expected.get(node, set())
 
 
