@@ -279,6 +279,38 @@ def test_links_have_targets(path):
     assert list(dead(path)) == []
 
 
+NAMED = re.compile(r'(?<![\w/.-])(\w+(?:/[\w-]+)+\.(?:py|md|yaml|msg|sh|xml|js|c))\b')
+
+
+@pytest.mark.processes
+def test_files_that_comments_and_pages_name_exist():
+    tracked = subprocess.run(['git', 'ls-files'], cwd=ROOT, capture_output=True, text=True).stdout
+    names = tracked.split()
+    if not names:
+        pytest.skip('not a clone')
+    tops = {name.split('/')[0] for name in names} | {
+        name.split('/')[1] for name in names if name.startswith('kbnitp_ros/')
+    }
+    for name in names:
+        path = ROOT / name
+        if name.startswith(('test/', 'CHANGELOG')) or path.suffix not in (
+            '.py', '.md', '.msg', '.srv', '.sh', '.yaml', '.xml', '.txt', '.cfg',
+        ):  # fmt: skip
+            continue
+        for named in NAMED.findall(path.read_text()):
+            if named.split('/')[0] in tops:
+                places = (ROOT, ROOT / 'kbnitp_ros', path.parent, ROOT / 'docs')
+                assert any(place.joinpath(named).exists() for place in places), (name, named)
+
+
+def test_what_was_run_is_what_is_pinned():
+    ran = words('docs/distributions.md')
+    run = ROOT.joinpath('requirements.txt').read_text()
+    assert f'rclpy {re.search("rclpy.*==([0-9]+[.][0-9]+)", run)[1]}' in ran
+    assert 'CPython 3.10 to 3.13' in run
+    assert 'Python 3.10 to 3.13' in ran
+
+
 DERIVATIONS = [ROOT / 'docs/mathematics.md', *sorted(ROOT.glob('docs/mathematics/*.md'))]
 TEXT = '\n'.join(page.read_text() for page in DERIVATIONS)
 LABELS = re.findall(r'^ *:label: (\S+)$', TEXT, re.MULTILINE)

@@ -117,7 +117,9 @@ METHODS = Registry(
             bank=learning,
         ),
         'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
+        # The paper's method: its printed update of a loss is overconfident.
         'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
+        # The default: the same with the exact update of a loss.
         'kappa_bnitp': OnePass(
             lost_likelihood,
             correlated=True,
