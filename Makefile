@@ -18,7 +18,7 @@ WORKERS ?= $(shell expr $$(nproc) + 2)
 
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
-  $(wildcard kbnitp_ros/report/assets/* foxglove/*.json msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/action/* wheels/*/msg/* resource/* launch/*.py config/*.* rviz/*.rviz scenarios/*.*)
+  $(wildcard kbnitp_ros/report/assets/* msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/action/* wheels/*/msg/* resource/* launch/*.py config/*.* config/*/*.*)
 
 # They say what they fetch, of which tools/step.sh shows some.
 PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off --require-hashes

@@ -52,13 +52,11 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
-        (f'share/{package_name}/config', glob('config/*')),
-        (f'share/{package_name}/foxglove', glob('foxglove/*.json')),
         (f'share/{package_name}/launch', glob('launch/*.launch.py')),
-        (f'share/{package_name}/rviz', glob('rviz/*.rviz')),
-        (f'share/{package_name}/security', glob('security/*.policy.xml')),
-        (f'share/{package_name}/scenarios', glob('scenarios/*.*')),
-        (f'share/{package_name}/systemd', glob('systemd/*.service')),
+        *(
+            (f'share/{package_name}/{folder}', glob(f'{folder}/*.*'))
+            for folder in ['config', *glob('config/*/')]
+        ),
     ],
     python_requires='>=3.10',
     install_requires=['numba', 'numpy', 'PyYAML'],

@@ -12,7 +12,7 @@ from kbnitp_ros.study.scenario import Scenario
 from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import run_trial, Trial
 
-PAPER = Path(__file__).parents[1] / 'scenarios' / 'paper.yaml'
+PAPER = Path(__file__).parents[1] / 'config/scenarios/paper.yaml'
 
 
 def mission_timer(scenario: Scenario, method: str) -> Callable[[], float]:

@@ -190,7 +190,7 @@ class MissionArguments:
         rviz = Node(
             package='rviz2',
             executable='rviz2',
-            arguments=['-d', PathJoinSubstitution([SHARE, 'rviz', view])],
+            arguments=['-d', PathJoinSubstitution([SHARE, 'config', 'rviz', view])],
             remappings=self.poses,
         )
         return [

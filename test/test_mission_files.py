@@ -38,7 +38,9 @@ def test_the_configuration_has_every_parameter_with_its_default(node):
 
 @for_each('name, agents', [('mission', 1), ('team', 8)])
 def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
-    view = yaml.safe_load((ROOT / 'rviz' / f'{name}.rviz').read_text())['Visualization Manager']
+    view = yaml.safe_load((ROOT / 'config/rviz' / f'{name}.rviz').read_text())[
+        'Visualization Manager'
+    ]
     assert view['Global Options']['Fixed Frame'] == 'map'
     displays = [each for each in view['Displays'] if not each['Class'].endswith('/TF')]
     assert len(view['Displays']) == len(displays) + (agents > 1)
@@ -60,7 +62,7 @@ def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
 
 @for_each('name, file', [('kbnitp-base', 'base'), ('kbnitp-robot@', 'robot')])
 def test_units_of_systemd_give_launch_files_arguments_that_they_take(name, file):
-    unit = ROOT.joinpath('systemd', f'{name}.service').read_text()
+    unit = ROOT.joinpath('config/systemd', f'{name}.service').read_text()
     assert f'ros2 launch kbnitp_ros {file}.launch.py' in unit
     sources = (ROOT / 'launch' / f'{file}.launch.py', ROOT / 'kbnitp_ros/launching.py')
     known = ''.join(source.read_text() for source in sources)

@@ -200,8 +200,8 @@ def test_launch_files_configuration_views_and_scenarios_are_installed():
     share = Path(get_package_share_directory('kbnitp_ros'))
     files = [
         path.relative_to(ROOT)
-        for folder in ('config', 'foxglove', 'launch', 'rviz', 'scenarios', 'security', 'systemd')
-        for path in ROOT.joinpath(folder).glob('*.*')
+        for folder in ('config', 'launch')
+        for path in ROOT.joinpath(folder).rglob('*.*')
     ]
     assert files
     assert [str(path) for path in files if not share.joinpath(path).is_file()] == []

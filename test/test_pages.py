@@ -51,7 +51,7 @@ def lines(text):
     domain, stamp, tree = (
         r'(?<=ROS_DOMAIN_ID=)\d+',
         r'(?<=\[)\d+\.\d+(?=\])',
-        r'\S*(?=rviz/mission)',
+        r'\S*(?=config/rviz/mission)',
     )
     varies = '|'.join((domain, stamp, tree, r'\d+ of \d+(?= messages)'))
     return {line for line in re.sub(varies, '', text).splitlines() if line.strip()}

@@ -139,7 +139,7 @@ def test_nodes_say_that_they_need_ros(run):
 
 
 def write_scenario(path):
-    text = ROOT.joinpath('scenarios/paper.yaml').read_text()
+    text = ROOT.joinpath('config/scenarios/paper.yaml').read_text()
     small = {'robots': 3, 'trials': 1, 'lethalities': '[0.5]', 'methods': '[kappa_bnitp]'}
     for name, value in small.items():
         text, count = re.subn(rf'(?m)^{name}:.*$', f'{name}: {value}', text)

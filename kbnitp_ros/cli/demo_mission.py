@@ -255,7 +255,8 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     with given_domain() as domain, Processes(domain) as processes:
         say(
             f'starting {", ".join(NODES)}; to watch them: ROS_DOMAIN_ID={domain} rviz2 -d '
-            f'{shlex.quote(str(share(f"rviz/{team}.rviz")))}, or foxglove_bridge in that domain'
+            f'{shlex.quote(str(share("config/rviz") / f"{team}.rviz"))}, or foxglove_bridge in '
+            'that domain'
         )
         for node in NODES:
             awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}

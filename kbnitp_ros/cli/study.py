@@ -55,7 +55,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         'scenario',
         metavar='SCENARIO',
         help='a YAML file (its format: docs/files.md), or the name of a shipped study: '
-        f'{", ".join(sorted(path.stem for path in share("scenarios").glob("*.yaml")))}',
+        f'{", ".join(sorted(path.stem for path in share("config/scenarios").glob("*.yaml")))}',
     )
     parser.add_argument(
         '--out',

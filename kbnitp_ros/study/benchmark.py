@@ -89,7 +89,7 @@ class Entry(NamedTuple):
 
 def frozen() -> list[FrozenBelief]:
     """Return the frozen beliefs of this version of the benchmark."""
-    with np.load(share('scenarios') / f'{NAME}_{VERSION}.npz', allow_pickle=False) as file:
+    with np.load(share('config/scenarios') / f'{NAME}_{VERSION}.npz', allow_pickle=False) as file:
         return [
             (Belief(joint), SensorModel(lethality), float(bound))
             for joint, lethality, bound in zip(file['joint'], file['lethality'], file['bound'])

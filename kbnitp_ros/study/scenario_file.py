@@ -108,13 +108,13 @@ def _read_section(annotation: Any, content: Any, key: str) -> Any:
 
 def shipped() -> list[str]:
     """Return the names of the scenarios of the package."""
-    return sorted(path.stem for path in share('scenarios').glob('*.yaml'))
+    return sorted(path.stem for path in share('config/scenarios').glob('*.yaml'))
 
 
 def scenario_file(name: str) -> Path:
     """Return the path of a scenario of the package, or of a file."""
     if name in shipped():
-        return share('scenarios') / f'{name}.yaml'
+        return share('config/scenarios') / f'{name}.yaml'
     if not Path(name).is_file():
         raise ValueError(f'scenario {name} is neither a file nor one of {", ".join(shipped())}')
     return Path(name)

@@ -181,7 +181,7 @@ def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
     if number == signal.SIGINT:
         assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
     kept = yaml.safe_load((tmp_path / 'scenario.yaml').read_text())
-    shipped = Path(__file__).parents[2] / 'scenarios' / 'paper.yaml'
+    shipped = Path(__file__).parents[2] / 'config/scenarios/paper.yaml'
     told = yaml.safe_load(shipped.read_text())
     told['planning']['max_distance'] = 0.0
     told['learn'] = dict.fromkeys(NUMBERS)

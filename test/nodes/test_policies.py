@@ -30,7 +30,7 @@ from rosgraph_msgs.msg import Clock
 from samples import GRID
 from tf2_msgs.msg import TFMessage
 
-FOLDER = Path(__file__).parents[2] / 'security'
+FOLDER = Path(__file__).parents[2] / 'config/security'
 FILES = sorted(FOLDER.glob('*.policy.xml'))
 
 # Query of the graph for each kind of permission.
@@ -322,8 +322,8 @@ def test_a_layout_is_made_of_the_topics_of_a_running_mission(field, agents, name
         text=True,
         check=True,
     ).stdout
-    assert made == (ROOT / 'foxglove' / name).read_text()
-    topics, fields = named(json.loads((ROOT / 'foxglove' / name).read_text()))
+    assert made == (ROOT / 'config/foxglove' / name).read_text()
+    topics, fields = named(json.loads((ROOT / 'config/foxglove' / name).read_text()))
     team = [f'scout_{number}' for number in range(1, agents + 1)]
     assert set(topics) == {
         *(f'/belief/{each}' for each in ('hazard', 'target', 'kappa')),

@@ -153,7 +153,7 @@ def small_benchmark(tmp_path):
     scenarios.mkdir()
     # The scenarios beside the package: links stay links.
     tmp_path.joinpath('kbnitp_ros').symlink_to(ROOT / 'kbnitp_ros')
-    content = read_yaml(ROOT / 'scenarios/benchmark.yaml')
+    content = read_yaml(ROOT / 'config/scenarios/benchmark.yaml')
     content['grid'] = {'width': 4, 'height': 4, 'base': 0}
     content['planning']['max_steps'] = 6
     content |= {'trials': 1, 'robots': 2}

@@ -117,7 +117,7 @@ def test_functions_that_cannot_be_pickled_are_refused():
         compare(SMALL, planners={'mine': locked(Lock())}, workers=2)
 
 
-SCENARIOS = Path(__file__).parents[2] / 'scenarios'
+SCENARIOS = Path(__file__).parents[2] / 'config/scenarios'
 
 # Of version 2. A change needs another version.
 HASHES = {

@@ -17,7 +17,7 @@ from PIL import Image
 import pytest
 
 DOCS = Path(__file__).parents[2] / 'docs'
-SCENARIOS = DOCS.parent / 'scenarios'
+SCENARIOS = DOCS.parent / 'config/scenarios'
 METHODS = read_scenario(SCENARIOS / 'paper.yaml').methods
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
 FEW = ('25', '50', '100')

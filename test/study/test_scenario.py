@@ -10,7 +10,7 @@ import pytest
 import small_study
 import yaml
 
-SHIPPED = Path(__file__).parents[2] / 'scenarios'
+SHIPPED = Path(__file__).parents[2] / 'config/scenarios'
 
 
 def test_a_scenario_equals_its_file(tmp_path):
