@@ -120,10 +120,29 @@ def test_an_example_in_python_prints_the_stated_output(page, printed, capsys):
 
 def test_the_readme_is_short_and_so_are_its_sentences():
     text = (ROOT / 'README.md').read_text()
-    assert len(text.split()) <= 600
+    assert len(text.split()) <= 720
     prose = re.sub(r'```.*?```|^\|.*?$|^#.*?$', '', text, flags=re.S | re.M)
     sentences = re.split(r'(?<=[.:;?])\s+|\n\s*\n', prose)
     assert [each for each in sentences if len(each.split()) > 30] == []
+
+
+@pytest.mark.full
+@pytest.mark.processes
+def test_the_readme_compares_the_printed_update_with_the_exact_one(tmp_path):
+    text, ends = words('README.md'), {}
+    for method, options in (
+        ('kappa_bnitp_published', []), ('kappa_bnitp', ['--set', 'learn.numbers=[]']),
+    ):  # fmt: skip
+        command = [sys.executable, '-m', 'kbnitp_ros', 'demo', '--method', method, *options]
+        printed = run([*command, '--out', str(tmp_path / method)], tmp_path)
+        lost, entropy = (
+            re.findall(each, printed)[-1] for each in (r'(\d+) lost;', r'-> ([\d.]+) nats')
+        )
+        ends[method] = lost, entropy
+    (printed_lost, printed_nats), (exact_lost, exact_nats) = ends.values()
+    assert f'{printed_lost} of 100 robots are lost under the printed update' in text
+    assert f'and {exact_lost} under the exact one' in text
+    assert f'the entropy ends at {printed_nats} and {exact_nats} nats' in text
 
 
 def shown(name):

@@ -135,7 +135,7 @@ def scenario():
 def test_the_benchmark_is_frozen(scenario):
     found = {each: sha256(SCENARIOS.joinpath(each).read_bytes()).hexdigest() for each in HASHES}
     assert (benchmark.VERSION, found) == (2, HASHES)
-    assert 'Benchmark, version 2.' in (SCENARIOS.parent / 'docs/benchmark.md').read_text()
+    assert 'Benchmark, version 2.' in (SCENARIOS.parents[1] / 'docs/benchmark.md').read_text()
     densities = vars(scenario.world)
     worlds = [
         World.random(scenario.field(), np.random.default_rng([scenario.seed, number]), **densities)
