@@ -295,7 +295,8 @@ def find_best(
         for slot in range(kept[origin]):
             row = origin * width + slot
             before = seen[row, 8 - column]
-            if before >= max_visits:
+            # No closed path goes on from the base after its last visit.
+            if before >= max_visits or (origin == 0 and seen[row, 4] >= max_visits):
                 continue
             if is_limited:
                 length = labels.length[row] + reach.length[column]

@@ -78,6 +78,20 @@ def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_half_as_close(see
         assert 0.5 < relaxed / worth.max() <= 1 + 1e-9
 
 
+def test_with_one_visit_a_cell_no_label_goes_on_from_the_base():
+    reached = []
+    for seed in range(50):
+        grid, belief, model = random_problem(seed)
+        visits = every_path(grid.base, 7)
+        visits = visits[visits.max(axis=1) <= 1]
+        best = brute_force.information_of_visits(belief.joint, model, visits).max()
+        found = plan(grid, belief, model, 7, planner='relaxed', max_visits=1)
+        reached.append(found.information / best)
+    assert max(reached) <= 1 + 1e-9
+    # Labels that have used up their visit to the base took the places of others: .89 on average.
+    assert np.mean(reached) > 0.99
+
+
 def test_the_most_information_per_expected_loss_is_found():
     """Equation :eq:`per-loss`, by all closed paths of small fields."""
     reached = []
