@@ -57,7 +57,7 @@ def test_the_steps_are_used_up_to_the_last(planner):
 def test_without_a_loss_cost_plans_are_unchanged():
     """Paths only: the bits of values depend on the machine."""
     paths = [plan(*random_problem(seed), 7, loss_cost=0.0).path.tolist() for seed in range(50)]
-    assert sha256(str(paths).encode()).hexdigest()[:16] == '3b5cb17783513fe3'
+    assert sha256(str(paths).encode()).hexdigest()[:16] == '4b74fa591679df0f'
 
 
 @for_each('loss_cost, seed', [
