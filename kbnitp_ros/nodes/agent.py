@@ -409,14 +409,16 @@ class AgentNode(FieldNode):
                 return
             for paths in (*self._agents, *self._others):
                 paths.listen()
-        awaited = [agent.awaited for agent in (*self._agents, *self._others) if agent.awaited]
+        differs = self._simulation.base_field.awaited
+        agents = differs, *(agent.awaited for agent in (*self._agents, *self._others))
+        awaited = [each for each in agents if each]
         if agent_awaited := self._simulation.awaited:
             awaited.append(
                 f'the path of {agent_awaited} in the same round, for at most {PATIENCE} s: robots '
                 'change the field in the order of their agents (parameter hazards.dynamics)'
             )
         for agent in self._agents:
-            agent.publish_state(agent.awaited or self._simulation.base_field.awaited)
+            agent.publish_state(agent.awaited or differs)
         names = ', '.join(each.agent for each in self._agents)
         self.diagnostics.waiting = sum(agent.pending for agent in self._agents)
         self.diagnostics.state = waiting_for(awaited[0]) if awaited else f'taking paths of {names}'

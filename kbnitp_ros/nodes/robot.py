@@ -309,7 +309,8 @@ class RobotNode(FieldNode):
             if missing := self.missing_listeners([self._reports]):
                 return waiting_for(missing)
             self._pending.listen()
-        if awaited := self._pending.awaited:
+        # A base with another field sends no path.
+        if awaited := self._pending.awaited or self._base_field.awaited:
             return waiting_for(awaited)
         if (deployment := self._pending.newest) is None:
             return f'taking paths of {self._agent}'
@@ -321,7 +322,7 @@ class RobotNode(FieldNode):
             ):
                 return self._no_room
             self._pending.close(superseded)
-        if awaited := self._base_field.awaited or self._hold.awaited or self._not_ready():
+        if awaited := self._hold.awaited or self._not_ready():
             return waiting_for(awaited)
         if not self._depart(deployment):
             return self._no_room
