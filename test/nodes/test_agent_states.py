@@ -159,7 +159,7 @@ def test_robots_that_do_not_move_do_not_count_and_their_agent_waits(field):
     base.depart()
     base.report([0, 1, 0])
     base.until_state('done: 1 of 1 robots deployed')
-    assert base.beliefs[-1].deployments == 5
+    field.until(lambda: base.beliefs[-1].deployments == 5, 'last belief')
     assert base.replayed().evidence.survived == 5
 
 
