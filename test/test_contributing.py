@@ -23,7 +23,7 @@ from kbnitp_ros.report.tables import write_tables
 mission = read_mission('log.mcap')
 write_tables(Path(), mission, mission_curves(mission))
 head, *lines = Path('deployments.csv').read_text().splitlines()
-place = head.split(',').index('"first_cell"')
+place = head.split(',').index('first_cell')
 assert lines and all(line.split(',')[place] == '0' for line in lines), lines
 """
 
@@ -75,7 +75,7 @@ def paragraph(beginning):
         'A column of the report',
         {
             'kbnitp_ros/report/tables.py': {
-                "('path', pyarrow": "('first_cell', pyarrow.int64()),\n        ('path', pyarrow",
+                "'path': 'string'": "'first_cell': 'int64',\n    'path': 'string'",
                 "'path': text(": "'first_cell': int(deployment.path[0]), 'path': text(",
             },
         },

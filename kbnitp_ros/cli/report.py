@@ -18,8 +18,9 @@ from tqdm import tqdm
 
 DESCRIPTION = """
 Show a mission's log: report.html, a page that works without a network; maps and progress as PNG
-and SVG; deployments.parquet and .csv, one row a deployment; belief.npz; and the last beliefs as
-maps of map_server (hazard.yaml, target.yaml, kappa.yaml), which a mission can begin with.
+and SVG; deployments.csv and, if pyarrow is installed, deployments.parquet: one row a deployment;
+belief.npz; and the last beliefs as maps of map_server (hazard.yaml, target.yaml, kappa.yaml), with
+which a mission can begin.
 
 The exit code is 0 if all is written, and 2 if the log cannot be used or nothing can be written.
 """

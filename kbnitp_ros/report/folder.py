@@ -43,7 +43,7 @@ def write_report(
         save(progress_figure(mission, curves), new / 'progress.png', 'png', 'svg', dpi=DPI)
         done('progress.png')
         write_tables(new, mission, curves)
-        done('deployments.parquet')
+        done('deployments.csv')
         write_beliefs(new, mission, curves)
         done('belief.npz')
     return left_out
@@ -53,7 +53,7 @@ def write_report(
 DPI = 150
 
 # Names that `write_report` passes to `done`.
-PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.parquet', 'belief.npz')
+PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.csv', 'belief.npz')
 
 
 @contextmanager

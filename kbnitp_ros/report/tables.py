@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from csv import DictWriter
 from dataclasses import dataclass
-from io import BytesIO
-import json
 from math import isnan, nan
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,6 @@ from kbnitp_ros.maps import quantise_belief, write_probabilities
 from kbnitp_ros.report.mission import Mission
 import numpy as np
 from numpy.typing import NDArray
-import pyarrow
-from pyarrow import csv, parquet
-from pyarrow.json import ParseOptions, read_json
 
 Numbers = NDArray[np.float64]
 
@@ -130,29 +127,27 @@ def out_at(mission: Mission) -> list[NDArray[np.intp]]:
 
 # Columns of the table of deployments. Lists of cells and readings are texts of numbers, so that
 # deployments.parquet and deployments.csv have the same content.
-COLUMNS = pyarrow.schema(
-    [
-        ('deployment', pyarrow.int64()),
-        ('agent', pyarrow.string()),
-        ('stamp', pyarrow.int64()),
-        ('sent', pyarrow.int64()),
-        ('told', pyarrow.int64()),
-        ('outcome', pyarrow.string()),
-        ('steps', pyarrow.int64()),
-        ('steps_survived', pyarrow.int64()),
-        ('detected', pyarrow.int64()),
-        ('looked', pyarrow.int64()),
-        ('information_expected', pyarrow.float64()),
-        ('information_gained', pyarrow.float64()),
-        ('moment', pyarrow.int64()),
-        ('held', pyarrow.int64()),
-        ('entropy', pyarrow.float64()),
-        ('log_loss', pyarrow.float64()),
-        ('path', pyarrow.string()),
-        ('walk', pyarrow.string()),
-        ('readings', pyarrow.string()),
-    ]
-)
+COLUMNS = {
+    'deployment': 'int64',
+    'agent': 'string',
+    'stamp': 'int64',
+    'sent': 'int64',
+    'told': 'int64',
+    'outcome': 'string',
+    'steps': 'int64',
+    'steps_survived': 'int64',
+    'detected': 'int64',
+    'looked': 'int64',
+    'information_expected': 'float64',
+    'information_gained': 'float64',
+    'moment': 'int64',
+    'held': 'int64',
+    'entropy': 'float64',
+    'log_loss': 'float64',
+    'path': 'string',
+    'walk': 'string',
+    'readings': 'string',
+}
 
 
 def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
@@ -207,15 +202,18 @@ def text(numbers: NDArray[np.integer]) -> str:
 
 
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
-    """Write deployments.parquet and deployments.csv; raises OSError."""
-    if found := rows(mission, curves):
-        # pyarrow imports pandas to read Python lists, which takes longer than the table.
-        lines = '\n'.join(map(json.dumps, found)).encode()
-        table = read_json(BytesIO(lines), parse_options=ParseOptions(explicit_schema=COLUMNS))
-    else:
-        table = COLUMNS.empty_table()
-    parquet.write_table(table, folder / 'deployments.parquet')
-    csv.write_csv(table, folder / 'deployments.csv')
+    """Write deployments.csv, and deployments.parquet if pyarrow is installed; raises OSError."""
+    path = folder / 'deployments.csv'
+    with path.open('w', encoding='utf-8', newline='') as file:
+        table = DictWriter(file, COLUMNS, lineterminator='\n')
+        table.writeheader()
+        table.writerows(rows(mission, curves))
+    with suppress(ModuleNotFoundError):
+        from pyarrow import csv, parquet
+
+        options = csv.ConvertOptions(column_types=COLUMNS, strings_can_be_null=True)
+        read = csv.read_csv(path, convert_options=options)
+        parquet.write_table(read, folder / 'deployments.parquet')
 
 
 def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:
