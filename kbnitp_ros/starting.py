@@ -45,6 +45,9 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     # Set before numpy is imported. Further threads slow down products of small matrices, and
     # make their rounding depend on the number of processors.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    # In a container a user may have no home, which matplotlib and the logs of ROS need.
+    home = os.path.expanduser('~')  # noqa: PTH111, since Path.home() raises
+    os.environ['HOME'] = home if os.access(home, os.W_OK) else os.environ.get('TMPDIR', '/tmp')
 
     def end(number: int, _frame: FrameType | None) -> None:
         os._exit(0 if name in NODES else 128 + number)

@@ -98,6 +98,23 @@ def test_nothing_is_imported_before_its_name_is_known():
     assert subprocess.run([sys.executable, '-c', program]).returncode == 0
 
 
+@pytest.mark.processes
+def test_a_module_in_the_working_folder_hides_no_other(tmp_path):
+    for name in ('yaml', 'numpy', 'numbers'):
+        tmp_path.joinpath(f'{name}.py').write_text('raise ImportError("of the user")\n')
+    command = [sys.executable, '-m', 'kbnitp_ros', 'planner', '--help']
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (0, '')
+
+
+def test_a_user_without_home_has_a_folder_for_files(monkeypatch, tmp_path):
+    monkeypatch.setenv('HOME', '/nowhere')
+    monkeypatch.setenv('TMPDIR', str(tmp_path))
+    with pytest.raises(SystemExit):
+        commands.main(['report', '--help'])
+    assert os.environ['HOME'] == str(tmp_path)
+
+
 # Replaces a library that is slow to import and used by all.
 SLOW = """
 import time
