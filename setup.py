@@ -40,8 +40,8 @@ if is_built_by_colcon and not any(Path(p, 'share/kbnitp_msgs').exists() for p in
         file=sys.stderr,
     )
 
-shown = ['jinja2', 'matplotlib', 'pandas', 'pillow', 'pyarrow', 'tqdm']
-studies = ['joblib', 'threadpoolctl']
+shown = ['jinja2', 'matplotlib', 'pillow', 'tqdm']
+studies = ['joblib', 'pandas', 'pyarrow', 'threadpoolctl']
 logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'pyproj', 'zstandard']
 
 setup(

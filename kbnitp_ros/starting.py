@@ -68,6 +68,8 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         is_ros_here = error.name == 'kbnitp_msgs' and find_spec('rclpy')
         lacking = 'build it as well' if is_ros_here else 'source ROS 2'
+        if error.name == 'nav2_msgs':
+            lacking = 'install it (by rosdep, or as ros-jazzy-nav2-msgs), or make robots'
         print(f'{name}: {error}{"" if name in EXTRAS else f"; {lacking}"}', file=sys.stderr)
         return 2
 

@@ -342,7 +342,7 @@ def deployments_table(
     worlds: Iterable[World | None],
 ) -> DataFrame:
     """Return a table with one row for each deployment."""
-    with extra('report'):
+    with extra('study'):
         import pandas
     rows = []
     for seen, belief, world in zip(observations, beliefs, worlds, strict=True):

@@ -70,8 +70,8 @@ def detection_class(name: str) -> type:
         package = TYPES[name].partition('/')[0]
         raise ValueError(
             f'parameter detection_type is {name!r}: {error}; install {package} (by rosdep, or as '
-            f'ros-jazzy-{package.replace("_", "-")}), or use a detector that publishes '
-            'std_msgs/Bool'
+            f'ros-jazzy-{package.replace("_", "-")}), make robots, or use a detector that '
+            'publishes std_msgs/Bool'
         ) from error
 
 

@@ -386,7 +386,7 @@ def test_a_robot_without_vision_msgs_names_the_package(tmp_path):
     assert (
         "robot: parameter detection_type is 'detection2d_array': type "
         "'vision_msgs/msg/Detection2DArray' has no Python class: No module named 'vision_msgs'; "
-        'install vision_msgs (by rosdep, or as ros-jazzy-vision-msgs), or use a detector that '
-        'publishes std_msgs/Bool'
+        'install vision_msgs (by rosdep, or as ros-jazzy-vision-msgs), make robots, or use a '
+        'detector that publishes std_msgs/Bool'
     ) in ended.stderr
     assert not given['journal'].exists()
