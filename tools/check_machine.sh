@@ -1,8 +1,10 @@
 #!/bin/sh
-# Say what `make build` misses on this machine, one line each, with the remedy.
-# usage: check_machine.sh PYTHON
+# Say what `make` misses on this machine, one line each, with the remedy.
+# usage: check_machine.sh PYTHON MEGABYTES
 
+LC_ALL=C
 python=$1
+need=$2
 status=0
 
 missing() {
@@ -12,6 +14,18 @@ missing() {
 
 if [ "$(uname -sm)" != 'Linux x86_64' ]; then
   missing "This is $(uname -sm), and the ROS 2 wheels are for Linux x86_64: install ROS 2 Jazzy and use 'colcon build'."
+fi
+
+here=$(pwd -P)
+case $here in
+  *[!A-Za-z0-9/._+@-]*)
+    missing "Messages cannot be built in the folder '$here': rosidl takes only letters of ASCII, digits and /._+@- in a path. Move this folder."
+    ;;
+esac
+
+free=$(df -Pk . | { read -r _ && read -r _ _ _ free _ && echo $((free / 1024)); })
+if [ "${free:-$need}" -lt "$need" ]; then
+  missing "The disk of $here has $free MB free, and $need MB are needed: free some space, or move this folder."
 fi
 
 version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
@@ -37,10 +51,6 @@ if ! command -v ${CC:-cc} >/dev/null; then
   missing 'There is no C compiler: apt install g++'
 elif ! command -v ${CXX:-c++} >/dev/null; then
   missing 'There is no C++ compiler: apt install g++'
-fi
-
-if ! command -v cmake >/dev/null; then
-  missing 'There is no cmake: apt install cmake'
 fi
 
 exit $status

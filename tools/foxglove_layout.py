@@ -3,7 +3,7 @@
 Make the layout of Foxglove for a mission with so many agents.
 
 ``python3 tools/foxglove_layout.py AGENTS`` prints it; those of one agent and of eight are in
-config/foxglove/. It takes foxglove-sdk, which requirements-dev.txt pins.
+config/foxglove/. It takes foxglove-sdk, which requirements/dev.txt pins.
 """
 
 import json

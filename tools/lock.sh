@@ -1,12 +1,12 @@
 #!/bin/bash
-# Write requirements*.lock anew from requirements*.txt: all packages that pip would install for CPython
+# Write requirements/*.lock anew from requirements/*.txt: all packages that pip would install for CPython
 # 3.10 to 3.13 on Linux x86-64, with the hashes of their files. It takes uv (0.13 was used) and the network.
 
 set -eo pipefail
-cd "$(dirname "${BASH_SOURCE[0]}")/.."
+cd "$(dirname "${BASH_SOURCE[0]}")/../requirements"
 work=$(mktemp -d)
 trap 'rm -r "$work"' EXIT
-cp requirements*.txt "$work"
+cp ./*.txt "$work"
 cat > "$work/pyproject.toml" << 'END'
 [project]
 name = "lock"
@@ -21,10 +21,10 @@ compile() {
 }
 
 # One version of each package in all files, since they share an environment.
-compile requirements*.txt --output-file all.txt
-for file in requirements*.txt; do
+compile ./*.txt --output-file all.pins
+for file in *.txt; do
   # With extras: to a package that another one wants with an extra, pip applies no pin without it.
-  compile "$file" --no-strip-extras --constraints all.txt --generate-hashes --output-file lock
+  compile "$file" --no-strip-extras --constraints all.pins --generate-hashes --output-file lock
   # What is said of every package is left out.
   {
     echo "# Written by tools/lock.sh from $file: all packages, with the hashes of their files."

@@ -15,22 +15,26 @@ follow() {
   while sleep "$period"; do
     # It may be gone: the command has ended.
     line=$(tail -c 1000 "$said" 2>/dev/null | tr '\r' '\n' | grep -v '^[[:space:]]*$' | tail -n 1)
-    echo "  $SECONDS s: ${line:0:$((width - 10))}"
+    line="$what, $SECONDS s: $line"
+    echo "  ${line:0:$((width - 2))}"
   done
 }
 
 echo "$what ..."
 follow &
 follower=$!
+trap interrupted=yes INT
 trap 'kill $follower 2>/dev/null; rm -f "$said"' EXIT
 # In the foreground, where Ctrl-C reaches it.
 "$@" >"$said" 2>&1
 status=$?
-kill $follower
+kill $follower 2>/dev/null
 wait $follower 2>/dev/null
 
 if [ $status = 0 ]; then
-  echo "  done in $SECONDS s"
+  echo "$what: done in $SECONDS s"
+elif [ "$interrupted" ]; then
+  echo "$what: interrupted; the next make continues" >&2
 else
   {
     cat "$said"
