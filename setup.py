@@ -42,7 +42,7 @@ if is_built_by_colcon and not any(Path(p, 'share/kbnitp_msgs').exists() for p in
 
 shown = ['jinja2', 'matplotlib', 'pillow', 'tqdm']
 studies = ['joblib', 'pandas', 'pyarrow', 'threadpoolctl']
-logs = ['lz4', 'mcap', 'mcap-ros2-support', 'plotly', 'pyproj', 'zstandard']
+logs = ['lz4', 'mcap', 'mcap-ros2-support', 'pyproj', 'zstandard']
 
 setup(
     name=package_name,

@@ -43,7 +43,6 @@ from kbnitp_ros.report.plots import (
 from kbnitp_ros.report.tables import Curves, out_at, rows
 import numpy as np
 from numpy.typing import NDArray
-from plotly.offline import get_plotlyjs
 
 # Maximum bytes of a page that can be sent by mail.
 MAX_BYTES = 15_000_000
@@ -243,8 +242,9 @@ def rendered(name: str, **values: object) -> str:
 
 @cache
 def library() -> str:
-    """Return Plotly's script for pages."""
-    return str(get_plotlyjs()).replace('</script', '<\\/script')
+    """Return Plotly's script, packed by gzip, in base64."""
+    script = files('kbnitp_ros.report').joinpath('assets').joinpath('plotly-cartesian.min.js.gz')
+    return b64encode(script.read_bytes()).decode()
 
 
 def in_json(plots: Mapping[str, str]) -> str:

@@ -185,6 +185,11 @@ def test_a_thousand_deployments_in_900_cells(tmp_path):
     assert len(parquet.read_table(tmp_path / 'out/deployments.parquet')) == 1000
 
 
+def test_the_page_of_a_small_field_can_be_sent_by_mail(tmp_path):
+    html, _ = page.mission_page(*told(single(tmp_path / 'mission.mcap', 81))[:2])
+    assert len(html.encode()) < 1_000_000
+
+
 @pytest.mark.slow
 def test_a_page_that_would_be_too_large_states_its_omissions(tmp_path, monkeypatch):
     log = single(tmp_path / 'mission.mcap', 6)

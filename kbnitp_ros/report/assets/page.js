@@ -1,8 +1,8 @@
 // Unpack what page.py has packed.
-async function unpacked(id) {
+async function unpacked(id, format = 'deflate') {
   const text = document.getElementById(id).textContent.trim();
   const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream(format));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
@@ -13,6 +13,10 @@ const LISTS = ['deployments', 'findings', 'safe'];
 async function start(signal, kept, main) {
   const mission = JSON.parse(new TextDecoder().decode(await unpacked('mission')));
   const frames = await unpacked('frames');
+  if (!window.Plotly) {
+    const code = new TextDecoder().decode(await unpacked('plotly', 'gzip'));
+    document.head.append(Object.assign(document.createElement('script'), { textContent: code }));
+  }
   // Newer parts have arrived.
   if (signal.aborted) return view;
   const plots = JSON.parse(page('plots').textContent);
