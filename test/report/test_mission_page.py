@@ -177,18 +177,16 @@ def test_layers_are_switched_and_the_truth_is_outlined(opened, shown):
     page = opened()
     move(page, 5)
     assert marked(page, 'true target', GRID) == np.flatnonzero(mission.world.target).tolist()
-    # As many borders of each hazard as it has neighbours without one.
-    hazards = {*np.flatnonzero(mission.world.hazard).tolist()}
-    borders = 0
-    for row, column in (divmod(each, GRID.width) for each in hazards):
-        for up, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            is_field = 0 <= column + right < GRID.width
-            borders += not (is_field and (row + up) * GRID.width + column + right in hazards)
-    lines = page.evaluate(
-        """document.getElementById("map").data.filter((trace) =>
-            trace.mode === "lines" && trace.line.width === 1.5).map((trace) => trace.x.length)"""
+    # A square within the cell of each hazard, so that those of neighbours do not touch.
+    (points,) = page.evaluate(
+        """document.getElementById("map").data.filter((trace) => trace.mode === "lines" &&
+            trace.line.width === 1.5).map((trace) => [trace.x, trace.y])"""
     )
-    assert lines == [3 * borders]
+    squares = np.array(points, dtype=float).T.reshape(-1, 6, 2)[:, :5]
+    centers = GRID.centers(np.flatnonzero(mission.world.hazard))
+    away = (squares - centers[:, None]) / GRID.resolution
+    assert np.all((np.abs(away) > 0.4) & (np.abs(away) < 0.48))
+    assert np.array_equal(away[:, 0], away[:, 4])
     for layer, name in (('truth', 'true target'), ('targets', 'target'), ('free', 'free')):
         page.get_by_label(layer, exact=True).uncheck()
         assert marked(page, name, GRID) is None

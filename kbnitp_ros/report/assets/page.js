@@ -160,21 +160,12 @@ async function start(signal, kept, main) {
     return traces;
   }
 
-  // The borders of a set of cells.
-  function outlines(cellsInside) {
-    const inside = new Set(cellsInside);
-    const { x: left, y: bottom, resolution } = mission.grid;
-    const drawn = { x: [], y: [] };
-    inside.forEach((each) => {
-      const [row, column] = [Math.floor(each / width), each % width];
-      [[0, -1, 0, 0, 1, 0], [0, 1, 0, 1, 1, 1], [-1, 0, 0, 0, 0, 1], [1, 0, 1, 0, 1, 1]].forEach(([right, up, x0, y0, x1, y1]) => {
-        const isField = column + right >= 0 && column + right < width;
-        if (isField && inside.has((row + up) * width + column + right)) return;
-        drawn.x.push(left + (column + x0) * resolution, left + (column + x1) * resolution, null);
-        drawn.y.push(bottom + (row + y0) * resolution, bottom + (row + y1) * resolution, null);
-      });
-    });
-    return drawn;
+  // A square in each cell, away from its borders, so that squares of neighbours do not merge.
+  function squares(found) {
+    const half = 0.43 * mission.grid.resolution;
+    const corners = [[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]];
+    const along = (axis) => found.flatMap((each) => [...corners.map((corner) => center(each)[axis] + half * corner[axis]), null]);
+    return { x: along(0), y: along(1) };
   }
 
   // The marks of all cells, as large as cells allow.
@@ -188,7 +179,7 @@ async function start(signal, kept, main) {
     const green = '#00783c';
     const drawn = [];
     if (isShown('truth')) {
-      drawn.push(...lined(outlines(those((each) => mission.truth.hazard[each])), 1.5));
+      drawn.push(...lined(squares(those((each) => mission.truth.hazard[each])), 1.5));
       const targets = those((each) => mission.truth.target[each]);
       drawn.push(marked('true target', targets, 0.9 * side, { symbol: 'circle-open', color: '#ffffff', line: { width: 4 } }));
       drawn.push(marked('true target', targets, 0.9 * side, { symbol: 'circle-open', color: '#000000', line: { width: 1.5 } }));
