@@ -1,29 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make the layout of Foxglove for a mission with so many agents.
+Make the layout of Foxglove and Lichtblick for a mission with so many agents.
 
-``python3 tools/foxglove_layout.py AGENTS`` prints it; those of one agent and of eight are in
-config/foxglove/. It takes foxglove-sdk, which requirements/dev.txt pins.
+``python3 tools/foxglove_layout.py AGENTS`` prints it, in the form that both export and import;
+those of one agent and of eight are in config/foxglove/.
 """
+
+from __future__ import annotations
 
 import json
 import sys
+from typing import Any
 
-from foxglove.layouts import (
-    BaseRendererPosesTopicSettings,
-    BaseRendererRosMarkerTopicSettings,
-    BaseRendererRosOccupancyGridTopicSettings,
-    DiagnosticsSummaryConfig,
-    DiagnosticsSummaryPanel,
-    Layout,
-    PlotConfig,
-    PlotPanel,
-    PlotSeries,
-    SplitContainer,
-    SplitItem,
-    ThreeDeeConfig,
-    ThreeDeePanel,
-)
 from kbnitp_ros.figures import SERIES
 
 LINES = {'solid': 'solid', 'dash': 'dashed', 'dot': 'dotted', 'dashdot': 'dashed'}
@@ -34,73 +22,96 @@ COLOURS = {'hazard': '#67000d', 'target': '#00441b', 'kappa': '#3f007d'}
 # The safest lane of a mission with such a goal.
 LANE = '#009e73'
 
+# Fields of the topic progress, by the title of their plot.
+PLOTS = {
+    'entropy (nats)': ('hazard_entropy', 'target_entropy', 'joint_entropy'),
+    'robots': ('lost', 'out'),
+    'information (nats)': ('information_expected', 'information_gained'),
+}
 
-def layout(agents: int) -> Layout:
+
+def layout(agents: int) -> dict[str, Any]:
     """Return the layout of a mission: the maps, what is known, and how the nodes are."""
-    maps = [SplitItem(content=map_panel(name, agents)) for name in COLOURS]
-    plots = [
-        plot('entropy (nats)', 'hazard_entropy', 'target_entropy', 'joint_entropy'),
-        plot('robots', 'lost', 'out'),
-        plot('information (nats)', 'information_expected', 'information_gained'),
-    ]
-    nodes = DiagnosticsSummaryPanel(
-        config=DiagnosticsSummaryConfig(
-            topic_to_render='/diagnostics', hardware_id_filter='kbnitp_ros'
-        ),
-        title='nodes',
-    )
-    below = [*(SplitItem(content=each) for each in plots), SplitItem(content=nodes)]
-    return Layout(
-        content=SplitContainer(
-            direction='column',
-            items=[
-                SplitItem(content=SplitContainer(direction='row', items=maps), proportion=2),
-                SplitItem(content=SplitContainer(direction='row', items=below)),
-            ],
-        )
-    )
+    maps = {f'3D!{name}': map_panel(name, agents) for name in COLOURS}
+    below = {f'Plot!{fields[0]}': plot(title, fields) for title, fields in PLOTS.items()}
+    below['DiagnosticSummary!nodes'] = {
+        'topicToRender': '/diagnostics',
+        'hardwareIdFilter': 'kbnitp_ros',
+        'foxglovePanelTitle': 'nodes',
+    }
+    return {
+        'configById': maps | below,
+        'globalVariables': {},
+        'userNodes': {},
+        'playbackConfig': {'speed': 1},
+        'layout': {
+            'direction': 'column',
+            'first': in_a_row([*maps]),
+            'second': in_a_row([*below]),
+            'splitPercentage': 66,
+        },
+    }
 
 
-def map_panel(name: str, agents: int) -> ThreeDeePanel:
+def in_a_row(panels: list[str]) -> Any:
+    """Return panels of equal width: each split is in two."""
+    first, *rest = panels
+    if not rest:
+        return first
+    share = 100 / len(panels)
+    return {
+        'direction': 'row',
+        'first': first,
+        'second': in_a_row(rest),
+        'splitPercentage': round(share, 2),
+    }
+
+
+def map_panel(name: str, agents: int) -> dict[str, Any]:
     """Return a panel with one of the grids, and on it paths, readings and poses."""
-    topics = {
-        f'/belief/{name}': BaseRendererRosOccupancyGridTopicSettings(
-            visible=True,
-            color_mode='custom',
-            min_color='#ffffff',
-            max_color=COLOURS[name],
-            unknown_color='#999999',
-        )
+    topics: dict[str, Any] = {
+        f'/belief/{name}': {
+            'visible': True,
+            'colorMode': 'custom',
+            'minColor': '#ffffff',
+            'maxColor': COLOURS[name],
+            'unknownColor': '#999999',
+        }
     }
     for number in range(1, agents + 1):
         colour = SERIES[(number - 1) % len(SERIES)].colour
-        topics[f'/scout_{number}/path'] = BaseRendererPosesTopicSettings(
-            visible=True, type='line', line_width=0.1, gradient=(colour, colour)
-        )
-        topics[f'/scout_{number}/readings'] = BaseRendererRosMarkerTopicSettings(visible=True)
+        topics[f'/scout_{number}/path'] = path_line(colour, 0.1)
+        topics[f'/scout_{number}/readings'] = {'visible': True}
     if name == 'hazard':
-        topics['/decision/lane'] = BaseRendererPosesTopicSettings(
-            visible=True, type='line', line_width=0.2, gradient=(LANE, LANE)
-        )
-    config = ThreeDeeConfig(follow_tf='map', follow_mode='follow-none', topics=topics)
-    return ThreeDeePanel(config=config, title=name)
+        topics['/decision/lane'] = path_line(LANE, 0.2)
+    return {
+        'topics': topics,
+        'followTf': 'map',
+        'followMode': 'follow-none',
+        'foxglovePanelTitle': name,
+    }
 
 
-def plot(title: str, *fields: str) -> PlotPanel:
+def path_line(colour: str, width: float) -> dict[str, Any]:
+    """Return how a path is drawn."""
+    return {'visible': True, 'type': 'line', 'lineWidth': width, 'gradient': [colour, colour]}
+
+
+def plot(title: str, fields: tuple[str, ...]) -> dict[str, Any]:
     """Return a panel with curves of fields of the topic progress."""
     series = [
-        PlotSeries(
-            value=f'/progress.{field}',
-            label=field.replace('_', ' '),
-            color=style.colour,
-            line_style=LINES[style.plotly_dash],
-            enabled=True,
-            timestamp_method='receiveTime',
-        )
+        {
+            'value': f'/progress.{field}',
+            'label': field.replace('_', ' '),
+            'color': style.colour,
+            'lineStyle': LINES[style.plotly_dash],
+            'enabled': True,
+            'timestampMethod': 'receiveTime',
+        }
         for field, style in zip(fields, SERIES)
     ]
-    return PlotPanel(config=PlotConfig(paths=series, show_legend=True), title=title)
+    return {'paths': series, 'showLegend': True, 'foxglovePanelTitle': title}
 
 
 if __name__ == '__main__':
-    print(json.dumps(json.loads(layout(int(sys.argv[1])).to_json()), indent=1))
+    print(json.dumps(layout(int(sys.argv[1])), indent=1))

@@ -291,18 +291,21 @@ SHOWN = {
 }
 
 
-def panels(content):
-    if content['type'] == 'panel':
-        yield content
-    for item in content.get('items', ()):
-        yield from panels(item['content'])
+def panels(tree):
+    """Yield the names of the panels in a layout."""
+    if isinstance(tree, str):
+        yield tree
+        return
+    assert tree['direction'] in ('row', 'column')
+    assert 0 < tree['splitPercentage'] < 100
+    for part in ('first', 'second'):
+        yield from panels(tree[part])
 
 
 def named(layout):
     """Return the topics that a layout names, with their types or fields."""
     topics, fields = {}, {}
-    for panel in panels(layout['content']):
-        config = panel['config']
+    for config in layout['configById'].values():
         for topic, settings in config.get('topics', {}).items():
             topics[topic] = next(kind for each, kind in SHOWN.items() if each in settings)
         for series in config.get('paths', ()):
@@ -323,7 +326,13 @@ def test_a_layout_is_made_of_the_topics_of_a_running_mission(field, agents, name
         check=True,
     ).stdout
     assert made == (ROOT / 'config/foxglove' / name).read_text()
-    topics, fields = named(json.loads((ROOT / 'config/foxglove' / name).read_text()))
+    layout = json.loads(made)
+    # Lichtblick refuses a layout without these.
+    assert layout.keys() >= {'configById', 'globalVariables', 'playbackConfig', 'layout'}
+    assert [*panels(layout['layout'])] == [*layout['configById']]
+    kinds = {panel.partition('!')[0] for panel in layout['configById']}
+    assert kinds == {'3D', 'Plot', 'DiagnosticSummary'}
+    topics, fields = named(layout)
     team = [f'scout_{number}' for number in range(1, agents + 1)]
     assert set(topics) == {
         *(f'/belief/{each}' for each in ('hazard', 'target', 'kappa')),
