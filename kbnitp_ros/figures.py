@@ -21,6 +21,7 @@ with extra('report'):
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
+    from matplotlib.text import Text
     from matplotlib.transforms import Affine2D, Transform
 
 # Number of markers on a line; their shapes tell lines apart in black and white.
@@ -132,7 +133,9 @@ METADATA = {'png': {}, 'svg': {'Date': None}, 'pdf': {'CreationDate': None}}
 def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path]:
     """Write a figure once for each format."""
     files = [path.with_suffix(f'.{each}') for each in formats]
-    with rc_context({**EMBEDDED, **AS_ASKED}):
+    for text in figure.findobj(Text):
+        text.set_usetex(False)
+    with rc_context({**EMBEDDED, **AS_ASKED, 'text.usetex': False}):
         for file, each in zip(files, formats):
             figure.savefig(file, dpi=dpi, metadata=METADATA[each])
             # Keep the layout of the first format, so that all formats look the same.

@@ -14,6 +14,7 @@ from kbnitp_ros.report.tables import mission_curves
 from kbnitp_ros.study.scenario import NUMBERS
 from laws import for_each
 from legible import as_seen, check_lines, check_texts, VISIONS
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -111,6 +112,15 @@ def test_a_number_is_drawn_from_before_the_first_deployment_on(truth):
     outer, inner = (band.get_paths()[0].get_extents() for band in axes.collections)
     assert (outer.y0, outer.y1) == (quantiles[:, 0].min(), quantiles[:, 4].max())
     assert (inner.y0, inner.y1) == (quantiles[:, 1].min(), quantiles[:, 3].max())
+
+
+@pytest.mark.slow
+def test_figures_are_drawn_without_latex_whatever_the_users_settings(mission, tmp_path):
+    with rc_context({'text.usetex': True}):
+        figures = maps_figure(mission), progress_figure(mission, mission_curves(mission))
+        for number, figure in enumerate(figures):
+            for file in save(figure, tmp_path / f'{number}.png', 'png', 'svg'):
+                assert file.stat().st_size > 1000
 
 
 def test_no_two_styles_look_the_same():
