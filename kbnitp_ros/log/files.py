@@ -10,6 +10,7 @@ from functools import lru_cache
 import os
 from pathlib import Path, PurePath
 import re
+import time
 from typing import Any, IO
 
 from kbnitp_ros.files import NotYamlError, read_yaml
@@ -217,8 +218,15 @@ NAME = 'mission.mcap'
 
 def new_log(folder: Path | None = None) -> Path:
     """Return the path of a new log in a folder of its own: runs/TIME."""
-    folder = folder or Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
-    make_folder(folder)
+    make_folder(folder or Path('runs'))
+    while folder is None:
+        new = Path('runs', datetime.now().strftime('%Y-%m-%d-%H-%M-%S'))
+        try:
+            new.mkdir()
+            folder = new
+        except FileExistsError:
+            # Another mission began in this second.
+            time.sleep(0.1)
     return folder / NAME
 
 

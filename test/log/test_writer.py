@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guarantees of the log writer, as far as this project's reader can check them."""
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 import os
 from pathlib import Path
@@ -9,7 +10,7 @@ import shutil
 from ament_index_python import packages
 from ament_index_python.packages import get_package_share_directory
 from disk import room_for
-from kbnitp_ros.log.files import log_parts
+from kbnitp_ros.log.files import log_parts, new_log
 from kbnitp_ros.log.mcap_file import MESSAGE_HEAD
 from kbnitp_ros.log.read import (
     is_finished,
@@ -65,6 +66,16 @@ def test_bad_messages_are_refused(tmp_path, whole_mission, name, options, error,
     with pytest.raises(error, match=told):
         LogWriter(tmp_path / name, **options)
     assert (path.read_bytes(), sorted(tmp_path.iterdir())) == (content, there)
+
+
+def test_missions_that_begin_in_one_second_have_folders_of_their_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with ThreadPoolExecutor() as pool:
+        logs = [*pool.map(lambda _: new_log(), range(3))]
+    assert len({log.parent for log in logs}) == 3
+    assert {log.parent.parent for log in logs} == {Path('runs')}
+    # A folder that is named is taken as it is.
+    assert new_log(tmp_path / 'out') == new_log(tmp_path / 'out') == tmp_path / 'out/mission.mcap'
 
 
 def test_a_topic_of_unknown_type_leaves_the_log_as_it_was(tmp_path):
