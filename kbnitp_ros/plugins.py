@@ -6,8 +6,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.metadata import entry_points, EntryPoint
 from inspect import signature
+from operator import attrgetter
+from pathlib import Path
+import sys
 from types import MappingProxyType
 from typing import Any, Generic, NoReturn, TypeVar
 from warnings import warn
@@ -40,6 +44,10 @@ Entry = TypeVar('Entry')
 PACKAGE = 'kbnitp_ros'
 
 
+# Registries by kind.
+REGISTRIES: dict[str, Registry[Any]] = {}
+
+
 class PluginError(RuntimeError):
     """An entry of another package breaks the rules of its kind."""
 
@@ -61,6 +69,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._sources: dict[str, str] = {}
         self._refused = dict(gone)
         self._is_searched = False
+        REGISTRIES[kind] = self
         self.fill(own)
 
     def fill(self, own: Mapping[str, object]) -> None:
@@ -73,6 +82,11 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def added(self) -> tuple[str, ...]:
         """Return the names of entries from other packages."""
         return tuple(name for name in self if name not in self.own)
+
+    @property
+    def loaded(self) -> list[str]:
+        """Return the names that `load` added."""
+        return [name for name in self._entries if ':' in name]
 
     @property
     def refused(self) -> Mapping[str, str]:
@@ -114,6 +128,22 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             yield
         finally:
             self._entries, self._sources = before
+
+    def load(self, name: object) -> None:
+        """Add ``module:name``, of a module in the working folder or installed, if it is one."""
+        # Never called with a name from a log or a message: their senders could import anything.
+        if not isinstance(name, str) or ':' not in name or name in self._entries:
+            return
+        module, _, inside = name.partition(':')
+        sys.path.insert(0, folder := str(Path.cwd()))
+        try:
+            self._entries[name] = self.check(attrgetter(inside)(import_module(module)))
+            self._sources[name] = f'the module {module}'
+        # The import of a foreign module may raise anything, and end the process.
+        except (Exception, SystemExit) as error:
+            self._refused[name] = in_words(error)
+        finally:
+            sys.path.remove(folder)
 
     def find(self, given: str | Callable[..., Any]) -> Entry:
         """Return the entry of a name; return an entry given in place of a name unchanged."""

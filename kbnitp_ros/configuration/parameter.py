@@ -121,6 +121,8 @@ class Parameter:
     def _check_one(self, value: Any, wanted: type[Any]) -> Any:
         if self.word and value == self.word:
             return value
+        if isinstance(self.choices, Registry):
+            self.choices.load(value)
         if wanted is float and type(value) is int:
             value = float(value)
         if type(value) is not wanted:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints, Union
 
 from kbnitp_ros.core import Beta, Unknowns
 from kbnitp_ros.files import read_yaml, share
+from kbnitp_ros.plugins import Registry
 from kbnitp_ros.study.scenario import NUMBERS, Probability, Scenario
 
 KINDS = {int: 'a whole number', float: 'a number'}
@@ -67,6 +68,8 @@ def _read(annotation: Any, value: Any, key: str) -> Any:
         return values
     wanted, allowed, *besides = get_args(annotation)
     if wanted is str:
+        if isinstance(allowed, Registry):
+            allowed.load(value)
         if value not in allowed and value not in besides:
             named = tuple(filter(None, besides))
             if isinstance(allowed, tuple):

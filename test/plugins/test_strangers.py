@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Methods, planners and allocations of other packages are used, or refused with a reason."""
 
+import os
 import subprocess
 import sys
 
 from bound import upper_bound
-from kbnitp_ros.core import Belief, Grid, plan, SearchOptions, SensorModel
+from kbnitp_ros.core import Belief, Grid, METHODS, plan, SearchOptions, SensorModel
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.log.history import read_history
 import numpy as np
@@ -52,6 +53,19 @@ ADDED = {
     'planners': {'theirs': 'shortest'},
     'allocations': {'theirs': 'in_turn'},
 }
+
+STUDY = """
+seed: 1
+trials: 2
+robots: 2
+methods: ['mine:ReturnsFirst']
+lethalities: [0.5]
+grid: {width: 3, height: 3, base: 0}
+planning: {planner: 'mine:plan', max_steps: 4, width: 1, max_visits: 3}
+world: {hazard_density: 0.15, kappa: 0.8, target_background: 0.1}
+sensor: {malfunction: 0.05, false_negative: 0.05, true_positive: 0.95, false_positive: 0.05}
+prior: {hazard: 0.15, target: 0.205, kappa: 0.8}
+"""
 
 BAD_SOURCE = """
 from kbnitp_ros.core import Belief, PLANNERS
@@ -144,6 +158,42 @@ def test_a_demo_runs_with_a_method_a_planner_and_an_allocation_of_another_packag
     assert done.returncode == 0, done.stdout + done.stderr
     assert '/belief: 5 of 5 messages reproduced' in done.stdout
     assert len(read_history(tmp_path / 'out/mission.mcap').observations) == 4
+
+
+def test_a_planner_and_a_method_in_a_file_of_the_working_folder_are_used(tmp_path):
+    plan = "def plan(finder, objective):\n    return PLANNERS['relaxed'](finder, objective)\n"
+    tmp_path.joinpath('mine.py').write_text(f'{SOURCE}\n\n{plan}')
+    # Neither the command nor its nodes import from the working folder by themselves.
+    environment = {**os.environ, 'PYTHONSAFEPATH': '1'}
+    own = '--planner', 'mine:plan', '--method', 'mine:ReturnsFirst'
+    done = run(
+        environment, '-m', 'kbnitp_ros', 'demo', *own, '--robots', '3', '--size', '3',
+        '--max-steps', '4', '--out', 'out', cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert '/belief: 4 of 4 messages reproduced' in done.stdout
+    tmp_path.joinpath('study.yaml').write_text(STUDY)
+    done = run(
+        environment, '-m', 'kbnitp_ros', 'study', 'study.yaml', '--workers', '2', '--out', 'mine',
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    done = run(
+        environment, '-m', 'kbnitp_ros', 'forecast', '--set', 'planner=mine:plan', '--set',
+        'robots=3', '--worlds', '4', '--workers', '2', cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_names_in_logs_and_messages_import_no_module(tmp_path, monkeypatch):
+    tmp_path.joinpath('theirs.py').write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="method is 'theirs:Method': known are"):
+        METHODS.find('theirs:Method')
+    assert 'theirs' not in sys.modules
+    METHODS.load('theirs:Method')
+    with pytest.raises(ValueError, match="method is 'theirs:Method': SystemExit: imported; known"):
+        METHODS.find('theirs:Method')
 
 
 @pytest.fixture
