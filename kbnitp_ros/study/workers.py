@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 from asyncio import TimeoutError as AsyncTimeoutError
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import asdict
 import fcntl
+from functools import partial
 from importlib.util import find_spec
+import logging
+from operator import methodcaller
 import os
 from pathlib import Path
 import signal
 from typing import Any, BinaryIO, TypeVar
 
-from joblib import cpu_count, delayed, Parallel, parallel_config
-from kbnitp_ros.files import naming, yaml_text
+from joblib import cpu_count, delayed, Parallel
+from kbnitp_ros.files import in_words, naming, yaml_text
+from kbnitp_ros.plugins import REGISTRIES
 from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario
 from kbnitp_ros.study.scenario_file import read_scenario
 from kbnitp_ros.study.trial import LEARNT, list_trials, measure_names, MissionResult, Trial
@@ -123,26 +127,52 @@ Result = TypeVar('Result')
 class Workers:
     """Worker processes that map a function over items."""
 
-    def __init__(self, count: int | None = None) -> None:
-        self._parallel = Parallel(count, batch_size=1, return_as='generator_unordered')
+    def __init__(self, spread: Callable[[Callable[..., Any], Sequence[Any]], Iterator[Any]]):
+        self._spread = spread
 
     def run(
         self, function: Callable[[Item], Result], items: Sequence[Item]
     ) -> Iterator[tuple[Item, Result]]:
         """Yield each item with its result; a RuntimeError names an item that fails."""
-        # Start workers that ignore interrupts of the terminal; this process ends them.
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
-            done = self._parallel(delayed(_run)(function, item) for item in items)
-        finally:
-            signal.signal(signal.SIGINT, handler)
-        yield from done
+        names = {kind: each.loaded for kind, each in REGISTRIES.items()}
+        yield from self._spread(partial(_run, function, names), items)
 
 
-def _run(function: Callable[[Item], Result], item: Item) -> tuple[Item, Result]:
+def _here(count: int, run: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+    """Yield results in any order, from processes of this machine."""
+    parallel = Parallel(count, batch_size=1, return_as='generator_unordered')
+    # Start workers that ignore interrupts of the terminal; this process ends them.
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        done = parallel(delayed(run)(item) for item in items)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    yield from done
+
+
+def _on_cluster(client: Any, run: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+    """Yield results in any order, from the workers of Dask."""
+    from distributed import as_completed, CancelledError, KilledWorker
+
+    try:
+        # Data is opaque to the scheduler, which may lack this package, and functions are not.
+        nth = client.scatter(lambda number: run(items[number]), broadcast=True)
+        calls = [methodcaller('__call__', number) for number in range(len(items))]
+        for done in as_completed([client.submit(call, nth, pure=False) for call in calls]):
+            yield done.result()
+    except (CancelledError, KilledWorker, OSError) as error:
+        raise RuntimeError(f'the Dask cluster is lost: {in_words(error)}') from None
+
+
+def _run(
+    function: Callable[[Item], Result], loaded: Mapping[str, Sequence[str]], item: Item
+) -> tuple[Item, Result]:
     # One thread: sums split among threads may round differently, and other items keep all cores
     # busy.
     threadpool_limits(1, 'blas')
+    for kind, names in loaded.items():
+        for name in names:
+            REGISTRIES[kind].load(name)
     try:
         return item, function(item)
     except (ValueError, ArithmeticError) as error:
@@ -166,10 +196,10 @@ def workers(
     if scheduler is not None and count is not None:
         raise ValueError(f'workers is {count}: leave it out: {scheduler} has its own workers')
     if backend == 'loky':
-        yield Workers(count or cpu_count())
+        yield Workers(partial(_here, count or cpu_count()))
         return
-    with _dask(count or cpu_count(), scheduler) as client, parallel_config('dask', client=client):
-        yield Workers()
+    with _dask(count or cpu_count(), scheduler) as client:
+        yield Workers(partial(_on_cluster, client))
 
 
 @contextmanager
@@ -177,6 +207,8 @@ def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
     """Yield a client of the scheduler, by default of a new scheduler on this machine."""
     from distributed import Client, LocalCluster
 
+    # Its messages about a lost cluster are tracebacks.
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         cluster = scheduler or stack.enter_context(
             LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
@@ -184,6 +216,13 @@ def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
         try:
             client = stack.enter_context(Client(cluster, timeout=PATIENCE))
             client.wait_for_workers(1, timeout=PATIENCE)
+            # Only built-in functions reach a worker that lacks this package.
+            client.run(exec, f'import {__name__}')
         except (OSError, ValueError, AsyncTimeoutError) as error:
             raise ConnectionError(f'no Dask workers found at {scheduler}: {error}') from error
+        except ImportError as error:
+            raise ConnectionError(
+                f'a Dask worker cannot run trials: {in_words(error)}; install kbnitp_ros[study] '
+                'in the Python of the workers'
+            ) from error
         yield client

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outcomes of trials do not depend on where they run, and finished trials are kept."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 import json
 import os
+from pathlib import Path
+import re
 import subprocess
 import sys
 import time
@@ -100,6 +103,74 @@ def test_a_trial_that_fails_is_named(scenario):
         list(pool.run(partial(run_trial, impossible), trials))
 
 
+@pytest.fixture
+def scheduler():
+    """Return a scheduler of its own, in a process."""
+    pytest.importorskip('distributed')
+    started = dask('scheduler', '--host', '127.0.0.1', '--port', '0', stderr=subprocess.PIPE)
+    with started:
+        address = next(
+            found[0] for line in started.stderr if (found := re.search(r'tcp://.*', line))
+        )
+        try:
+            yield started, address
+        finally:
+            started.kill()
+
+
+def dask(*arguments, **options):
+    command = [sys.executable, '-m', 'dask', *arguments, '--no-dashboard']
+    # Python imports from the working folder.
+    return subprocess.Popen(command, text=True, cwd='/', **options)
+
+
+@contextmanager
+def one_worker(address, path):
+    """Start a worker with one thread, and this path of Python."""
+    environment = {**os.environ, 'PYTHONPATH': path}
+    with dask('worker', address, '--nthreads', '1', '--no-nanny', env=environment) as worker:
+        try:
+            yield worker
+        finally:
+            worker.kill()
+
+
+def slow_double(number):
+    """Return a double after a while, and the process that computed it."""
+    time.sleep(0.2)
+    return 2 * number, os.getpid()
+
+
+@pytest.mark.processes
+def test_a_cluster_of_one_thread_is_used_and_its_loss_is_one_error(scheduler):
+    process, address = scheduler
+    here = os.pathsep.join(filter(None, [str(Path(__file__).parent), *sys.path]))
+    with one_worker(address, here), workers('dask', scheduler=address) as pool:
+        done = pool.run(slow_double, range(50))
+        number, (doubled, by) = next(done)
+        assert doubled == 2 * number
+        assert by != os.getpid()
+        process.kill()
+        began = time.monotonic()
+        with pytest.raises(RuntimeError, match='the Dask cluster is lost'):
+            list(done)
+        assert time.monotonic() < began + 30.0
+
+
+@pytest.mark.processes
+def test_workers_without_the_package_are_one_error(scheduler, tmp_path):
+    _, address = scheduler
+    tmp_path.joinpath('kbnitp_ros.py').write_text("raise ImportError('there is none here')")
+    began = time.monotonic()
+    with (
+        one_worker(address, str(tmp_path)),
+        pytest.raises(ConnectionError, match=r'a Dask worker cannot run trials: .*install kbnitp'),
+        workers('dask', scheduler=address),
+    ):
+        pass
+    assert time.monotonic() < began + 10.0
+
+
 @pytest.mark.processes
 @for_each('address', ['127.0.0.1:1', 'nowhere.invalid:8786', 'magic://here'])
 def test_a_cluster_out_of_reach_is_one_error(monkeypatch, address):
@@ -154,7 +225,7 @@ def test_a_trial_is_named_with_any_error(scenario, error, told):
 
     trial = list_trials(scenario)[0]
     with pytest.raises(RuntimeError, match=rf'^Trial\(lethality=0\.2.*\) {told}'):
-        module._run(fail, trial)
+        module._run(fail, {}, trial)
 
 
 @pytest.mark.processes
