@@ -19,6 +19,9 @@ from kbnitp_ros.messages.grids import rounded_resolution, rounded_yaw
 import numpy as np
 from numpy.typing import NDArray
 
+# Default side of a cell in metres; a coarser map has cells of its own resolution.
+CELL = 1.0
+
 
 def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
     """Return the grid that these parameters describe."""
@@ -52,7 +55,7 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
             field, resolution=rounded_resolution(field.resolution), yaw=rounded_yaw(field.yaw)
         )
         grid = field.grid(
-            side or None,
+            side or max(CELL, field.resolution),
             position or None,
             unknown_blocks=values['unknown_blocks'],
             base=values['grid.base'],
@@ -73,7 +76,7 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
     grid = Grid(
         width=values['grid.width'],
         height=values['grid.height'],
-        resolution=side or 1.0,
+        resolution=side or CELL,
         origin=origin[:2],
         yaw=rounded_yaw(*origin[2:] or (0.0,)),
     )

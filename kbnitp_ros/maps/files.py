@@ -98,6 +98,10 @@ def occupancy(dark: NDArray[np.float32], file: MapFile) -> NDArray[np.int8]:
 
 def read_map_file(path: Path) -> MapFile:
     """Read a map's YAML file."""
+    if path.suffix.lower() in ('.pgm', '.png', '.bmp'):
+        beside = path.with_suffix('.yaml')
+        wanted = f': {beside} is beside it' if beside.exists() else ''
+        raise MapError(f'{path} is an image: name the YAML file that describes it{wanted}')
     try:
         said = read_yaml(path)
     except OSError as error:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, isfinite
 from typing import Any
@@ -100,6 +100,20 @@ class Datum:
         return float(at.real), float(at.imag)
 
 
+def nearest_free(grid: Grid, cell: int) -> str:
+    """Describe the cell nearest to a blocked one in the largest connected part of the field."""
+    left: NDArray[np.bool_] = grid.free.copy()
+    largest = np.zeros_like(left)
+    while left.sum() > largest.sum():
+        part = grid.steps_from(int(np.argmax(left)), left) < grid.cells
+        left &= ~part
+        largest = part if part.sum() > largest.sum() else largest
+    cells = np.flatnonzero(largest)
+    distances = np.hypot(*(grid.centers(cells) - grid.centers(cell)).T)
+    x, y = grid.centers(nearest := cells[np.argmin(distances)])
+    return f'the nearest free cell is {nearest} around ({x:g}, {y:g})'
+
+
 UNKNOWN = -1
 OCCUPIED = 100
 
@@ -154,23 +168,23 @@ class Map:
         bare = Grid(columns, rows, resolution=side, origin=self.origin, yaw=self.yaw)
         if base_position is not None:
             base = int(bare.cells_at([base_position])[0])
-        if 0 <= base < bare.cells and blocked.flat[base]:
-            x, y = bare.centers(base)
-            raise MapError(
-                f'the base, cell {base} around ({x:g}, {y:g}), is blocked: '
-                'its pixels must be free; choose another base'
-            )
-        return Grid(
-            width=columns,
-            height=rows,
-            base=base,
-            resolution=side,
-            origin=self.origin,
+        if blocked.all():
+            raise MapError(f'all cells of {side:g} m are blocked: choose a finer grid.resolution')
+        is_blocked = 0 <= base < bare.cells and bool(blocked.flat[base])
+        grid = replace(
+            bare,
+            base=int(np.argmin(blocked)) if is_blocked else base,
             blocked=np.flatnonzero(blocked).tolist(),
             connectivity=connectivity,
             through_corners=through_corners,
-            yaw=self.yaw,
         )
+        if is_blocked:
+            x, y = bare.centers(base)
+            raise MapError(
+                f'the base, cell {base} around ({x:g}, {y:g}), is blocked: its pixels must be '
+                f'free; set grid.base or grid.base_position, {nearest_free(grid, base)}'
+            )
+        return grid
 
     def _blocked(
         self, rows: int, columns: int, pixels: float, unknown_blocks: bool

@@ -294,6 +294,28 @@ def test_a_cell_that_shares_part_of_an_occupied_pixel_is_blocked():
     assert Map(data, 1.0, (0.0, 0.0)).grid(1.5, unknown_blocks=False, base=3).blocked == {0, 1}
 
 
+def test_a_free_cell_of_the_largest_part_is_proposed_in_place_of_a_blocked_base():
+    data = np.zeros((5, 9), dtype=np.int8)
+    # Cell 0 is in a wall; cell 10, the nearest, is enclosed by it.
+    data[:3, :3] = 100
+    data[1, 1] = 0
+    with pytest.raises(ValueError, match=r'the nearest free cell is 3 around \(3\.5, 0\.5\)'):
+        Map(data, 1.0, (0.0, 0.0)).grid()
+    with pytest.raises(ValueError, match='all cells of 5 m are blocked: choose a finer'):
+        Map(data, 1.0, (0.0, 0.0)).grid(5.0)
+
+
+@pytest.mark.parametrize('suffix', ['.pgm', '.PNG', '.bmp'])
+def test_an_image_in_place_of_its_yaml_file_is_refused(tmp_path, suffix):
+    file = tmp_path / f'yard{suffix}'
+    told = r'is an image: name the YAML file that describes it'
+    with pytest.raises(ValueError, match=f'{told}$'):
+        read_map(file)
+    file.with_suffix('.yaml').touch()
+    with pytest.raises(ValueError, match=f'{told}: .*yard.yaml is beside it$'):
+        read_map(file)
+
+
 @for_each('arguments, message', [
     ({'resolution': 0.4}, 'grid resolution is 0.4.*0.5'),
     ({'base_position': (3.0, 0.2)}, 'outside the grid'),
