@@ -46,7 +46,7 @@ RESPAWN_DELAY = 2.0  # Seconds.
 OPTIONS = (
     'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
     'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
-    'method', 'learn.numbers', 'seed', 'approval', 'keep_running',
+    'method', 'learn.numbers', 'seed', 'approval', 'keep_running', 'defaults', 'minimum_reach',
 )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ def generate_launch_description():
     # A lost real robot sends no report.
     defaults = {'keep_running': 'false', 'silent_loss': 'true'}
     # A robot at 0.4 m/s needs 3.5 s for the diagonal of a cell of 1 m.
-    of_real_robots = {'step_period': '5.0', 'return_deadline': '60.0'}
+    of_real_robots = {'defaults': 'field', 'step_period': '5.0', 'return_deadline': '60.0'}
     return mission_description(
         [agents, *arguments_of_missions(**defaults)],
         lambda mission: mission.base(**of_real_robots),

@@ -3,26 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from math import ceil
 from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, value_for
-from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import Grid, Ledger, RobotType
 import numpy as np
 
 
-def reach_note(
-    grid: Grid,
-    max_steps: int,
-    enough: float = 1.0,
-    bases: Sequence[int | None] = (None,),
-    max_distance: float = 0.0,
-) -> str:
-    """Return a warning if paths within these limits reach too little of the field, else ''."""
-    fields = [grid.at(base) for base in dict.fromkeys(bases)]
+def reach_note(grid: Grid, values: Mapping[str, Any], enough: float = 1.0) -> str:
+    """Return a warning if the planner's paths reach too little of the field, else ''."""
+    max_steps, max_distance = most_steps(values), most_distance(values, values['agents'])
+    bases = dict.fromkeys(own_base(values, agent, grid) for agent in values['agents'])
+    fields = [grid.at(base) for base in bases]
     steps = np.min([field.steps_to_base for field in fields], axis=0)
     reached, joined = (
         np.any([field.in_reach(max_steps, max_distance) for field in fields], axis=0),
@@ -45,8 +41,10 @@ def reach_note(
     )
 
 
-def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
-    """Check that the robots of each agent can leave their base."""
+def check_reach(
+    grid: Grid, values: Mapping[str, Any], confirm: Callable[[str], bool] = lambda _: False
+) -> None:
+    """Check that robots can leave their base, and reach enough cells or `confirm` few of them."""
     for agent in values['agents']:
         field = grid.at(own_base(values, agent, grid))
         why = ''
@@ -58,6 +56,20 @@ def check_reach(grid: Grid, values: Mapping[str, Any]) -> None:
             raise ValueError(
                 f'robots of {agent} cannot leave their base, cell {field.base}: {why}'
             )
+    # A resumed mission has sent robots already; other goals check their own cells.
+    least = 0.0 if values['resume'] or values['goal.kind'] != 'map' else values['minimum_reach']
+    note = reach_note(grid, values, least)
+    if note and not confirm(f'{note}. Send robots all the same?'):
+        raise ValueError(f'{note}, or minimum_reach to 0 for these cells only')
+
+
+def failure_note(values: Mapping[str, Any]) -> str:
+    """Say how many robots fail without any hazard."""
+    share = 1.0 - (1.0 - values['sensor.malfunction']) ** most_steps(values)
+    return (
+        f'without hazards {100.0 * share:.2g} % of robots fail on the longest path (parameters '
+        f'sensor.malfunction and max_steps; defaults: {values["defaults"]})'
+    )
 
 
 def cut_off_note(grid: Grid) -> str:

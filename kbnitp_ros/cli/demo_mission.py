@@ -20,7 +20,7 @@ from typing import Any
 
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.base.checks import check_reach, reach_note
-from kbnitp_ros.cli.output import complain, end_on_signals, say
+from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import (
     asked_on_record,
     DEFAULTS,
@@ -42,20 +42,19 @@ from kbnitp_ros.configuration import (
     make_grid,
     node_parameters,
     value_for,
+    with_defaults,
 )
 from kbnitp_ros.configuration.agents import (
     make_execution,
     make_robot_types,
-    most_distance,
-    most_steps,
-    own_base,
     true_dynamics,
 )
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.known import check_own
-from kbnitp_ros.configuration.mission import check_search, learnt_by_default
+from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
+from kbnitp_ros.core import METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
 from kbnitp_ros.log.read import log_size, read_parameters
@@ -117,15 +116,8 @@ def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]
 def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: bool) -> int:
     """Run the mission, replay and report it; return the exit code."""
     planner = parameters['planner']
-    grid, most = make_grid(planner), most_steps(planner)
-    bases = [own_base(planner, agent, grid) for agent in planner['agents']]
-    distance = most_distance(planner, planner['agents'])
-    reach = reach_note(grid, most, bases=bases, max_distance=distance)
-    if reach:
+    if reach := reach_note(make_grid(planner), planner):
         say(f'{reach}.')
-    elif planner['map']:
-        joined = int((grid.steps_to_base < grid.cells).sum())
-        say(f'{most} steps reach all {joined} cells connected to the base.')
     end_on_signals()
     try:
         with serving(log, None, HOST, 0) if has_page else nullcontext():
@@ -144,19 +136,17 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     sections = read_sections(options.params) if options.params else {}
     if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
         raise ValueError('use_sim_time is true: the demo has no simulated clock')
-    parameters = node_values(sections, NODES, DEFAULTS)
+    given = node_values(sections, NODES)
     for name, value in given_by_options(options):
-        for table, values in ((node_parameters(node), parameters[node]) for node in NODES):
+        for table, values in ((node_parameters(node), given[node]) for node in NODES):
             if name in table:
                 values[name] = table[name].check(value)
     for rule in options.set:
-        set_parameter(parameters, rule, 'demo', OWN)
+        set_parameter(given, rule, 'demo', OWN)
+    parameters = {node: with_defaults(node, values, DEFAULTS) for node, values in given.items()}
     if parameters['planner']['silent_loss']:
         for values in (parameters['planner'], parameters['agent']):
             values['step_period'] = values['step_period'] or SILENT_STEP
-    estimator = parameters['estimator']
-    if estimator['learn.numbers'] is None:
-        estimator['learn.numbers'] = learnt_by_default(estimator['method'])
     for values in parameters.values():
         values |= {name: value for name, value in HELD.items() if name in values}
         values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}
@@ -182,7 +172,7 @@ def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
         yield 'agents', [f'scout_{number + 1}' for number in range(options.agents)]
 
 
-def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
+def check_mission(parameters: Mapping[str, dict[str, Any]]) -> None:
     """Check that the nodes accept their parameters, and agree on the mission."""
     for one, other in pairwise(('estimator', 'agent', 'planner')):
         ours, theirs = parameters[one], parameters[other]
@@ -206,7 +196,9 @@ def check_mission(parameters: Mapping[str, Mapping[str, Any]]) -> None:
     grid = make_grid(simulated)
     agent_names(simulated, grid)
     check_search(parameters['planner'], grid, make_robot_types(estimator, grid))
-    check_reach(grid, parameters['planner'])
+    check_reach(grid, parameters['planner'], confirmed)
+    # The planner must not refuse cells that were confirmed.
+    parameters['planner']['minimum_reach'] = 0.0
     make_execution(simulated)
     true_dynamics(simulated)
     if simulated['world.file']:
@@ -244,6 +236,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
         parameters[node] = recorded_values(recorded[f'/{node}'], node)
         if 'resume' in parameters[node]:
             parameters[node]['resume'] = str(log)
+    METHODS.load(parameters['estimator']['method'])
     # The report compares the belief with the truth, which the log may lack so far.
     parameters['agent']['publish_truth'] = True
     return parameters

@@ -14,7 +14,13 @@ from typing import Any
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.cli.parameters import node_values, recorded_planner, set_parameter
 from kbnitp_ros.cli.study import count
-from kbnitp_ros.configuration import agent_names, make_estimator, make_goal, make_grid
+from kbnitp_ros.configuration import (
+    agent_names,
+    make_estimator,
+    make_goal,
+    make_grid,
+    with_defaults,
+)
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
@@ -135,10 +141,10 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
     """Return a function that forecasts a new mission, given `worlds`, `rng` and `run`."""
     sections = read_sections(options.params) if options.params else {}
-    parameters = node_values(sections, ('planner', 'estimator'))
+    given = node_values(sections, ('planner', 'estimator'))
     for rule in options.set:
-        set_parameter(parameters, rule, 'forecast')
-    planner, estimator = parameters['planner'], parameters['estimator']
+        set_parameter(given, rule, 'forecast')
+    planner, estimator = (with_defaults(node, values) for node, values in given.items())
     if planner['map_topic']:
         raise ValueError(
             f'map_topic is {planner["map_topic"]}: the forecast subscribes to no map; '
@@ -160,14 +166,14 @@ def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
 def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
     """Return a function that forecasts a resumed mission, given `worlds`, `rng` and `run`."""
     ledger = read_ledger(log := MissionLog(options.log, options.namespace))
-    parameters = (
+    given = (
         node_values(read_sections(options.params), ('planner',))
         if options.params
         else {'planner': recorded_planner(log)}
     )
     for rule in options.set:
-        set_parameter(parameters, rule, 'forecast')
-    planner, sent = parameters['planner'], len(ledger.deployments)
+        set_parameter(given, rule, 'forecast')
+    planner, sent = with_defaults('planner', given['planner']), len(ledger.deployments)
     if sent >= planner['robots']:
         raise ValueError(
             f'{options.log} has {sent} deployments, and robots is {planner["robots"]}: raise it '

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import wraps
 from io import TextIOWrapper
 import os
@@ -26,6 +26,14 @@ def say(*lines: str) -> None:
     """Print lines."""
     with writing():
         print(*lines, sep='\n', flush=True)
+
+
+def confirmed(question: str) -> bool:
+    """Ask a question on a terminal; without a terminal the answer is no."""
+    is_asked = sys.stdin is not None and sys.stdin.isatty()
+    with suppress(EOFError):
+        return is_asked and input(f'{question} [y/N] ').strip().lower() in ('y', 'yes')
+    return False
 
 
 def end_on_signals() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
-from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.cli.output import complain
@@ -13,6 +12,7 @@ from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known, gone_note
 from kbnitp_ros.configuration.parameter import nearest, own_name
+from kbnitp_ros.configuration.table import LEARNT
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.replay import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
@@ -25,7 +25,7 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 RETURN_DEADLINE = 1.0
 
 # Defaults of the demo.
-DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': None}
+DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': LEARNT}
 
 # Options, each with the parameter that it sets in every node that has this parameter.
 OPTIONS = {
@@ -47,14 +47,11 @@ OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
 def node_values(
     sections: Sections,
     nodes: Collection[str],
-    defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> dict[str, dict[str, Any]]:
-    """Return the values of each node from the sections of a file, or the defaults."""
+    """Return the values that the sections of a file give each node."""
     parameters = {}
     for node in nodes:
-        table = node_parameters(node)
-        values = {name: parameter.default for name, parameter in table.items()}
-        values |= {name: value for name, value in defaults.items() if name in table}
+        values = {}
         for name, value in values_for(sections, f'/{node}').items():
             if parameter := find_parameter(node, name):
                 values[name] = parameter.check(value)

@@ -4,7 +4,7 @@
 from kbnitp_ros.configuration.agents import agent_names, value_for
 from kbnitp_ros.configuration.field import make_grid
 from kbnitp_ros.configuration.known import find_parameter, node_parameters
-from kbnitp_ros.configuration.mission import make_estimator, make_goal
+from kbnitp_ros.configuration.mission import make_estimator, make_goal, with_defaults
 from kbnitp_ros.configuration.parameter import Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
 from kbnitp_ros.plugins import renamed
@@ -20,6 +20,7 @@ __all__ = [
     'make_grid',
     'node_parameters',
     'value_for',
+    'with_defaults',
 ]
 
 __getattr__ = renamed(

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from math import isclose
+from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.configuration.agents import (
@@ -17,6 +18,8 @@ from kbnitp_ros.configuration.agents import (
     make_sensor_model,
     make_unknowns,
 )
+from kbnitp_ros.configuration.known import node_parameters
+from kbnitp_ros.configuration.table import LEARNT
 from kbnitp_ros.core import (
     Belief,
     Estimator,
@@ -161,15 +164,25 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
     return known.belief.on(grid)
 
 
-# Numbers that demo and launch files learn by default. A method learns both, or is given both:
-# under a wrong density the learnt lethality is wrong as well, since fewer but more lethal hazards
-# destroy as many robots.
-LEARNT = ('lethality', 'hazard_density')
-
-
 def learnt_by_default(method: str) -> tuple[str, ...]:
     """Return the numbers that a mission with this method learns unless it is told otherwise."""
     return LEARNT if getattr(METHODS.find(method), 'learns', False) else ()
+
+
+def with_defaults(
+    node: str, given: Mapping[str, Any], own: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
+    """Return a node's values: those given, a command's own defaults, or else the table's."""
+    table, kind = node_parameters(node), given.get('defaults', 'auto')
+    if kind == 'auto':
+        kind = 'field' if given.get('map') or given.get('map_topic') else 'paper'
+    values = {
+        name: each.default if kind == 'paper' or each.in_field is None else each.in_field
+        for name, each in table.items()
+    } | {name: value for name, value in own.items() if name in table}
+    if values.get('learn.numbers'):
+        values['learn.numbers'] = learnt_by_default(given.get('method', values['method']))
+    return {**values, **given, **({'defaults': kind} if 'defaults' in table else {})}
 
 
 def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:

@@ -44,6 +44,8 @@ class Parameter:
     # One sentence, with the unit.
     description: str
     nodes: tuple[str, ...]
+    # Default value in the field; None if it is the same.
+    in_field: Any = None
     # The type of a list's elements.
     element: type | None = None
     # Lowest and highest value allowed.
@@ -60,6 +62,11 @@ class Parameter:
     read_only: bool = True
     # Whether an agent may have its own value, in ``team.AGENT.NAME`` with NAME as in `of_agent`.
     per_agent: bool = False
+
+    @property
+    def differs(self) -> str:
+        """Describe the default in the field; empty if it does not differ."""
+        return '' if self.in_field is None else f', in the field {json.dumps(self.in_field)}'
 
     @property
     def of_agent(self) -> str:
@@ -96,7 +103,8 @@ class Parameter:
     @property
     def summary(self) -> str:
         """Describe the parameter with its default, type and limits."""
-        return f'{self.description} Default {json.dumps(self.default)}; {self.must_be}.'
+        default = json.dumps(self.default) + self.differs
+        return f'{self.description} Default {default}; {self.must_be}.'
 
     def read(self, text: str) -> Any:
         """Parse a text from the command line, and check it."""

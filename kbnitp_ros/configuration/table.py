@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of all parameters: names, types, defaults, ranges and meanings."""
 
+from dataclasses import replace
 from functools import partial
 
 from kbnitp_ros.configuration.parameter import NAME, Parameter
@@ -40,6 +41,20 @@ LEARN = {
     # A Beta distribution with a = 0 and b = 1 is log-uniform.
     'vanish': ('hazards.vanish', (0.001, 0.1, 0.0, 1.0)),
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
+}
+
+# Numbers that demo and launch files learn by default. A method learns both, or is given both:
+# under a wrong density the learnt lethality is wrong as well, since fewer but more lethal hazards
+# destroy as many robots.
+LEARNT = ('lethality', 'hazard_density')
+
+# Defaults in the field that differ; RViz shows robots at this pace.
+IN_FIELD = {
+    'sensor.malfunction': 0.001,
+    'learn.numbers': LEARNT,
+    'silent_loss': True,
+    'step_period': 0.2,
+    'publish_pose': True,
 }
 
 # Sensors of robots: defaults and descriptions.
@@ -101,7 +116,16 @@ for_planner, for_agent, for_robot, for_estimator, for_recorder = (
 )
 changeable = partial(for_planner, read_only=False)
 
-TABLE = (
+ROWS = (
+    Parameter(
+        'defaults',
+        'auto',
+        "Set of defaults: paper, of the paper's study; field, for maps and real robots; auto "
+        'means field with a map, and paper without a map. Parameters that are given keep their '
+        'values.',
+        FIELD,
+        choices=('auto', 'paper', 'field'),
+    ),
     Parameter(
         'map',
         '',
@@ -149,8 +173,8 @@ TABLE = (
     Parameter(
         'grid.resolution',
         0.0,
-        'Side of a cell in metres, at least the resolution of the map; 0 means the resolution of '
-        'the map, or 1 m without a map.',
+        'Side of a cell in metres, at least the resolution of the map; 0 means 1 m, or the '
+        'resolution of the map if that is coarser.',
         GRID,
         limits=(0.0, 1000.0),
     ),
@@ -424,6 +448,13 @@ TABLE = (
         'the mission ends when no path is left.',
         limits=PROBABILITY,
     ),
+    for_planner(
+        'minimum_reach',
+        0.5,
+        'Minimum share of the cells connected to the base that paths must reach, for the goal '
+        'map: if max_steps is too low for it, no robot leaves; 0 for no minimum.',
+        limits=PROBABILITY,
+    ),
     changeable(
         'approval',
         False,
@@ -677,3 +708,5 @@ TABLE = (
         limits=(0.0, 1e9),
     ),
 )
+
+TABLE = tuple(replace(each, in_field=IN_FIELD.get(each.name)) for each in ROWS)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
-from kbnitp_ros.base.checks import density_note
+from kbnitp_ros.base.checks import density_note, failure_note
 from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.field import make_datum
@@ -56,6 +56,7 @@ class EstimatorNode(FieldNode):
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
+        self.get_logger().info(failure_note(self.values))
         if estimator.parameters:
             self.get_logger().info(
                 f'learning {", ".join(estimator.parameters)}, whatever value is given for them '

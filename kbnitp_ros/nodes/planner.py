@@ -19,7 +19,6 @@ from kbnitp_ros.base.mission_tracker import missing_plans, read_planner_record
 from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
 from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search
 from kbnitp_ros.configuration import agent_names
-from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
 from kbnitp_ros.configuration.mission import check_search, goal_cells
 from kbnitp_ros.core import NoPathError
 from kbnitp_ros.files import some
@@ -39,9 +38,6 @@ from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-
-# Minimum share of the field within reach, below which the planner warns.
-MIN_REACHED = 0.5
 
 
 class PlannerNode(FieldNode):
@@ -104,15 +100,13 @@ class PlannerNode(FieldNode):
         self._decisions.restore(record)
 
     def _log_reachability(self) -> None:
-        """Log the part of the field that no path reaches, as a warning if that part is large."""
-        log, max_steps = self.get_logger(), most_steps(self.values)
-        bases = [own_base(self.values, agent, self.grid) for agent in self._agents]
-        distance = most_distance(self.values, self._agents)
-        if note := reach_note(self.grid, max_steps, 1.0, bases, distance):
-            is_most = bool(reach_note(self.grid, max_steps, MIN_REACHED, bases, distance))
-            (log.warning if is_most else log.info)(note)
-        if note := cut_off_note(self.grid):
-            log.info(note)
+        """Log the cells of a map, and the part of the field that no path reaches."""
+        grid, mapped = self.grid, self.values['map'] or self.values['map_topic']
+        cells = f'{grid.width} x {grid.height} cells of {grid.resolution:g} m'
+        from_map = f'map {mapped}: {cells} (grid.resolution), {(~grid.free).sum()} of them blocked'
+        for note in (from_map * bool(mapped), reach_note(grid, self.values), cut_off_note(grid)):
+            if note:
+                self.get_logger().info(note)
 
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
         """Refuse parameter values that are invalid in the running mission."""

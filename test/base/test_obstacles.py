@@ -5,13 +5,20 @@ from dataclasses import replace
 from itertools import combinations
 
 from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.checks import check_changes, check_robots, cut_off_note, reach_note
+from kbnitp_ros.base.checks import (
+    check_changes,
+    check_reach,
+    check_robots,
+    cut_off_note,
+    failure_note,
+    reach_note,
+)
 from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
 from kbnitp_ros.base.rounds import Rounds
-from kbnitp_ros.configuration import node_parameters
+from kbnitp_ros.configuration import node_parameters, with_defaults
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel, Unknowns
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_report
@@ -244,6 +251,10 @@ def test_a_log_with_more_robots_is_refused():
         check_robots(4, 5)
 
 
+def limits(max_steps, max_distance=0.0):
+    return {'agents': ['scout_1'], 'max_steps': max_steps, 'max_distance': max_distance}
+
+
 @for_each('grid, max_steps, told', [
     (
         Grid(30, 30),
@@ -262,7 +273,8 @@ def test_a_log_with_more_robots_is_refused():
     (Grid(3, 1, blocked=(1,)), 4, ''),
 ])  # fmt: skip
 def test_the_share_of_the_field_in_reach_is_stated(grid, max_steps, told):
-    assert reach_note(grid, max_steps) == told
+    assert reach_note(grid, limits(max_steps)) == told
+    assert reach_note(grid, limits(max_steps), 0.0) == ''
 
 
 def test_the_share_of_the_field_within_a_distance_is_stated():
@@ -271,8 +283,34 @@ def test_the_share_of_the_field_within_a_distance_is_stated():
         'paths of 18 steps and 4 m reach 17 of the 81 cells connected to the base (a box of 5x5 '
         'of 9x9 cells): to reach all, set max_steps to 16 and max_distance to 11.4'
     )
-    assert reach_note(grid, 18, max_distance=4.0) == told
-    assert reach_note(grid, 18, max_distance=11.4) == ''
+    assert reach_note(grid, limits(18, 4.0)) == told
+    assert reach_note(grid, limits(18, 11.4)) == ''
+
+
+@for_each('changes, is_refused', [
+    ({}, True),
+    ({'minimum_reach': 0.1}, False),
+    ({'resume': 'mission.mcap'}, False),
+    ({'goal.kind': 'lane'}, False),
+])  # fmt: skip
+def test_a_mission_that_reaches_few_cells_is_refused_unless_it_is_confirmed(changes, is_refused):
+    values = {**limits(18), 'minimum_reach': 0.5, 'resume': '', 'goal.kind': 'map', **changes}
+    asked = []
+    check_reach(Grid(30, 30), values, lambda question: not asked.append(question))
+    assert [question.partition(' to reach all, ')[2] for question in asked] == [
+        'set max_steps to 58. Send robots all the same?'
+    ] * is_refused
+    if is_refused:
+        with pytest.raises(ValueError, match='set max_steps to 58, or minimum_reach to 0 for'):
+            check_reach(Grid(30, 30), values)
+
+
+@for_each('malfunction, steps, share', [(0.001, 18, '1.8'), (0.05, 18, '60'), (0.0, 5, '0')])
+def test_a_mission_states_how_many_robots_fail_without_hazards(malfunction, steps, share):
+    given = {'sensor.malfunction': malfunction, 'max_steps': steps, 'defaults': 'field'}
+    note = failure_note({**with_defaults('estimator', given)})
+    assert note.startswith(f'without hazards {share} % of robots fail on the longest path')
+    assert note.endswith('defaults: field)')
 
 
 def test_cells_that_are_cut_off_are_stated():

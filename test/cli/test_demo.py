@@ -12,6 +12,7 @@ import subprocess
 import sys
 from threading import Thread
 import time
+from types import SimpleNamespace
 
 from demo_mission import demo_mission
 from kbnitp_msgs.msg import Progress
@@ -21,6 +22,7 @@ from kbnitp_ros.cli.demo_mission import chosen_parameters, observed, recorded_pa
 from kbnitp_ros.cli.parameters import NODES
 from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
+from kbnitp_ros.configuration.table import IN_FIELD
 from kbnitp_ros.core import (
     log_loss,
     RobotType,
@@ -297,6 +299,42 @@ def test_lethality_and_hazard_density_are_learnt_by_default(options, method, lea
     assert (estimator['method'], estimator['learn.numbers']) == (method, learn)
 
 
+def test_a_mission_on_a_map_has_the_defaults_of_the_field(on_a_map):
+    on_a_map += ['--set', 'grid.base=8']
+    paper, field, given, without = (
+        chosen_parameters(parse(options))
+        for options in (
+            [],
+            on_a_map,
+            [*on_a_map, '--set', 'sensor.malfunction=0.02', '--set', 'silent_loss=false'],
+            [*on_a_map, '--set', 'defaults=paper'],
+        )
+    )
+    assert {name: field['agent'][name] for name in IN_FIELD if name in field['agent']} == {
+        name: value for name, value in IN_FIELD.items() if name != 'learn.numbers'
+    }
+    assert field['estimator']['learn.numbers'] == ('lethality', 'hazard_density')
+    assert {field[node]['defaults'] for node in ('agent', 'estimator', 'planner')} == {'field'}
+    assert given['estimator']['sensor.malfunction'] == 0.02
+    assert (given['planner']['silent_loss'], given['planner']['step_period']) == (False, 0.2)
+    for name in IN_FIELD.keys() & paper['agent'].keys():
+        assert without['agent'][name] == paper['agent'][name] != field['agent'][name]
+
+
+def test_few_cells_within_reach_are_a_question_on_a_terminal(monkeypatch):
+    questions = []
+
+    def answered(answer):
+        monkeypatch.setattr('builtins.input', lambda asked: questions.append(asked) or answer)
+        return chosen_parameters(parse(['--size', '30']))
+
+    monkeypatch.setattr('sys.stdin', SimpleNamespace(isatty=lambda: True))
+    assert answered('y')['planner']['minimum_reach'] == 0.0
+    with pytest.raises(ValueError, match='set max_steps to 58'):
+        answered('')
+    assert questions[0].endswith('max_steps to 58. Send robots all the same? [y/N] ')
+
+
 @pytest.mark.processes
 def test_a_demo_states_its_reach_and_shows_two_learnt_numbers(whole):
     out, printed = whole
@@ -395,7 +433,8 @@ def on_a_map(tmp_path):
         'image: field.pgm\nresolution: 0.2\norigin: [3.0, -1.0, 0.0]\nnegate: 0\n'
         'occupied_thresh: 0.65\nfree_thresh: 0.25\n'
     )
-    return ['--set', f'map={tmp_path / "field.yaml"}', '--set', 'max_steps=8', '--robots', '3']
+    map_file = ['--set', f'map={tmp_path / "field.yaml"}', '--set', 'grid.resolution=0.2']
+    return [*map_file, '--set', 'max_steps=8', '--robots', '3']
 
 
 def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, tmp_path, capsys):
@@ -408,6 +447,8 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
 
 @for_each('options, complaint', [
     (['--robots', '-1'], 'robots.*-1.*from 0'),
+    (['--size', '30'], 'paths of 18 steps reach 100 of the 900 .* max_steps to 58, or minimum_r'),
+    (['--planner', 'nowhere:plan'], "planner is 'nowhere:plan': .*No module named 'nowhere'; it"),
     (['--size', '9x'], "--size.*'9x'"),
     (['--method', 'kappa_bnitp_smoothed'], 'smoothed.*it is gone.* 0.3.0 .*use kappa_b'),
     (['--agents', '0'], 'agents is 0.*at least 1'),

@@ -79,7 +79,8 @@ def test_nodes_declare_the_table(make_node, name):
     node = make_node()
     values = declare(node, name)
     for parameter in node_parameters(name).values():
-        assert values[parameter.name] == parameter.default
+        is_chosen = parameter.name == 'defaults'
+        assert values[parameter.name] == ('paper' if is_chosen else parameter.default)
         descriptor = node.describe_parameter(parameter.name)
         assert descriptor.description == parameter.description
         assert descriptor.read_only == parameter.read_only
@@ -293,6 +294,7 @@ def write_map(folder, picture, resolution=0.5):
 
 def test_a_map_gives_the_field(tmp_path):
     values = write_map(tmp_path, ['?.##', '....'])
+    values['grid.resolution'] = 0.5
     field = {'resolution': 0.5, 'origin': (1.0, 2.0)}
     clear = Grid(4, 2, blocked=(4, 6, 7), through_corners=False, **field)
     assert make_grid(values) == clear
@@ -306,6 +308,10 @@ def test_a_map_gives_the_field(tmp_path):
     coarse = make_grid(values | {'grid.resolution': 1.0, 'unknown_blocks': False})
     assert (coarse.width, coarse.height, coarse.resolution) == (2, 1, 1.0)
     assert coarse.blocked == {1}
+    # Cells of 1 m unless the parameters or a coarser map say otherwise.
+    assert make_grid(values | {'grid.resolution': 0.0, 'unknown_blocks': False}) == coarse
+    values = write_map(tmp_path, ['....'], resolution=2.0)
+    assert make_grid(values).resolution == 2.0
 
 
 def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
@@ -317,7 +323,10 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
 
 @for_each('given, told', [
     ({'grid.base_position': (1.7, 2.7)}, 'the base, cell 5 around .* is blocked'),
-    ({'grid.base': 5}, 'the base, cell 5 around .* is blocked'),
+    (
+        {'grid.base': 5},
+        r'the base, cell 5 .* set grid.base .*_position, .* free cell is 1 around \(1.75, 2.25\)',
+    ),
     ({'grid.base_position': (0.9, 2.1)}, 'outside the grid'),
     ({'grid.base_position': (1.0,)}, r'grid.base_position is \[1.0\]: it must be x and y'),
     ({'grid.resolution': 0.25}, 'grid resolution is 0.25: it must be at least that of the map'),
@@ -326,7 +335,7 @@ def test_without_a_map_the_base_may_be_a_point_and_steps_keep_off_corners():
 ])  # fmt: skip
 def test_bad_fields_are_refused(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
-        make_grid(write_map(tmp_path, ['.#..', '....']) | given)
+        make_grid(write_map(tmp_path, ['.#..', '....']) | {'grid.resolution': 0.5} | given)
 
 
 def test_each_agent_may_have_a_base_of_its_own(tmp_path):
@@ -335,12 +344,13 @@ def test_each_agent_may_have_a_base_of_its_own(tmp_path):
         'team.scout_2.base': 3,
         'team.scout_3.base_position': (2.2, 2.1),
     }
-    values = write_map(tmp_path, ['....', '....']) | own
+    values = write_map(tmp_path, ['....', '....'], resolution=1.0) | own
     grid = make_grid(values)
     bases = [own_base(values, agent, grid) for agent in own['agents']]
     assert bases == [None, 3, int(grid.cells_at([(2.2, 2.1)])[0])]
     assert grid.other_bases == set(bases[1:])
-    assert grid == replace(make_grid(write_map(tmp_path, ['....', '....'])), other_bases=bases[1:])
+    alone = make_grid({name: value for name, value in values.items() if name not in own})
+    assert grid == replace(alone, other_bases=bases[1:])
     types = make_robot_types(values, grid)
     assert [each.base for each in types.values()] == bases
     assert with_base('planner') == with_base('robot') == with_base('agent') == 3
@@ -366,11 +376,11 @@ def with_base(node):
 ])  # fmt: skip
 def test_bad_bases_are_refused_by_name(tmp_path, given, told):
     with pytest.raises(ValueError, match=told):
-        make_grid(write_map(tmp_path, ['.#..', '.#..']) | given)
+        make_grid(write_map(tmp_path, ['.#..', '.#..'], resolution=1.0) | given)
 
 
 def test_a_map_of_too_many_cells_is_refused(tmp_path):
-    values = write_map(tmp_path, ['.' * 1001], resolution=0.05)
+    values = write_map(tmp_path, ['.' * 1001], resolution=0.05) | {'grid.resolution': 0.05}
     with pytest.raises(ValueError, match='grid of 1001 x 1 cells: at most 1000 per side'):
         make_grid(values)
     assert make_grid(values | {'grid.resolution': 0.1, 'unknown_blocks': False}).width == 501

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kbnitp_ros.configuration import find_parameter, node_parameters, Parameter
+from kbnitp_ros.configuration import find_parameter, node_parameters, Parameter, with_defaults
 from kbnitp_ros.configuration.known import check_own, CLOCK, foreign_note, gone_note, TOPICS
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -21,14 +21,15 @@ import rclpy.parameter
 def declare(node: Node, name: str) -> dict[str, Any]:
     """Declare the parameters of the node called `name` and return their values."""
     mine = node_parameters(name)
-    values = {parameter.name: parameter.default for parameter in mine.values()}
+    overrides = {}
     # A private attribute: rclpy does not list given parameters before they are declared.
     for given, override in node._parameter_overrides.items():
         if parameter := find_parameter(name, given):
             mine[given] = parameter
-            values[given] = parameter.check(override.value)
+            overrides[given] = parameter.check(override.value)
         elif note := gone_note(name, given) or foreign_note(given):
             node.get_logger().warning(note)
+    values = with_defaults(name, overrides)
     # A real robot has no parameter agents.
     if 'agents' in values:
         check_own(values)
