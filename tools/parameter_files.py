@@ -28,7 +28,9 @@ def reference_page() -> str:
         '',
         'Printed by `python3 tools/parameter_files.py` from the table that the nodes use.',
         'Every node also has `use_sim_time`. A parameter is fixed once its node runs, unless it',
-        'says that it can be changed. Other packages may add methods, planners and allocations.',
+        'says that it can be changed. Other packages may add methods, planners and allocations;',
+        '`MODULE:FUNCTION` names one in a file of the working folder. A default *in the field*',
+        'counts where the parameter `defaults` is `field`, or `auto` with a map.',
         '',
         'An agent may have its own values, as `team.AGENT.NAME` (see',
         '[Maps](maps.md#robots-that-differ)), of '
@@ -43,7 +45,8 @@ def reference_page() -> str:
             '|---|---|---|---|',
         ]
         lines += [
-            f'| `{parameter.name}` | `{json.dumps(parameter.default)}` | {parameter.must_be} '
+            f'| `{parameter.name}` | `{json.dumps(parameter.default)}`{parameter.differs} '
+            f'| {parameter.must_be} '
             f'| {parameter.description}{parameter.changeable} |'
             for parameter in map(of_this_package, node_parameters(name).values())
         ]
@@ -62,7 +65,8 @@ MISSION_FILE = """\
 #   ros2 launch kbnitp_ros mission.launch.py params_file:=mine.yaml
 #   python3 -m kbnitp_ros demo --params mine.yaml
 # A parameter is fixed once its node runs, unless it says that it can be changed. Values of one
-# agent, such as team.scout_2.max_steps: 10, go under /**; see docs/maps.md.
+# agent, such as team.scout_2.max_steps: 10, go under /**; see docs/maps.md. A parameter whose line
+# is a comment has another default in the field (parameter defaults).
 
 # Parameters of several nodes. A section further down may differ: give the agent a sensor.lethality
 # of its own, and its world is not what the estimator believes.
@@ -71,11 +75,6 @@ MISSION_FILE = """\
     # Whether to follow /clock instead of the clock of the machine.
     use_sim_time: false
 """
-
-
-# A parameter whose default depends on the method. Its line is a comment, so that launch files tell
-# a value that a user gave.
-BY_METHOD = 'learn.numbers'
 
 
 def mission_file() -> str:
@@ -102,11 +101,10 @@ def section_lines(parameters: Iterable[Parameter]) -> Iterator[str]:
                 f'{parameter.description}{parameter.changeable} {kind}.', 97 - len(indent)
             )
             yield from (f'{indent}# {line}' for line in words)
-            if parameter.name == BY_METHOD:
-                yield f'{indent}# Without this line launch files learn what demo learns.'
-            off = '# ' if parameter.name == BY_METHOD else ''
+            off = '# ' if parameter.differs else ''
+            in_field = parameter.differs.replace(', ', '  # ', 1)
             own_name = parameter.name.rpartition('.')[2]
-            yield f'{indent}{off}{own_name}: {json.dumps(parameter.default)}'
+            yield f'{indent}{off}{own_name}: {json.dumps(parameter.default)}{in_field}'
 
 
 if __name__ == '__main__':
