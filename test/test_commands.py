@@ -85,7 +85,7 @@ def test_the_help_of_a_node_has_its_parameters_with_defaults_and_limits(name):
     parser = node_parser(name, 'Does it.')
     told = ' '.join(parser.format_help().split())
     for parameter in node_parameters(name).values():
-        default = ' '.join(json.dumps(parameter.default).split())
+        default = ' '.join(json.dumps(parameter.default).split()) + parameter.differs
         assert f' {parameter.name} {parameter.description} Default {default}; ' in told
         assert parameter.must_be in told
     (example,) = re.findall(r'-p ([a-z][\w.]*):=', told)

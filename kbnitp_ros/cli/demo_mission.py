@@ -196,14 +196,14 @@ def check_mission(parameters: Mapping[str, dict[str, Any]]) -> None:
     grid = make_grid(simulated)
     agent_names(simulated, grid)
     check_search(parameters['planner'], grid, make_robot_types(estimator, grid))
-    check_reach(grid, parameters['planner'], confirmed)
-    # The planner must not refuse cells that were confirmed.
-    parameters['planner']['minimum_reach'] = 0.0
     make_execution(simulated)
     true_dynamics(simulated)
     if simulated['world.file']:
         read_world(simulated['world.file'], grid)
     make_estimator(estimator, grid)
+    check_reach(grid, parameters['planner'], confirmed)
+    # The planner must not refuse cells that were confirmed.
+    parameters['planner']['minimum_reach'] = 0.0
 
 
 def how_to_go_on(log: Path) -> str:

@@ -58,7 +58,9 @@ def on_a_map(folder):
     hazard = np.broadcast_to(np.linspace(250, 100, 12), (8, 12))
     target = np.broadcast_to(np.linspace(195, 120, 8)[:, None], (8, 12))
     return {
+        'defaults': 'paper',
         'map': write_map(folder, 'field', gray, FIELD_MAP),
+        'minimum_reach': 0.0,
         'grid.resolution': 0.5,
         'grid.base_position': [7.5, 12.5],
         'prior.hazard_map': write_map(folder, 'hazard', hazard, PRIOR_MAP),

@@ -106,7 +106,7 @@ def not_used(found, allowed):
 # All topics that parameters enable; the map gives the field.
 PARAMETERS = {
     'map_topic': '/map', 'max_steps': 6, 'robots': 4, 'planner': 'relaxed', 'publish_pose': True,
-    'publish_truth': True, 'recorded': True, 'seed': 1, 'step_period': 0.05,
+    'publish_truth': True, 'recorded': True, 'seed': 1, 'step_period': 0.05, 'defaults': 'paper',
 }  # fmt: skip
 LEARNING = {'method': 'kappa_bnitp_sampled', 'learn.numbers': ['lethality'], 'filter.type': 0}
 
