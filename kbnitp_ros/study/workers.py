@@ -161,7 +161,9 @@ def _on_cluster(client: Any, run: Callable[..., Any], items: Sequence[Any]) -> I
         for done in as_completed([client.submit(call, nth, pure=False) for call in calls]):
             yield done.result()
     except (CancelledError, KilledWorker, OSError) as error:
-        raise RuntimeError(f'the Dask cluster is lost: {in_words(error)}') from None
+        raise RuntimeError(
+            f'the Dask cluster is lost ({type(error).__name__}); finished trials are kept'
+        ) from None
 
 
 def _run(
@@ -208,7 +210,7 @@ def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
     from distributed import Client, LocalCluster
 
     # Its messages about a lost cluster are tracebacks.
-    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+    logging.getLogger('distributed.client').setLevel(logging.CRITICAL)
     with ExitStack() as stack:
         cluster = scheduler or stack.enter_context(
             LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
