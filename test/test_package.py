@@ -25,7 +25,6 @@ ROOT = Path(__file__).parents[1]
 PYTHON_PACKAGES = {
     'colorspacious': (None, 'colorspacious'),
     'cyclonedds': (None, 'cyclonedds'),
-    'foxglove': (None, 'foxglove-sdk'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'irsim': (None, 'ir-sim'),
     'jinja2': ('python3-jinja2', 'jinja2'),
@@ -39,7 +38,6 @@ PYTHON_PACKAGES = {
     'pandas': ('python3-pandas', 'pandas'),
     'PIL': ('python3-pil', 'pillow'),
     'playwright': (None, 'playwright'),
-    'plotly': (None, 'plotly'),
     'pyagrum': (None, 'pyagrum'),
     'pyarrow': (None, 'pyarrow'),
     'pyproj': ('python3-pyproj', 'pyproj'),
