@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
+from collections.abc import Sequence
 import sys
 
 if __name__ == '__main__' and not getattr(sys.flags, 'safe_path', False):
     # The working folder comes last: a yaml.py there must not hide PyYAML.
     sys.path.append(sys.path.pop(0))
-
-from collections.abc import Sequence
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.files import installed
