@@ -49,7 +49,7 @@ def in_library(side: int, steps: int, deployments: int) -> list[tuple[int, float
 def over_ros(side: int, steps: int, deployments: int) -> list[tuple[int, float, float]]:
     """Return the same for the four nodes together."""
     rates = {f'hazards.{name}': getattr(CHANGING, name) for name in ('appear', 'vanish')}
-    field = {'grid.width': side, 'grid.height': side, 'max_steps': steps, 'minimum_reach': 0.0}
+    field = {'grid.width': side, 'grid.height': side, 'max_steps': steps}
     samples = nodes.run_nodes(deployments, **field, **rates, **{'hazards.dynamics': 'changing'})
     return [
         (sample.deployments, sum(node['Pss'] for node in sample.memory.values()), sample.time)

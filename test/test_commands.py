@@ -115,6 +115,15 @@ def test_a_user_without_home_has_a_folder_for_files(monkeypatch, tmp_path):
     assert os.environ['HOME'] == str(tmp_path)
 
 
+def test_a_robot_without_home_is_refused_since_its_journal_must_be_kept(monkeypatch, capsys):
+    monkeypatch.setenv('HOME', '/nowhere')
+    monkeypatch.delenv('ROS_HOME', raising=False)
+    assert commands.main(['robot']) == 2
+    assert (
+        'the home /nowhere cannot be written to: set HOME or ROS_HOME' in capsys.readouterr().err
+    )
+
+
 # Replaces a library that is slow to import and used by all.
 SLOW = """
 import time

@@ -55,6 +55,7 @@ IN_FIELD = {
     'silent_loss': True,
     'step_period': 0.2,
     'publish_pose': True,
+    'minimum_reach': 0.5,
 }
 
 # Sensors of robots: defaults and descriptions.
@@ -450,7 +451,7 @@ ROWS = (
     ),
     for_planner(
         'minimum_reach',
-        0.5,
+        0.0,
         'Minimum share of the cells connected to the base that paths must reach, for the goal '
         'map: if max_steps is too low for it, no robot leaves; 0 for no minimum.',
         limits=PROBABILITY,

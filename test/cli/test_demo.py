@@ -311,7 +311,7 @@ def test_a_mission_on_a_map_has_the_defaults_of_the_field(on_a_map):
         )
     )
     assert {name: field['agent'][name] for name in IN_FIELD if name in field['agent']} == {
-        name: value for name, value in IN_FIELD.items() if name != 'learn.numbers'
+        name: value for name, value in IN_FIELD.items() if name in field['agent']
     }
     assert field['estimator']['learn.numbers'] == ('lethality', 'hazard_density')
     assert {field[node]['defaults'] for node in ('agent', 'estimator', 'planner')} == {'field'}
@@ -326,7 +326,7 @@ def test_few_cells_within_reach_are_a_question_on_a_terminal(monkeypatch):
 
     def answered(answer):
         monkeypatch.setattr('builtins.input', lambda asked: questions.append(asked) or answer)
-        return chosen_parameters(parse(['--size', '30']))
+        return chosen_parameters(parse(['--size', '30', '--set', 'minimum_reach=0.5']))
 
     monkeypatch.setattr('sys.stdin', SimpleNamespace(isatty=lambda: True))
     assert answered('y')['planner']['minimum_reach'] == 0.0
@@ -447,7 +447,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
 
 @for_each('options, complaint', [
     (['--robots', '-1'], 'robots.*-1.*from 0'),
-    (['--size', '30'], 'paths of 18 steps reach 100 of the 900 .* max_steps to 58, or minimum_r'),
+    (['--size', '30', '--set', 'minimum_reach=0.5'], 'paths of 18 steps reach 100 of the 900 .* max_steps to 58, or minimum_r'),
     (['--planner', 'nowhere:plan'], "planner is 'nowhere:plan': .*No module named 'nowhere'; it"),
     (['--size', '9x'], "--size.*'9x'"),
     (['--method', 'kappa_bnitp_smoothed'], 'smoothed.*it is gone.* 0.3.0 .*use kappa_b'),

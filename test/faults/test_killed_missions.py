@@ -60,7 +60,6 @@ def on_a_map(folder):
     return {
         'defaults': 'paper',
         'map': write_map(folder, 'field', gray, FIELD_MAP),
-        'minimum_reach': 0.0,
         'grid.resolution': 0.5,
         'grid.base_position': [7.5, 12.5],
         'prior.hazard_map': write_map(folder, 'hazard', hazard, PRIOR_MAP),

@@ -40,7 +40,7 @@ LARGE = {
 }  # fmt: skip
 HUGE = {
     'grid.width': 300, 'grid.height': 300, 'grid.base': 150 * 300 + 150, 'max_steps': 60,
-    'sensor.malfunction': 0.001, 'planner': 'relaxed', 'minimum_reach': 0.0,
+    'sensor.malfunction': 0.001, 'planner': 'relaxed',
 }  # fmt: skip
 
 

@@ -230,6 +230,8 @@ def test_values_follow_changes(make_node):
     ('grid.width', 5, 'read-only'),
     ('robots', -1, 'out of range'),
     ('planner', 'guess', f"'guess': it must be one of {', '.join(PLANNERS)}"),
+    # Others may set parameters, and must not import modules.
+    ('planner', 'this:s', "'this:s': a module is imported at the start only"),
     ('beam_width', 2.5, 'type'),
     ('use_sim_time', True, 'use_sim_time cannot change: restart the node with the'),
 ])  # fmt: skip
@@ -241,6 +243,7 @@ def test_bad_values_are_refused_while_running(make_node, name, value, told):
     assert not result.successful
     assert told in result.reason
     assert values == before
+    assert 'this' not in sys.modules
     assert not node.get_clock().ros_time_is_active
 
 
