@@ -9,6 +9,7 @@ from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import asdict
 import fcntl
 from functools import partial
+import gc
 from importlib.util import find_spec
 import logging
 from operator import methodcaller
@@ -215,16 +216,21 @@ def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
         cluster = scheduler or stack.enter_context(
             LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
         )
+        failure = ''
         try:
             client = stack.enter_context(Client(cluster, timeout=PATIENCE))
             client.wait_for_workers(1, timeout=PATIENCE)
             # Only built-in functions reach a worker that lacks this package.
             client.run(exec, f'import {__name__}')
         except (OSError, ValueError, AsyncTimeoutError) as error:
-            raise ConnectionError(f'no Dask workers found at {scheduler}: {error}') from error
+            failure = f'no Dask workers found at {scheduler}: {error}'
         except ImportError as error:
-            raise ConnectionError(
+            failure = (
                 f'a Dask worker cannot run trials: {in_words(error)}; install kbnitp_ros[study] '
                 'in the Python of the workers'
-            ) from error
+            )
+        if failure:
+            # A client that could not connect, deleted while another one starts, waits for ever.
+            gc.collect()
+            raise ConnectionError(failure)
         yield client
