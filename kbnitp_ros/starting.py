@@ -45,8 +45,16 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     # Set before numpy is imported. Further threads slow down products of small matrices, and
     # make their rounding depend on the number of processors.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    # In a container a user may have no home, which matplotlib and the logs of ROS need.
+    # In a container a user may have no home, which matplotlib and the logs of ROS need. The
+    # journal of a robot must outlive a restart.
     home = os.path.expanduser('~')  # noqa: PTH111, since Path.home() raises
+    if not os.access(home, os.W_OK) and name == 'robot' and 'ROS_HOME' not in os.environ:
+        print(
+            f'robot: the home {home} cannot be written to: set HOME or ROS_HOME to a folder that '
+            'is kept, for the journal',
+            file=sys.stderr,
+        )
+        return 2
     os.environ['HOME'] = home if os.access(home, os.W_OK) else os.environ.get('TMPDIR', '/tmp')
 
     def end(number: int, _frame: FrameType | None) -> None:
