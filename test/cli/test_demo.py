@@ -447,7 +447,10 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
 
 @for_each('options, complaint', [
     (['--robots', '-1'], 'robots.*-1.*from 0'),
-    (['--size', '30', '--set', 'minimum_reach=0.5'], 'paths of 18 steps reach 100 of the 900 .* max_steps to 58, or minimum_r'),
+    (
+        ['--size', '30', '--set', 'minimum_reach=0.5'],
+        'paths of 18 steps reach 100 of the 900 .* max_steps to 58, or minimum_r',
+    ),
     (['--planner', 'nowhere:plan'], "planner is 'nowhere:plan': .*No module named 'nowhere'; it"),
     (['--size', '9x'], "--size.*'9x'"),
     (['--method', 'kappa_bnitp_smoothed'], 'smoothed.*it is gone.* 0.3.0 .*use kappa_b'),
