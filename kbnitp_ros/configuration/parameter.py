@@ -126,6 +126,16 @@ class Parameter:
             raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
         return tuple(self._check_one(one, self.element) for one in values)
 
+    def check_change(self, value: Any) -> None:
+        """Check a value for a running node, which imports no module: anyone may set values."""
+        choices = self.choices
+        if isinstance(choices, Registry) and ':' in str(value) and value not in choices:
+            raise ValueError(
+                f'parameter {self.name} is {value!r}: a module is imported at the start only; '
+                'start the node with it'
+            )
+        self.check(value)
+
     def _check_one(self, value: Any, wanted: type[Any]) -> Any:
         if self.word and value == self.word:
             return value

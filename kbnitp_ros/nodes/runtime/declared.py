@@ -8,7 +8,6 @@ from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, node_parameters, Parameter, with_defaults
 from kbnitp_ros.configuration.known import check_own, CLOCK, foreign_note, gone_note, TOPICS
-from kbnitp_ros.plugins import Registry
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -49,8 +48,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
                 if change.name == CLOCK and change.value != node.get_parameter(CLOCK).value:
                     raise ValueError(f'{CLOCK} cannot change: restart the node with the new value')
                 if change.name in mine:
-                    check_imported(mine[change.name], change.value)
-                    mine[change.name].check(change.value)
+                    mine[change.name].check_change(change.value)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -66,16 +64,6 @@ def declare(node: Node, name: str) -> dict[str, Any]:
     node.add_on_set_parameters_callback(check)
     node.add_post_set_parameters_callback(keep)
     return values
-
-
-def check_imported(parameter: Parameter, value: Any) -> None:
-    """Check that a change names no module: whoever sets it could import anything."""
-    choices = parameter.choices
-    if isinstance(choices, Registry) and ':' in str(value) and value not in choices:
-        raise ValueError(
-            f'parameter {parameter.name} is {value!r}: a module is imported at the start only; '
-            'start the node with it'
-        )
 
 
 def state(node: Node, names: Mapping[str, str]) -> None:
