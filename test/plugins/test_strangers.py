@@ -199,8 +199,8 @@ def test_names_in_logs_and_messages_import_no_module(tmp_path, monkeypatch):
 @pytest.fixture
 def small_benchmark(tmp_path):
     """Return a folder with the package beside a benchmark of a small field."""
-    scenarios = tmp_path / 'scenarios'
-    scenarios.mkdir()
+    scenarios = tmp_path / 'config/scenarios'
+    scenarios.mkdir(parents=True)
     # The scenarios beside the package: links stay links.
     tmp_path.joinpath('kbnitp_ros').symlink_to(ROOT / 'kbnitp_ros')
     content = read_yaml(ROOT / 'config/scenarios/benchmark.yaml')
