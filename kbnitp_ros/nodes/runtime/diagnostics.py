@@ -33,7 +33,7 @@ SHOWN_AT_ONCE = 10
 SHOWN = 1000
 
 # Seconds that a failing node waits for a subscriber of its last message, and for its delivery.
-LAST_WORDS = 1.0
+LAST_WORDS = 2.0
 
 
 WAITING = 'waiting for '
