@@ -48,14 +48,15 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     # In a container a user may have no home, which matplotlib and the logs of ROS need. The
     # journal of a robot must outlive a restart.
     home = os.path.expanduser('~')  # noqa: PTH111, since Path.home() raises
-    if not os.access(home, os.W_OK) and name == 'robot' and 'ROS_HOME' not in os.environ:
+    is_writable = os.access(home, os.W_OK)
+    if not is_writable and name == 'robot' and 'ROS_HOME' not in os.environ:
         print(
             f'robot: the home {home} cannot be written to: set HOME or ROS_HOME to a folder that '
             'is kept, for the journal',
             file=sys.stderr,
         )
         return 2
-    os.environ['HOME'] = home if os.access(home, os.W_OK) else os.environ.get('TMPDIR', '/tmp')
+    os.environ['HOME'] = home if is_writable else os.environ.get('TMPDIR', '/tmp')
 
     def end(number: int, _frame: FrameType | None) -> None:
         os._exit(0 if name in NODES else 128 + number)

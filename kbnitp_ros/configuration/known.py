@@ -86,7 +86,7 @@ def foreign_note(name: str, nodes: Sequence[str] = NODES) -> str:
 
 
 def _is_misspelt(name: str, known: str) -> bool:
-    """Return whether one letter is missing, added, changed or swapped with the next."""
+    """Detect a single typing error: a letter missing, added, changed, or swapped."""
     if abs(len(name) - len(known)) > 1:
         return False
     pairs = list(zip(name, known))
