@@ -2,7 +2,6 @@
 """A robot vouches for no cell that it did not enter, and every robot that came back is home."""
 
 import pytest
-
 from scenarios import (
     BEYOND,
     CLEAN,
