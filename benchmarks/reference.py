@@ -17,16 +17,12 @@ from kbnitp_ros.core import (
     Estimator,
     Grid,
     Observation,
-    ORDINARY,
     run_mission,
     SearchOptions,
     SensorModel,
-    Unknowns,
     World,
 )
 from kbnitp_ros.core.inference.chains import CHAINS, Chains
-from kbnitp_ros.core.inference.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.tally import Tally
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
@@ -55,13 +51,11 @@ def mission(lethality: float, number: int) -> list[Observation]:
 def posterior(lethality: float, observations: list[Observation], seed: int) -> NDArray[np.float64]:
     """Return the cells' joints by chains that start from a sampler's end."""
     sampler = Estimator(PRIOR, SensorModel(lethality), 'kappa_bnitp_sampled', seed=seed)
-    tally = Tally.empty(GRID.cells)
     for observation in observations:
         sampler.assimilate(observation)
-        tally = tally.with_deployment(observation, ORDINARY)
-    hypotheses = Hypotheses(PRIOR, SensorModel(lethality), Unknowns())
+    own = sampler._inference
     rng = np.random.default_rng(seed)
-    moving = Chains(hypotheses, tally, sampler._inference._state, rng)
+    moving = Chains(own._hypotheses, own._evidence, own._state, rng)
     for _ in range(SWEEPS // CHAINS):
         moving.sweep()
     return moving.joint()[0]

@@ -33,8 +33,8 @@ from kbnitp_ros.core.inference.filters import (
     RATES,
     safe_log,
 )
-from kbnitp_ros.core.inference.hypotheses import expit, make_joint, MAPS, offsets, prior_maps
 from kbnitp_ros.core.inference.particle_filter import assimilated, Evidence, Floats, Steps
+from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,8 +6,8 @@ Every lost path is a factor 1 - prod_i s_{z_i}^{n_i}; every survived step and ev
 local likelihood in which targets are summed out. A chain holds the hazards of all visited cells
 and a value of each unknown number; a sweep draws each of them given all others. The belief
 averages the conditional probabilities of the draws, which vary less than the draws themselves
-(Rao-Blackwell). Cells without evidence are summed out like targets: they enter the chains when a
-robot is first sent to them. Each deployment continues the chains of the previous one.
+(Rao-Blackwell). Cells that no robot was sent to are summed out like targets, unless hazards are
+clustered. Each deployment continues the chains of the previous one.
 """
 
 from __future__ import annotations
@@ -19,14 +19,16 @@ from typing import ClassVar
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.observation import Observation
-from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt, Unknowns
 from kbnitp_ros.core.inference.chains import CHAINS, Chains, ChainState
 from kbnitp_ros.core.inference.filters import check_cells
-from kbnitp_ros.core.inference.hypotheses import Hypotheses
-from kbnitp_ros.core.inference.tally import Tally
+from kbnitp_ros.core.inference.hypotheses import Evidence, Hypotheses
 import numpy as np
 from numpy.typing import NDArray
+
+# Number of sweeps discarded after each deployment.
+DISCARDED = 4
 
 # Number of sweeps between tests of convergence, and maximum number of sweeps for a deployment.
 SWEEPS = 4
@@ -63,7 +65,7 @@ class Sampler:
 
     learns: ClassVar[bool] = True
     draws_are_exact: ClassVar[bool] = True
-    version: ClassVar[int] = 2
+    version: ClassVar[int] = 3
     takes_lost_at: ClassVar[bool] = True
     clusters: ClassVar[bool] = True
 
@@ -81,33 +83,31 @@ class Sampler:
                 f'sampling {belief.cells} cells takes about {estimate / 1e9:.1f} GB, and '
                 f'{MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or another method'
             )
-        self._hypotheses = Hypotheses(belief, model, unknowns, clustering)
+        self._hypotheses = hypotheses = Hypotheses(belief, model, unknowns, clustering)
         self._seed = seed
-        self._tally = Tally.empty(belief.cells)
-        self.belief = self._hypotheses.belief
+        self._evidence = Evidence((ORDINARY,), np.zeros((3, 1, belief.cells), np.int32))
+        self.belief = hypotheses.belief()
         rng = generator(seed, 0)
-        self._state = ChainState.start(self._hypotheses.bins, rng)
+        self._state = ChainState.start(hypotheses, rng)
         self.parameters: Mapping[str, Learnt] = {
-            name: Learnt(bins, np.exp(bins.log_prior))
-            for name, bins in self._hypotheses.bins.items()
-            if name in self._hypotheses.unknown
+            name: Learnt(bins, np.exp(bins.log_prior)) for name, bins in hypotheses.bins.items()
         }
-        self.model = self._hypotheses.model_with(
+        self.model = hypotheses.model_with(
             {name: learnt.mean for name, learnt in self.parameters.items()}
         )
         self.sampling_error, self.is_converged = 0.0, True
-        if self._hypotheses.clusters is not None:
+        if clustering is not None:
             self._enter_prior(rng)
 
     def _enter_prior(self, rng: np.random.Generator) -> None:
         """Run the chains under the clustered prior, and take their average as the belief."""
-        cells = np.arange(self.belief.cells)
+        cells = np.ones(self.belief.cells, bool)
         state = self._state.with_cells(cells, self._hypotheses, rng)
-        chains = Chains(self._hypotheses, self._tally, state, rng)
+        chains = Chains(self._hypotheses, self._evidence, state, rng)
         # Keep the numbers drawn from their priors: each chain draws a field for its numbers.
         for _ in range(PRIOR_SWEEPS):
-            chains.draw_field()
-        chains = Chains(self._hypotheses, self._tally, chains.state, rng)
+            chains.sweep(has_numbers=False)
+        chains.discard()
         for _ in range(PRIOR_SWEEPS):
             chains.sweep()
         joint, self.sampling_error = chains.joint()
@@ -116,29 +116,28 @@ class Sampler:
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Assimilate one more deployment."""
         check_cells(self.belief, observation)
-        tally = self._tally.with_deployment(observation, robot_type)
-        self._hypotheses.refuse_impossible(tally)
-        rng = generator(self._seed, tally.deployments)
-        held = tally.visited
-        held[self._state.cells] = True
-        state = self._state.with_cells(np.flatnonzero(held), self._hypotheses, rng)
-        chains = Chains(self._hypotheses, tally, state, rng)
-        converged = CONVERGED_LEARNING if self._hypotheses.unknown else CONVERGED
-        if 'coupling' in self._hypotheses.unknown:
+        hypotheses = self._hypotheses
+        evidence = self._evidence.after(observation, robot_type)
+        evidence.refuse_impossible(hypotheses)
+        rng = generator(self._seed, evidence.deployments)
+        state = self._state.with_cells(evidence.visited(), hypotheses, rng)
+        chains = Chains(hypotheses, evidence, state, rng)
+        converged = CONVERGED_LEARNING if hypotheses.bins else CONVERGED
+        if 'coupling' in hypotheses.bins:
             converged = CONVERGED_CLUSTERING
+        for _ in range(DISCARDED):
+            chains.sweep()
+        chains.discard()
         for _ in range(MAX_SWEEPS // SWEEPS):
             for _ in range(SWEEPS):
                 chains.sweep()
             joint, error = chains.joint()
             if error <= converged:
                 break
-        self._tally, self._state = tally, chains.state
-        if self._hypotheses.prior_is_known:
-            joint[~held] = self._hypotheses.belief.joint[~held]
-        self.belief = self._hypotheses.make_belief(joint)
+        self._evidence, self._state = evidence, chains.state
+        self.belief = hypotheses.make_belief(joint)
         self.sampling_error, self.is_converged = error, error <= converged
-        self.parameters = chains.learnt()
-        self.model = chains.model()
+        self.parameters, self.model = chains.learnt(), chains.model()
 
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """Draw the hazards of all cells jointly, by further sweeps of a copy of the chains."""
@@ -160,7 +159,7 @@ class Sampler:
 
     def _after_sweeps(self, count: int, rng: np.random.Generator) -> Iterator[Chains]:
         """Yield the chains after each of the sweeps needed for `count` draws."""
-        chains = Chains(self._hypotheses, self._tally, self._state, rng)
+        chains = Chains(self._hypotheses, self._evidence, self._state, rng)
         for _ in range(-(-count // CHAINS)):
             chains.sweep()
             yield chains

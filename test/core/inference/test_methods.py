@@ -149,7 +149,7 @@ def test_versions_are_known():
     prior = Belief.prior(Grid(3, 3), 0.5, 0.45, 0.8)
     assert {name: Estimator(prior, SensorModel(0.5), name).version for name in METHODS} == {
         **dict.fromkeys(METHODS, 1),
-        'kappa_bnitp_sampled': 2,
+        'kappa_bnitp_sampled': 3,
     }
 
 
