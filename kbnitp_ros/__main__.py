@@ -2,6 +2,7 @@
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 import sys
 
 if __name__ == '__main__' and not getattr(sys.flags, 'safe_path', False):
@@ -34,7 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         say(installed())
         return 0
     if name not in EXECUTABLES:
-        complain('kbnitp_ros', f'{name!r} is no command. {USAGE}' if name else USAGE)
+        close = get_close_matches(name, EXECUTABLES, 1)
+        meant = ''.join(f'did you mean {each}? ' for each in close)
+        complain('kbnitp_ros', f'{name!r} is no command. {meant}{USAGE}' if name else USAGE)
         return 2
     return start(name, arguments)
 

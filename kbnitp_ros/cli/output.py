@@ -73,9 +73,9 @@ def command(name: str) -> Callable[[Main], Main]:
             except MemoryError as error:
                 complain(name, f'there is not enough memory: {error}')
                 return 1
-            except OutputError as error:
+            except (BrokenPipeError, OutputError) as error:
                 discard(sys.stdout)
-                reason = error.__cause__
+                reason = error.__cause__ or error
                 if isinstance(reason, BrokenPipeError):
                     return 128 + signal.SIGPIPE
                 why = reason.strerror if isinstance(reason, OSError) else reason

@@ -30,6 +30,7 @@ DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': LEARNT}
 # Options, each with the parameter that it sets in every node that has this parameter.
 OPTIONS = {
     'robots': 'robots',
+    'map': 'map',
     'lethality': 'sensor.lethality',
     'max_steps': 'max_steps',
     'method': 'method',
