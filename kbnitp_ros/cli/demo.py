@@ -65,8 +65,9 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
                 help=f'{parameter.description} Default false.',
             )
         else:
+            metavar = 'FILE' if option == 'map' else 'X'
             parser.add_argument(
-                flag, metavar='X', type=type(parameter.default), help=parameter.summary
+                flag, metavar=metavar, type=type(parameter.default), help=parameter.summary
             )
     parser.add_argument(
         '--size',
