@@ -107,6 +107,8 @@ def test_a_module_in_the_working_folder_hides_no_other(tmp_path):
     assert (ended.returncode, ended.stderr) == (0, '')
 
 
+# In an empty home matplotlib starts fc-list.
+@pytest.mark.processes
 def test_a_user_without_home_has_a_folder_for_files(monkeypatch, tmp_path):
     monkeypatch.setenv('HOME', '/nowhere')
     monkeypatch.setenv('TMPDIR', str(tmp_path))
