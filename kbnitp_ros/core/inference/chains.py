@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel, times_log
+from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
-from kbnitp_ros.core.inference.filters import safe_log
 from kbnitp_ros.core.inference.hypotheses import CERTAIN, Evidence, Floats, Hypotheses, Places
 from kbnitp_ros.core.inference.prior_maps import expit
 import numpy as np
@@ -40,10 +39,16 @@ def softplus(log_odds: Floats) -> Floats:
     return result
 
 
-def by_cell(log_ratio: Floats, counts: NDArray[np.int32]) -> Floats:
-    """Return log ratios, (chains, types), times counts, (types, cells), summed over types."""
-    finite = np.nan_to_num(log_ratio, posinf=CERTAIN, neginf=-CERTAIN)
-    total: Floats = np.einsum('ct,tn->cn', finite, counts)
+def finite_log(chance: Floats) -> Floats:
+    """Return the logarithm, at least -`CERTAIN`."""
+    with np.errstate(divide='ignore'):
+        return np.log(chance).clip(min=-CERTAIN)
+
+
+def over_types(log: Floats, counts: Floats) -> Floats:
+    """Return logs, (n, types), times counts, (types, m), summed over the robot types."""
+    # Without BLAS, whose sums depend on the number of threads.
+    total: Floats = np.einsum('nt,tm->nm', log, counts)
     return total
 
 
@@ -100,7 +105,7 @@ class Chains:
         self._hazardous = state.hazardous[:, shown]
         self._undecided = {name: each[shown] for name, each in hypotheses.undecided.items()}
         self._is_drawn = self._undecided['hazard_density'] & state.is_held[shown]
-        self._survived, self._positive, self._negative = evidence.counts[:, :, shown]
+        self._survived, self._positive, self._negative = evidence.counts[:, :, shown] * 1.0
         self._read = np.flatnonzero((self._positive + self._negative).any(axis=0))
         # The prior maps as log odds and as chances, by value, each (values, cells).
         self._log_odds = {name: each[:, shown] for name, each in hypotheses.log_odds.items()}
@@ -114,15 +119,14 @@ class Chains:
         self._types = types = evidence.robot_types
         self._ordinary = types.index(ORDINARY)
         spares = 1.0 - np.array([each.model(hypotheses.model).false_negative for each in types])
-        with np.errstate(divide='ignore'):
-            self._log_endured = np.log1p(-hypotheses.by_type('malfunction', types))
-            self._log_spared = np.log1p(-hypotheses.by_type('lethality', types) * spares)
-        self._true, self._false = (
-            hypotheses.by_type(name, types) for name in ('true_positive', 'false_positive')
-        )
+        self._log_endured = finite_log(1.0 - hypotheses.by_type('malfunction', types))
+        self._log_spared = finite_log(1.0 - hypotheses.by_type('lethality', types) * spares)
+        # Logs of P(Y = y | X = x), by y and x, each (values, types).
+        rates = [hypotheses.by_type(name, types) for name in ('false_positive', 'true_positive')]
+        self._log_read = [[finite_log(1.0 - p) for p in rates], [finite_log(p) for p in rates]]
         most = 1 + max((loss.steps.size for loss in evidence.losses), default=0)
         endured, spared = (
-            np.exp(times_log(np.arange(most), log[:, :, None])).reshape(len(log), -1)
+            np.exp(np.arange(most) * log[:, :, None]).reshape(len(log), -1)
             for log in (self._log_endured, self._log_spared)
         )
         losses = evidence.blocks(shown, most)
@@ -228,15 +232,15 @@ class Chains:
 
     def _given_returns(self) -> tuple[Floats, list[tuple[Floats, Floats]]]:
         """Return hazard odds, and P(X) for each Z (:eq:`hazard-odds`, :eq:`reading-odds`)."""
-        true = self._of_chains('true_positive', self._true)
-        false = self._of_chains('false_positive', self._false)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            read = by_cell(np.log(true / false), self._positive)
-            read += by_cell(np.log((1.0 - true) / (1.0 - false)), self._negative)
-        ratio = np.exp(read.clip(-CERTAIN_READING, CERTAIN_READING))
-        log_odds = self._of_map('hazard_density', self._log_odds)
+        read: Floats = np.zeros(1)
+        for (absent, present), counts in zip(self._log_read, (self._negative, self._positive)):
+            if_absent = self._of_chains('false_positive', absent)
+            if_present = self._of_chains('true_positive', present)
+            read = read + over_types(if_present - if_absent, counts)
+        ratio = np.exp(np.clip(read, -CERTAIN_READING, CERTAIN_READING))
         spared = self._of_chains('lethality', self._log_spared)
-        log_odds = log_odds + by_cell(spared, self._survived)
+        log_odds = self._of_map('hazard_density', self._log_odds)
+        log_odds = log_odds + over_types(spared, self._survived)
         targets = []
         for name, sign in (('target_background', -1.0), ('kappa', 1.0)):
             absent, present = self._of_map(name, self._absent), self._of_map(name, self._present)
@@ -265,9 +269,8 @@ class Chains:
         if 'lethality' in self._place:
             endured = field.endured[field.malfunction][:, losses.steps]
             likelihood = self._of_losses(endured, exposed, field.spared)
-            # Floating point is exact for counts, and faster.
-            strikes = self._hazardous.astype(float) @ self._survived.T.astype(float)
-            likelihood += times_log(strikes[:, None], self._log_spared).sum(axis=2)
+            strikes = self._hazardous.astype(float) @ self._survived.T
+            likelihood += over_types(strikes, self._log_spared.T)
             weight = self._draw('lethality', likelihood)
             spared = (weight * np.exp(self._log_spared[:, self._ordinary])).sum(axis=1)
             log_endured = self._of_chains('malfunction', self._log_endured)
@@ -278,16 +281,15 @@ class Chains:
             steps = np.broadcast_to(losses.steps, exposed.shape)
             likelihood = self._of_losses(spared, steps, field.endured)
             survived = self._survived.sum(axis=1)
-            self._draw(
-                'malfunction', likelihood + times_log(survived, self._log_endured).sum(axis=1)
-            )
+            self._draw('malfunction', likelihood + self._log_endured @ survived)
 
     def _of_losses(self, known: Floats, row: NDArray[np.int32], of_rate: Floats) -> Floats:
         """Return the log likelihood of all losses for each value of a rate, (chains, values)."""
         likelihood = np.ones((CHAINS, len(of_rate)))
         rows, rates = np.ascontiguousarray(row, np.int32), np.ascontiguousarray(of_rate.T)
         gibbs.weigh_by_losses(self._field.losses, known, rows, rates, likelihood)
-        return safe_log(likelihood)
+        with np.errstate(divide='ignore'):
+            return np.log(likelihood)
 
     def _draw_prior(self) -> None:
         """Draw density and coupling (:eq:`map-conditional`, :eq:`coupling-conditional`)."""
@@ -339,9 +341,8 @@ class Chains:
             if name in place:
                 # Types that know their own camera tell nothing of the common one.
                 learning = [getattr(each, name) is None for each in self._types]
-                # Floating point is exact for counts, and faster.
                 positive, negative = (
-                    concerned.astype(float) @ counts[learning].sum(axis=0)[read].astype(float)
+                    concerned.astype(float) @ counts[learning].sum(axis=0)[read]
                     for counts in (self._positive, self._negative)
                 )
                 values = bins[name].values
