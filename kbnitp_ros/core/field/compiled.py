@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache, update_wrapper
+from functools import cache, partial, update_wrapper
 from hashlib import sha256
 import logging
 from os.path import realpath
@@ -22,7 +22,7 @@ from warnings import warn
 
 Kernel = TypeVar('Kernel', bound=Callable[..., Any])
 PACKAGE = Path(__file__).parents[2]
-_CHECKS: list[Callable[[], None]] = []
+_warn = partial(warn, category=RuntimeWarning, stacklevel=2)
 
 # Whether kernels that are not loaded yet run interpreted.
 _INTERPRETED = ContextVar('interpreted', default=False)
@@ -38,6 +38,16 @@ def inlined(kernel: Kernel) -> Kernel:
     return cast(Kernel, Compiled(kernel, is_inlined=True))
 
 
+@cache
+def announce() -> None:
+    """Print once that kernels are being compiled."""
+    logging.getLogger(__package__).warning('compiling kernels, which takes up to half a minute')
+
+
+# Functions called before each pass of the compiler: their exceptions end the compilation.
+WHILE_COMPILING: list[Callable[[], None]] = [announce]
+
+
 @contextmanager
 def interpreted(applies: bool = True) -> Iterator[None]:
     """Run kernels interpreted: faster for a few calls, as loading them takes half a second."""
@@ -46,11 +56,6 @@ def interpreted(applies: bool = True) -> Iterator[None]:
         yield
     finally:
         _INTERPRETED.reset(token)
-
-
-def while_compiling(check: Callable[[], None]) -> None:
-    """Call a function before each pass of the compiler; its exceptions end the compilation."""
-    _CHECKS.append(check)
 
 
 class Compiled:
@@ -69,30 +74,25 @@ class Compiled:
 
     @property
     def code(self) -> Any:
-        """Return the compiled code, or the kernel itself if numba is missing."""
+        """Return the compiled code, or the kernel itself if numba is missing or disabled."""
         if self._code is None:
-            self._code = self._kernel
-            if jit := _jit():
-                # Reference counting of arrays would take a large part of the time.
-                options = {'forceinline': self._is_inlined, '_nrt': not self._is_inlined}
-                self._code = _cached(_for_all_values(jit(nogil=True, **options)(self._kernel)))
+            self._code = _dispatcher(self._kernel, self._is_inlined) if _numba() else self._kernel
             # numba compiles calls of another kernel only if its name refers to compiled code.
             names = self._kernel.__globals__
-            for name, each in [*names.items()]:
-                if isinstance(each, Compiled):
-                    names[name] = each.code
+            names.update({n: each.code for n, each in names.items() if isinstance(each, Compiled)})
         return self._code
 
 
 def cache_folder() -> Path:
-    """Return the cache folder, named by a hash of all kernels' sources: old code is never used."""
-    sources = b''.join(path.read_bytes() for path in sorted(PACKAGE.rglob('*_kernels.py')))
+    """Return the cache folder, named by a hash of all kernels and of this file."""
+    files = [*sorted(PACKAGE.rglob('*_kernels.py')), Path(__file__)]
+    sources = b''.join(path.read_bytes() for path in files)
     return PACKAGE / '__pycache__' / f'kernels-{sha256(sources).hexdigest()[:16]}'
 
 
 @cache
-def _jit() -> Any:
-    """Return numba's decorator with its cache set up; None if kernels run interpreted."""
+def _numba() -> Any:
+    """Return numba, set up; None if kernels run interpreted."""
     try:
         import numba
     except ImportError as error:
@@ -104,64 +104,44 @@ def _jit() -> Any:
     numba.config.CACHE_DIR = numba.config.CACHE_DIR or str(cache_folder())
 
     class Compilation(numba.core.event.Listener):  # type: ignore[misc]
-        """Hooks of numba into each compilation and its passes."""
+        """A hook of numba before each pass of the compiler."""
 
         def on_start(self, event: Any) -> None:
-            if event.kind == 'numba:compile':
-                _say_once('compiling kernels, which takes up to half a minute')
-            for check in _CHECKS:
-                check()
+            for function in WHILE_COMPILING:
+                function()
 
         def on_end(self, event: Any) -> None:
             """Do nothing."""
 
-    for kind in ('numba:compile', 'numba:run_pass'):
-        numba.core.event.register(kind, Compilation())
-    return numba.njit
+    numba.core.event.register('numba:run_pass', Compilation())
+    return numba
 
 
-def _for_all_values(code: Any) -> Any:
-    """Return a dispatcher that compiles a call with constants as a call with variables."""
-    import numba
-
-    compile_for, unliteral = code.get_call_template, numba.types.unliteral
-
-    def get_call_template(args: Any, kws: Any) -> Any:
-        return compile_for([*map(unliteral, args)], {n: unliteral(a) for n, a in kws.items()})
-
-    code.get_call_template = get_call_template
-    return code
-
-
-def _cached(code: Any) -> Any:
-    """Return a numba dispatcher whose cache tolerates corrupt files and a full disk."""
+def _dispatcher(kernel: Callable[..., Any], is_inlined: bool) -> Any:
+    """Return numba's dispatcher of a kernel, with a cache that tolerates what a disk does."""
+    # Reference counting of arrays would take a large part of the time. A kernel inherits options
+    # that are not set from the kernel that calls it.
+    options = {'forceinline': is_inlined, '_nrt': not is_inlined}
+    code, unliteral = _numba().njit(nogil=True, **options)(kernel), _numba().types.unliteral
+    # A call with constants is compiled as a call with variables.
+    template = code.get_call_template
+    code.get_call_template = lambda args, kws: template([*map(unliteral, args)], kws)
     try:
         code.enable_caching()
     except RuntimeError as error:
         _warn(f'{error}; kernels are compiled at every start: set NUMBA_CACHE_DIR')
         return code
-    files = code._cache
-
-    def guarded(access: Callable[..., Any]) -> Callable[..., Any]:
-        def access_or_remove(*arguments: Any) -> Any:
-            try:
-                return access(*arguments)
-            except Exception as error:
-                # pickle raises many types of exceptions on a corrupt file.
-                _warn(f'{error!r}; {files.cache_path} is emptied and kernels are compiled anew')
-                rmtree(files.cache_path, ignore_errors=True)
-
-        return access_or_remove
-
-    files.load_overload = guarded(files.load_overload)
-    files.save_overload = guarded(files.save_overload)
+    for name in ('load_overload', 'save_overload'):
+        access = partial(_access, code._cache.cache_path, getattr(code._cache, name))
+        setattr(code._cache, name, access)
     return code
 
 
-def _warn(message: str) -> None:
-    warn(message, RuntimeWarning, stacklevel=4)
-
-
-@cache
-def _say_once(message: str) -> None:
-    logging.getLogger(__package__).warning(message)
+def _access(folder: str, access: Callable[..., Any], *arguments: Any) -> Any:
+    """Access a cache; empty its folder if a file is corrupt or the disk is full."""
+    try:
+        return access(*arguments)
+    except Exception as error:
+        # pickle raises many types of exceptions on a corrupt file.
+        _warn(f'{error!r}; {folder} is emptied and kernels are compiled anew')
+        rmtree(folder, ignore_errors=True)

@@ -13,7 +13,7 @@ import time
 import traceback
 
 from kbnitp_ros.configuration.given import check_given, names_given, rules_last
-from kbnitp_ros.core.field.compiled import while_compiling
+from kbnitp_ros.core.field.compiled import WHILE_COMPILING
 from kbnitp_ros.files import in_words
 from kbnitp_ros.nodes.runtime.command_line import node_parser
 from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics
@@ -59,7 +59,7 @@ def run(
 ) -> int:
     """Run a node until SIGINT, SIGTERM or its end; return the exit code."""
     note_signals()
-    while_compiling(stop_on_signal)
+    WHILE_COMPILING.append(stop_on_signal)
     try:
         return _run(name, make, list(sys.argv[1:] if args is None else args), linger)
     finally:
