@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import nan
 
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path, quantile
-from kbnitp_ros.core.field.check import frozen, whole_number
+from kbnitp_ros.core.field.check import read_only, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np
@@ -222,16 +222,12 @@ class Decision:
             reason = f'free of hazards with probability {p_free:.3f}: {confidence} is asked for'
         else:
             reason = too_few_draws(confidence, draws.independent)
-        path = np.empty(0, dtype=np.intp) if lane is None else lane.path
-        asked = np.unique(cells)
-        for cells in (path, asked):
-            frozen(cells)
         return cls(
             goal=goal,
             p_free=p_free,
-            cells=asked,
+            cells=read_only(np.unique(cells)),
             independent_draws=draws.independent,
-            path=path,
+            path=read_only(np.empty(0, dtype=np.intp) if lane is None else lane.path),
             survival=nan if lane is None else lane.survival,
             hazards_mean=float(count @ np.arange(count.size)),
             hazards_5=quantile(count, 0.05),

@@ -6,7 +6,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from kbnitp_ros.core.field.check import frozen, in_short, probability_map, typed, Value, yes_or_no
+from kbnitp_ros.core.field.check import (
+    in_short,
+    probability_map,
+    read_only,
+    typed,
+    Value,
+    yes_or_no,
+)
 from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,8 +61,7 @@ class Belief(Value):
                 f'joint of cell {cell} is {joint[cell].tolist()}: '
                 'it must be four probabilities that sum to 1'
             )
-        frozen(joint)
-        object.__setattr__(self, 'joint', joint)
+        object.__setattr__(self, 'joint', read_only(joint))
 
     def __repr__(self) -> str:
         return f'Belief({self.cells} cells, {self.entropy():.4g} nats)'
@@ -147,25 +153,19 @@ class Belief(Value):
     @cached_property
     def hazard(self) -> NDArray[np.float64]:
         """Return P(Z = 1), shape (cells,)."""
-        hazard: NDArray[np.float64] = self.joint[:, 1].sum(axis=1).clip(max=1.0)
-        frozen(hazard)
-        return hazard
+        return read_only(self.joint[:, 1].sum(axis=1).clip(max=1.0))
 
     @cached_property
     def target(self) -> NDArray[np.float64]:
         """Return P(X = 1), shape (cells,)."""
-        target: NDArray[np.float64] = self.joint[:, :, 1].sum(axis=1).clip(max=1.0)
-        frozen(target)
-        return target
+        return read_only(self.joint[:, :, 1].sum(axis=1).clip(max=1.0))
 
     @cached_property
     def kappa(self) -> NDArray[np.float64]:
         """Return P(X = 1 | Z = 1), shape (cells,); P(X = 1) where Z = 1 is impossible."""
         kappa = self.target.copy()
         np.divide(self.joint[:, 1, 1], self.hazard, out=kappa, where=self.hazard > 0.0)
-        np.minimum(kappa, 1.0, out=kappa)
-        frozen(kappa)
-        return kappa
+        return read_only(kappa.clip(max=1.0))
 
     def entropy(self) -> float:
         """Return H(Z) + H(X) summed over the cells, in nats (:eq:`belief-entropy`)."""

@@ -8,8 +8,9 @@ from dataclasses import fields
 from functools import cache, wraps
 from inspect import signature
 from itertools import chain
+from math import inf
 from types import NoneType, UnionType
-from typing import Any, get_args, get_origin, get_type_hints, ParamSpec, TypeVar
+from typing import Any, get_args, get_type_hints, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,40 +23,34 @@ class Value:
     """A dataclass whose equality compares its fields, arrays bit for bit."""
 
     def __eq__(self, other: object) -> bool:
-        return type(other) is type(self) and all(
-            is_equal(getattr(self, name), getattr(other, name)) for name in names(self)
-        )
+        return type(other) is type(self) and bits(compared(self)) == bits(compared(other))
 
     def __repr__(self) -> str:
         with np.printoptions(threshold=SHOWN, edgeitems=3, precision=6):
-            shown = ', '.join(f'{name}={getattr(self, name)!r}' for name in names(self))
+            shown = ', '.join(f'{name}={value!r}' for name, value in compared(self).items())
         return ' '.join(f'{type(self).__name__}({shown})'.split())
 
 
-def names(value: Any) -> list[str]:
-    """Return the names of the fields of a dataclass that are compared."""
-    return [field.name for field in fields(value) if field.compare]
+def compared(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that are compared, by name."""
+    return {field.name: getattr(value, field.name) for field in fields(value) if field.compare}
 
 
-def is_equal(one: Any, other: Any) -> bool:
-    """Return whether two fields are equal, arrays and numbers bit for bit."""
-    if isinstance(one, np.ndarray | float) and isinstance(other, np.ndarray | float):
-        one, other = np.asarray(one), np.asarray(other)
-        same_shape: bool = one.shape == other.shape and one.dtype == other.dtype
-        return same_shape and one.tobytes() == other.tobytes()
-    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
-        return False
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(is_equal(one[key], other[key]) for key in one)
-    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
-        return len(one) == len(other) and all(map(is_equal, one, other))
-    return bool(one == other)
+def bits(value: Any) -> Any:
+    """Return a value for comparison, with the bits of arrays and of floats."""
+    if isinstance(value, np.ndarray | float):
+        array = np.asarray(value)
+        return array.shape, array.dtype, array.tobytes()
+    if isinstance(value, Mapping):
+        return {key: bits(each) for key, each in value.items()}
+    if isinstance(value, tuple | list):
+        return [*map(bits, value)]
+    return value
 
 
 P = ParamSpec('P')
 R = TypeVar('R')
 T = TypeVar('T')
-Array = TypeVar('Array', bound=NDArray[Any])
 
 CORE = __name__.removesuffix('.field.check')
 
@@ -69,17 +64,12 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
 
     @cache
     def classes() -> dict[str, tuple[type, ...]]:
-        hints = get_type_hints(call)
-        members = {
-            name: get_args(hint) if get_origin(hint) is UnionType else (hint,)
-            for name, hint in hints.items()
-        }
-        return {
-            name: kinds
-            for name, kinds in members.items()
-            if all(isinstance(each, type) for each in kinds)
-            and all(each is NoneType or each.__module__.startswith(CORE) for each in kinds)
-        }
+        known = {}
+        for name, hint in get_type_hints(call).items():
+            kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+            if all(each is NoneType or each.__module__.startswith(CORE) for each in kinds):
+                known[name] = kinds
+        return known
 
     @wraps(call)
     def checked(*arguments: P.args, **options: P.kwargs) -> R:
@@ -123,29 +113,35 @@ def generator(rng: np.random.Generator | int) -> np.random.Generator:
         ) from error
 
 
-def as_number(name: str, value: object) -> float:
-    """Return `value` as a float if it is a number."""
+def number(name: str, value: Any, wanted: str, is_allowed: Callable[[float], bool]) -> float:
+    """Return `value` as a float if it is a number that is allowed."""
     try:
-        if not isinstance(value, str):
-            return float(value)  # type: ignore[arg-type]
+        as_float = float(value) if not isinstance(value, str) else None
     except TypeError:
-        pass
-    raise TypeError(f'{name} is {value!r}: it must be a number')
+        as_float = None
+    if as_float is None:
+        raise TypeError(f'{name} is {value!r}: it must be a number')
+    if not is_allowed(as_float):
+        raise ValueError(f'{name} is {value}: it must be {wanted}')
+    return as_float
 
 
 def probability(name: str, value: float) -> float:
     """Return `value` as a float if it is a probability."""
-    number = as_number(name, value)
-    if not 0.0 <= number <= 1.0:
-        raise ValueError(f'{name} is {value}: it must be a probability in [0, 1]')
-    return number
+    return number(name, value, 'a probability in [0, 1]', lambda p: 0.0 <= p <= 1.0)
 
 
-def probabilities(instance: Any) -> None:
-    """Convert the fields of a frozen dataclass to floats, checked to be probabilities."""
-    for field in fields(instance):
-        value = probability(field.name, getattr(instance, field.name))
-        object.__setattr__(instance, field.name, value)
+def cost(name: str, value: float) -> float:
+    """Return a cost as a float from 0 to a billion: sums of larger costs may overflow."""
+    return number(name, value, 'at least 0 and at most 1e9', lambda c: 0.0 <= c <= 1e9)
+
+
+def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
+    """Return `value` as an int if it is a whole number from `low` to `high`."""
+    allowed = f'at least {low}' if high is None else f'from {low} to {high}'
+    most = inf if high is None else high
+    number(name, value, f'a whole number {allowed}', lambda n: low <= n <= most and n == n // 1)
+    return int(value)
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:
@@ -156,47 +152,21 @@ def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> N
         raise ValueError(f'{name} has shape {array.shape}: it must have {wanted}')
     bad = np.flatnonzero(~((array >= 0.0) & (array <= 1.0)))
     if bad.size:
-        raise ValueError(
-            f'{name} of cell {bad[0]} is {array[bad[0]]}: it must be a probability in [0, 1]'
-        )
+        probability(f'{name} of cell {bad[0]}', array[bad[0]])
     return array
 
 
-def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
-    """Return `value` as an int if it is a whole number from `low` to `high`."""
-    as_number(name, value)
-    if not (value >= low and (high is None or value <= high) and value == value // 1):
-        allowed = f'at least {low}' if high is None else f'from {low} to {high}'
-        raise ValueError(f'{name} is {value}: it must be a whole number {allowed}')
-    return int(value)
-
-
-def cost(name: str, value: float) -> float:
-    """Return a cost as a float from 0 to a billion: sums of larger costs may overflow."""
-    number = as_number(name, value)
-    if not 0.0 <= number <= 1e9:
-        raise ValueError(f'{name} is {value}: it must be at least 0 and at most 1e9')
-    return number
-
-
 def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
-    """Return `values`, of any shape, as booleans."""
+    """Return `values`, of any shape, as a copy of booleans."""
     array = np.array(values)
-    if array.dtype == np.bool_:
-        return array
     bad = ~np.asarray((array == 0) | (array == 1))
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)
 
 
-def read_only(array: Array) -> Array:
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view of an array, which its owner may still change."""
     view = array.view()
     view.flags.writeable = False
     return view
-
-
-def frozen(array: NDArray[np.generic]) -> None:
-    """Make `array` read-only in place."""
-    array.flags.writeable = False

@@ -10,7 +10,7 @@ from hashlib import sha256
 from math import cos, isfinite, pi, remainder, sin, sqrt, tau
 import struct
 
-from kbnitp_ros.core.field.check import check_several, whole_number
+from kbnitp_ros.core.field.check import check_several, read_only, whole_number
 from kbnitp_ros.core.field.observation import as_path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,17 +29,7 @@ ROUNDING = 1e-9
 # Row and column offsets of the neighbour in each column of `Grid.neighbor_table`, (2, 9).
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
-# Fields shown by `str`, and maximum number of blocked cells shown.
-TOLD = (
-    'width',
-    'height',
-    'base',
-    'resolution',
-    'origin',
-    'yaw',
-    'connectivity',
-    'through_corners',
-)
+# Maximum number of blocked cells shown by `str`.
 SHOWN = 8
 
 
@@ -124,24 +114,27 @@ class Grid:
             raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
         if not isfinite(self.yaw):
             raise ValueError(f'yaw is {self.yaw}: it must be finite, in rad')
-        for name, value in (
-            ('width', width),
-            ('height', height),
-            ('base', base),
-            ('resolution', float(self.resolution)),
-            ('origin', origin),
-            ('blocked', blocked),
-            ('other_bases', frozenset(others) - {base}),
-            ('yaw', float(self.yaw)),
-        ):
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            width=width,
+            height=height,
+            base=base,
+            resolution=float(self.resolution),
+            origin=origin,
+            blocked=blocked,
+            other_bases=frozenset(others) - {base},
+            yaw=float(self.yaw),
+        )
 
     def __str__(self) -> str:
         """Return the call that makes this grid, with the first few of its blocked cells."""
         blocked = sorted(self.blocked)
         first = ', '.join(map(str, blocked[:SHOWN]))
         more = f', ... {len(blocked)} in all' if len(blocked) > SHOWN else ''
-        rest = ', '.join(f'{name}={getattr(self, name)}' for name in TOLD)
+        rest = (
+            f'width={self.width}, height={self.height}, base={self.base}, '
+            f'resolution={self.resolution}, origin={self.origin}, yaw={self.yaw}, '
+            f'connectivity={self.connectivity}, through_corners={self.through_corners}'
+        )
         others = f', other_bases={sorted(self.other_bases)}' if self.other_bases else ''
         return f'Grid({rest}, blocked=[{first}{more}]{others})'
 
@@ -184,16 +177,14 @@ class Grid:
         """Return a mask of the cells that a robot can enter, shape (cells,)."""
         free = np.ones(self.cells, dtype=bool)
         free[list(self.blocked)] = False
-        free.flags.writeable = False
-        return free
+        return read_only(free)
 
     @cached_property
     def may_be_hazardous(self) -> NDArray[np.bool_]:
         """Return a mask of cells that may have a hazard, (cells,): free cells except bases."""
         may_be = self.free.copy()
         may_be[list(self.bases)] = False
-        may_be.flags.writeable = False
-        return may_be
+        return read_only(may_be)
 
     @property
     def bases(self) -> frozenset[int]:
@@ -234,15 +225,12 @@ class Grid:
         elif not self.through_corners:
             beside = (table[:, 4 + step_col] < 0) | (table[:, 4 + 3 * step_row] < 0)
             table[beside & diagonal] = -1
-        table.flags.writeable = False
-        return table
+        return read_only(table)
 
     @cached_property
     def step_lengths(self) -> NDArray[np.float64]:
         """Return the metres of a step by column of `neighbor_table`, (9,); 0 for a stay."""
-        lengths: NDArray[np.float64] = np.hypot(*STEPS) * self.resolution
-        lengths.flags.writeable = False
-        return lengths
+        return read_only(np.hypot(*STEPS) * self.resolution)
 
     def neighbors(self, cell: int) -> NDArray[np.intp]:
         """
@@ -261,9 +249,7 @@ class Grid:
     @cached_property
     def steps_to_base(self) -> NDArray[np.intp]:
         """Return the fewest steps from each cell to the base, (cells,); `cells` if unreachable."""
-        steps = self.steps_from(self.base, self.free)
-        steps.flags.writeable = False
-        return steps
+        return read_only(self.steps_from(self.base, self.free))
 
     def steps_from(self, cell: int, is_open: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Return the fewest steps from `cell` through open cells, (cells,); `cells` if cut off."""
@@ -291,13 +277,12 @@ class Grid:
             is_nearer = (around >= 0) & (through * (1.0 + ROUNDING) < distance[around])
             np.minimum.at(distance, around[is_nearer], through[is_nearer])
             nearer = np.unique(around[is_nearer])
-        distance.flags.writeable = False
-        return distance
+        return read_only(distance)
 
     def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
         """Return a mask, (cells,), of cells that paths within limits can visit; 0 m: no limit."""
         steps = self.steps_to_base
-        in_reach: NDArray[np.bool_] = (2 * steps <= max_steps) & (steps < self.cells)
+        in_reach = (2 * steps <= max_steps) & (steps < self.cells)
         if max_distance:
             in_reach &= 2.0 * self.distance_to_base <= longest(max_distance)
         return in_reach
@@ -356,17 +341,11 @@ class Grid:
 
     def in_metres(self, places: ArrayLike) -> NDArray[np.float64]:
         """Convert columns and rows to x and y in the frame, (..., 2); (0, 0) gives `origin`."""
-        points: NDArray[np.float64] = turned(
-            np.asarray(places) * self.resolution, self.yaw
-        ) + np.array(self.origin)
-        return points
+        return np.add(turned(np.asarray(places) * self.resolution, self.yaw), self.origin)
 
     def in_cells(self, points: ArrayLike) -> NDArray[np.float64]:
         """Convert x and y in metres to columns and rows, (..., 2); the inverse of `in_metres`."""
-        places: NDArray[np.float64] = (
-            turned(np.asarray(points) - np.array(self.origin), -self.yaw) / self.resolution
-        )
-        return places
+        return turned(np.asarray(points) - np.array(self.origin), -self.yaw) / self.resolution
 
     def centers(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the centres of `cells`, shape (n,), in metres, as x and y, shape (n, 2)."""
@@ -388,8 +367,7 @@ class Grid:
                 f'point ({x}, {y}) is outside the grid of {self.width} x {self.height} cells of '
                 f'{self.resolution} m from {self.origin}{turn}'
             )
-        cells: NDArray[np.intp] = place.astype(np.intp) @ (1, self.width)
-        return cells
+        return place.astype(np.intp) @ (1, self.width)
 
 
 def longest(max_distance: float) -> float:

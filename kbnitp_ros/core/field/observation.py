@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from kbnitp_ros.core.field.check import (
-    frozen,
     in_short,
     probability,
+    read_only,
     Value,
     whole_number,
     yes_or_no,
@@ -82,65 +82,51 @@ class Observation(Value):
             raise ValueError(
                 f'path starts at cell {path[0]} and ends at {path[-1]}: it must return to its base'
             )
-        frozen(path)
-        object.__setattr__(self, 'path', path)
-        object.__setattr__(self, 'survived', bool(yes_or_no('survived', self.survived)))
+        survived = bool(yes_or_no('survived', self.survived))
+        vars(self).update(path=read_only(path), survived=survived)
         if self.entered is not None:
             self._check_entered(np.array(self.entered))
         if self.readings is not None:
             self._check_readings(np.array(self.readings))
-        elif self.survived:
+        elif survived:
             raise ValueError('readings are missing: a robot that returned has one for each step')
         steps = whole_number('steps_survived', self.steps_survived, 0)
-        if self.survived and steps:
+        if survived and steps:
             raise ValueError(f'steps_survived is {steps}: leave it at 0 for a robot that returned')
         if steps >= self.steps:
             raise ValueError(
                 f'steps_survived is {steps}: a robot lost on a path of {self.steps} steps '
                 f'survived at most {self.steps - 1}'
             )
-        object.__setattr__(self, 'steps_survived', steps)
+        vars(self).update(steps_survived=steps)
         if self.lost_at is not None:
             self._check_lost_at(np.array(self.lost_at, dtype=np.float64))
 
     def _check_entered(self, given: NDArray[Any]) -> None:
-        yes_or_no('entered', given)
+        entered = yes_or_no('entered', given)
         if not self.survived:
             raise ValueError('entered is given, but the robot was lost: leave it out')
-        if given.shape != (self.steps,):
-            raise ValueError(
-                f'entered has shape {given.shape}: it must be ({self.steps},), one for each step'
-            )
-        entered = given.astype(bool)
-        frozen(entered)
-        object.__setattr__(self, 'entered', None if entered.all() else entered)
+        self._check_shape('entered', entered)
+        vars(self).update(entered=None if entered.all() else read_only(entered))
 
     def _check_readings(self, given: NDArray[Any]) -> None:
         if self.entered is not None and given.shape == self.entered.shape:
             given = np.where(self.entered, given, -1)
         unseen = given == -1
         yes_or_no('readings', given[~unseen])
-        # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
-        readings = given.astype(np.int8 if unseen.any() else bool)
         if not self.survived:
             raise ValueError(
-                f'readings has {readings.size} values: a robot that was lost brings none'
+                f'readings has {given.size} values: a robot that was lost brings none'
             )
-        if readings.shape != (self.steps,):
-            raise ValueError(
-                f'readings has shape {readings.shape}: it must be ({self.steps},), one for each '
-                'step'
-            )
-        frozen(readings)
-        object.__setattr__(self, 'readings', readings)
+        self._check_shape('readings', given)
+        # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
+        readings = given.astype(np.int8 if unseen.any() else bool)
+        vars(self).update(readings=read_only(readings))
 
     def _check_lost_at(self, lost_at: NDArray[np.float64]) -> None:
         if self.survived:
             raise ValueError('lost_at is given, but the robot returned: leave it out')
-        if lost_at.shape != (self.steps,):
-            raise ValueError(
-                f'lost_at has shape {lost_at.shape}: it must be ({self.steps},), one for each step'
-            )
+        self._check_shape('lost_at', lost_at)
         bad = np.flatnonzero(~((lost_at >= 0.0) & (lost_at < np.inf)))
         if bad.size:
             raise ValueError(
@@ -156,10 +142,15 @@ class Observation(Value):
             )
         lost_at /= lost_at.max()
         first = int(np.argmax(lost_at > 0.0))
-        object.__setattr__(self, 'steps_survived', first)
         is_alike = bool((lost_at[first:] == 1.0).all())
-        frozen(lost_at)
-        object.__setattr__(self, 'lost_at', None if is_alike else lost_at)
+        vars(self).update(steps_survived=first, lost_at=None if is_alike else read_only(lost_at))
+
+    def _check_shape(self, name: str, values: NDArray[Any]) -> None:
+        """Check that there is one value for each step."""
+        if values.shape != (self.steps,):
+            raise ValueError(
+                f'{name} has shape {values.shape}: it must be ({self.steps},), one for each step'
+            )
 
     @property
     def steps(self) -> int:

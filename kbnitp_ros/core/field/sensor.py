@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
-from kbnitp_ros.core.field.check import cost, frozen, probabilities, probability, whole_number
+from kbnitp_ros.core.field.check import cost, probability, read_only, whole_number
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -46,7 +46,7 @@ class SensorModel:
     false_positive: float = 0.05
 
     def __post_init__(self) -> None:
-        probabilities(self)
+        vars(self).update({name: probability(name, value) for name, value in vars(self).items()})
 
     def survival(self, hazard: ArrayLike) -> NDArray[np.float64]:
         """Return P(step survived | Z), per step (:eq:`step-survival`)."""
@@ -73,19 +73,14 @@ class SensorModel:
 @lru_cache(maxsize=64)
 def _log_survival(strike: float, malfunction: float) -> NDArray[np.float64]:
     with np.errstate(divide='ignore'):
-        log_survival: NDArray[np.float64] = np.log1p(-strike * np.arange(2.0))
-        log_survival += np.log1p(-malfunction)
-    frozen(log_survival)
-    return log_survival
+        return read_only(np.log1p(-strike * np.arange(2.0)) + np.log1p(-malfunction))
 
 
 @lru_cache(maxsize=64)
 def _log_reading(true_positive: float, false_positive: float) -> NDArray[np.float64]:
     positive = SensorModel(0.0, 0.0, 0.0, true_positive, false_positive).reading((0, 1))
     with np.errstate(divide='ignore'):
-        log_reading: NDArray[np.float64] = np.log(np.stack([1.0 - positive, positive]))
-    frozen(log_reading)
-    return log_reading
+        return read_only(np.log(np.stack([1.0 - positive, positive])))
 
 
 def times_log(count: ArrayLike, log: ArrayLike) -> NDArray[np.float64]:
@@ -171,12 +166,10 @@ class RobotType:
 
     def __post_init__(self) -> None:
         for name, value in self.own.items():
-            checked: float
             if name in LEAST:
-                checked = whole_number(name, value, LEAST[name])
+                vars(self)[name] = whole_number(name, value, LEAST[name])
             else:
-                checked = (probability if name in SENSORS else cost)(name, value)
-            object.__setattr__(self, name, checked)
+                vars(self)[name] = (probability if name in SENSORS else cost)(name, value)
 
     @property
     def own(self) -> dict[str, Any]:

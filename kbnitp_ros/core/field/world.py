@@ -6,10 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field.check import (
-    frozen,
     generator,
-    probabilities,
     probability,
+    read_only,
     typed,
     Value,
     yes_or_no,
@@ -44,13 +43,12 @@ class World(Value):
 
     def __post_init__(self) -> None:
         for name in ('hazard', 'target'):
-            values = yes_or_no(f'{name} of a world', getattr(self, name)).copy()
+            values = yes_or_no(f'{name} of a world', getattr(self, name))
             if values.ndim != 1 or not values.size:
                 raise ValueError(
                     f'{name} of a world has shape {values.shape}: it must be one value a cell'
                 )
-            frozen(values)
-            object.__setattr__(self, name, values)
+            object.__setattr__(self, name, read_only(values))
         if self.hazard.size != self.target.size:
             raise ValueError(
                 f'target of a world has {self.target.size} cells, its hazard {self.hazard.size}'
@@ -242,7 +240,7 @@ class Execution:
     camera_failure: float = 0.0
 
     def __post_init__(self) -> None:
-        probabilities(self)
+        vars(self).update({name: probability(name, value) for name, value in vars(self).items()})
 
     def traverse(
         self,
