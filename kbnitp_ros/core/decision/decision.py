@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import nan
 
-from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path, quantile
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.field.check import read_only, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -78,31 +78,24 @@ def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
 
 
 def lanes_within(
-    grid: Grid,
-    draws: HazardDraws,
-    start: int,
-    to: int,
-    limits: Sequence[int],
-    count: int = LANES,
+    grid: Grid, draws: HazardDraws, start: int, to: int, limits: Sequence[int]
 ) -> list[list[Path]]:
     """Return, for each limit, candidates for the safest path, the same for equal draws."""
     free = 1.0 - draws.p_hazard()
     rng = np.random.default_rng(len(draws.hazardous))
-    some = rng.choice(len(draws.hazardous), (count // 2, TOGETHER), p=draws.weight)
+    some = rng.choice(len(draws.hazardous), (LANES // 2, TOGETHER), p=draws.weight)
     free_in_some = 1.0 - draws.hazardous[some].mean(axis=1)
-    probability = np.concatenate(
-        [
-            np.tile(free, (1 + count - count // 2, 1)),
-            (TOGETHER * free_in_some + free) / (TOGETHER + 1.0),
-        ]
-    )
+    by_marginals = np.tile(free, (1 + LANES - LANES // 2, 1))
+    by_some = (TOGETHER * free_in_some + free) / (TOGETHER + 1.0)
     with np.errstate(divide='ignore'):
-        cost = -np.log(probability).clip(min=LEAST) + STEP_COST
+        cost = -np.log(np.concatenate([by_marginals, by_some])).clip(min=LEAST) + STEP_COST
     cost[1:] *= np.exp(SCALE * rng.standard_normal(cost[1:].shape))
-    return [
-        list({path.tobytes(): path for path in paths}.values())
-        for paths in cheapest_lanes(grid, cost, start, to, limits)
-    ]
+    return [different(paths) for paths in cheapest_lanes(grid, cost, start, to, limits)]
+
+
+def different(paths: Iterable[Path]) -> list[Path]:
+    """Return paths without their repetitions."""
+    return list({path.tobytes(): path for path in paths}.values())
 
 
 def there_and_back(out: Path, back: Path) -> Path:
@@ -215,6 +208,7 @@ class Decision:
     ) -> Decision:
         """Return the decision on whether `cells`, such as the cells of `lane`, are free."""
         count = draws.hazard_count(cells)
+        low, high = np.searchsorted(np.cumsum(count), np.array([0.05, 0.95]) - 1e-12).tolist()
         p_free = draws.p_free(cells)
         if confidence is None:
             reason = 'no confidence is asked for'
@@ -230,8 +224,8 @@ class Decision:
             path=read_only(np.empty(0, dtype=np.intp) if lane is None else lane.path),
             survival=nan if lane is None else lane.survival,
             hazards_mean=float(count @ np.arange(count.size)),
-            hazards_5=quantile(count, 0.05),
-            hazards_95=quantile(count, 0.95),
+            hazards_5=low,
+            hazards_95=high,
             reached=not reason,
             reason=reason,
         )

@@ -9,7 +9,7 @@ are sent for information.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Protocol, runtime_checkable
@@ -20,6 +20,7 @@ from kbnitp_ros.core.decision.decision import (
     check_way,
     DECIMALS,
     Decision,
+    different,
     lanes_within,
     LEAST,
     safest_path,
@@ -77,28 +78,51 @@ class FlightState:
             outcomes = outcomes[0::2] + outcomes[1::2]
         return replace(self, outcomes=outcomes)
 
+    def best(self, survival: Floats, value: Floats) -> int | None:
+        """Return the allowed path of the highest value; `survival` has shape (paths, draws)."""
+        allowed = survival @ self.draws.weight >= self.options.minimum_survival
+        valued = np.where(allowed, np.round(value, DECIMALS), -np.inf)
+        return int(np.argmax(valued)) if allowed.any() else None
+
     def planned(self, path: Path, gain: float) -> Plan:
         """Return the plan of a path with a gain for the goal."""
-        return replace(Plan.along(path, self.belief, self.model), gain=gain)
+        return replace(Plan.along(path, self.belief, self.model), gain=max(0.0, float(gain)))
 
-    def is_allowed(self, survival: Floats) -> Bools:
-        """Return a mask of paths of sufficient survival; `survival` has shape (paths, draws)."""
-        allowed: Bools = survival @ self.draws.weight >= self.options.minimum_survival
-        return allowed
+    def after_return(self, survival: Floats, events: Floats | Bools) -> tuple[Floats, Floats]:
+        """Return P(return), (flights,), and P(event | return), (flights, events)."""
+        returned = survival * self.outcomes.sum(axis=0)
+        chance = returned.sum(axis=1)
+        return chance, share(returned @ events, chance[:, None])
+
+    def searched(self, belief: Belief) -> list[Path]:
+        """Return closed paths sought for information on a belief."""
+        objective = Objective.alone(self.grid, belief, self.model, self.options)
+        found = PathFinder(self.grid, self.options).candidates(objective)
+        return [each.path for each in found[:SEARCHED]]
+
+    def within_visits(self, paths: Iterable[Path]) -> list[Path]:
+        """Return the different paths that visit no cell too often."""
+        most = self.options.max_visits
+        return [path for path in different(paths) if np.bincount(path[1:]).max() <= most]
+
+
+def hazards_alone(hazard: Floats) -> Belief:
+    """Return the belief with these hazards and without targets."""
+    none = np.zeros(hazard.size)
+    return Belief.from_maps(hazard, none, none)
+
+
+def share(part: Floats, whole: Floats) -> Floats:
+    """Return a conditional probability; 0 under an impossible condition."""
+    given: Floats = part / np.where(whole > 0.0, whole, 1.0)
+    return given.clip(0.0, 1.0)
 
 
 def flights_over(situation: FlightState, over: Sequence[int]) -> list[Path]:
     """Return closed paths for information on the field, and direct flights to cells of `over`."""
-    grid, draws, options = situation.grid, situation.draws, situation.options
-    hazard = draws.p_hazard()
-    none = np.zeros(grid.cells)
-    searched = [
-        candidate
-        for belief in (Belief.from_maps(hazard, none, none), situation.belief)
-        for candidate in PathFinder(grid, options).candidates(
-            Objective.alone(grid, belief, situation.model, options)
-        )[:SEARCHED]
-    ]
+    grid, options = situation.grid, situation.options
+    hazard = situation.draws.p_hazard()
+    paths = situation.searched(hazards_alone(hazard)) + situation.searched(situation.belief)
     with np.errstate(divide='ignore'):
         cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
     cells = np.array(over)
@@ -107,18 +131,15 @@ def flights_over(situation: FlightState, over: Sequence[int]) -> list[Path]:
     ends = open_first[open_first != grid.base][:DIRECT]
     costs = np.tile(cost, (ends.size, 1))
     [lanes] = cheapest_lanes(grid, costs, grid.base, ends, [options.max_steps // 2])
-    direct = [there_and_back(lane, lane) for lane in lanes]
-    return [each.path for each in searched] + [
-        path for path in direct if np.bincount(path[1:]).max() <= options.max_visits
-    ]
+    return paths + situation.within_visits(there_and_back(lane, lane) for lane in lanes)
 
 
 def information(survival: Floats, outcomes: Floats) -> Floats:
     """Return each flight's information about all hazards, nats (:eq:`outcome-information`)."""
     known = outcomes.sum(axis=1)
-    expected = survival @ (outcomes / np.where(known > 0.0, known, 1.0)[:, None]).T
+    expected = survival @ share(outcomes, known[:, None]).T
     entropy: Floats = binary_entropy(expected.clip(0.0, 1.0)) @ known
-    left: Floats = binary_entropy(survival.clip(0.0, 1.0)) @ outcomes.sum(axis=0)
+    left: Floats = binary_entropy(survival) @ outcomes.sum(axis=0)
     return np.maximum(entropy - left, 0.0)
 
 
@@ -177,73 +198,92 @@ class Area:
 
     def flight(self, situation: FlightState) -> Plan | None:
         """Return the next flight; None if no flight is allowed."""
-        paths = flights_over(situation, list(self.cells))
+        cells, outcomes = list(self.cells), situation.outcomes
+        paths = flights_over(situation, cells)
         survival = situation.draws.survivals(paths, situation.model)
-        allowed = situation.is_allowed(survival)
-        if not allowed.any():
-            return None
-        cells = list(self.cells)
         here = situation.draws.hazardous[:, cells].astype(np.float64)
-        visits = np.array(
-            [np.bincount(path[1:], minlength=situation.grid.cells) for path in paths]
-        )
-        gain = expected_certainty(here, survival, situation.outcomes) + expected_from_readings(
-            here,
-            survival * situation.outcomes.sum(axis=0),
-            visits[:, cells],
-            situation.belief.joint[cells],
-            situation.model,
-        )
-        best = int(np.argmax(np.where(allowed, np.round(gain, DECIMALS), -np.inf)))
-        return situation.planned(paths[best], max(0.0, float(gain[best])))
+        gain = information_on(here, survival, outcomes)
+        gain += readings_on_cells(situation, paths, survival, cells)
+        best = situation.best(survival, gain)
+        return None if best is None else situation.planned(paths[best], gain[best])
 
 
-def expected_certainty(here: Floats, survival: Floats, outcomes: Floats) -> Floats:
-    """Return the expected entropy that outcomes remove, (flights,) nats (:eq:`area-value`)."""
+def information_on(events: Floats, survival: Floats, outcomes: Floats) -> Floats:
+    """
+    Return flights' information about each event, summed, (flights,) nats.
 
-    def entropies(chance: Floats, hazards: Floats) -> Floats:
-        given = hazards / np.where(chance > 0.0, chance, 1.0)[:, None]
-        left: Floats = chance * binary_entropy(given.clip(0.0, 1.0)).sum(axis=1)
-        return left
+    `events` has shape (draws, events) (:eq:`area-value`, :eq:`lane-information`).
+    """
+
+    def left(chance: Floats, happened: Floats) -> Floats:
+        entropies: Floats = binary_entropy(share(happened, chance[:, None])).sum(axis=1)
+        return chance * entropies
 
     gain = np.zeros(len(survival))
     for outcome in outcomes:
-        all_hazards = outcome @ here
-        before = entropies(outcome.sum(keepdims=True), all_hazards[None])
+        happened = outcome @ events
         back = survival * outcome
-        chance, hazards = back.sum(axis=1), back @ here
-        gain += before - entropies(chance, hazards)
-        gain -= entropies(outcome.sum() - chance, all_hazards - hazards)
+        chance, returned = back.sum(axis=1), back @ events
+        gain += left(outcome.sum(keepdims=True), happened[None]) - left(chance, returned)
+        gain -= left(outcome.sum() - chance, happened - returned)
     return gain
 
 
-def expected_from_readings(
-    here: Floats, returned: Floats, visits: Path, joint: Floats, model: SensorModel
+def readings_on_cells(
+    situation: FlightState, paths: Sequence[Path], survival: Floats, cells: Sequence[int]
 ) -> Floats:
-    """Return the expected entropy that readings remove, (flights,) nats (:eq:`area-readings`)."""
-    chance = returned.sum(axis=1)
-    hazard = (returned @ here / np.where(chance > 0.0, chance, 1.0)[:, None]).clip(0.0, 1.0)
-    information = np.zeros_like(hazard)
-    for count, safe, hazardous in readings_given(joint, model, visits):
-        with_hazard = hazard[..., None] * hazardous
-        reading = with_hazard + (1.0 - hazard)[..., None] * safe
-        given = with_hazard / np.where(reading > 0.0, reading, 1.0)
-        left = (reading * binary_entropy(given.clip(0.0, 1.0))).sum(axis=-1)
-        information += (visits == count) * (binary_entropy(hazard) - left)
-    gain: Floats = chance * information.sum(axis=1)
-    return gain
+    """Return readings' information about hazards in `cells`, (flights,) nats."""
+    chance, hazard = situation.after_return(survival, situation.draws.hazardous[:, cells])
+    return chance * readings_on(situation, paths, cells, hazard, np.ones(1), np.zeros(1))
 
 
-def readings_given(
-    joint: Floats, model: SensorModel, visits: Path
-) -> Iterator[tuple[int, Floats, Floats]]:
-    """Yield each number n of visits, P(readings | Z = 0), P(readings | Z = 1), (cells, n + 1)."""
-    of_hazard = joint.sum(axis=2, keepdims=True)
-    target = joint / np.where(of_hazard > 0.0, of_hazard, 1.0)
-    likelihood = positives(camera_rates(model), int(visits.max(initial=0)))
+def readings_on_lane(
+    situation: FlightState,
+    paths: Sequence[Path],
+    survival: Floats,
+    cells: Sequence[int],
+    free: Floats,
+) -> Floats:
+    """Return readings' information about whether `cells` are all `free`, (flights,) nats."""
+    chance, p_free = situation.after_return(survival, free[:, None])
+    _, hazard = situation.after_return(survival, situation.draws.hazardous[:, cells])
+    # Probability of a hazard in each cell, given that not all cells are free.
+    given = share(hazard, 1.0 - p_free)
+    # The cells' information is added as if independent, and limited to the event's entropy.
+    told = readings_on(situation, paths, cells, p_free, np.zeros(1), given)
+    limited: Floats = np.minimum(told, binary_entropy(p_free[:, 0]))
+    return chance * limited
+
+
+def readings_on(
+    situation: FlightState,
+    paths: Sequence[Path],
+    cells: Sequence[int],
+    p: Floats,
+    hazard: Floats,
+    otherwise: Floats,
+) -> Floats:
+    """
+    Return the readings' information about an event for each cell, summed, (flights,) nats.
+
+    `p` is P(event), `hazard` P(Z = 1 | event), `otherwise` P(Z = 1 | not event)
+    (:eq:`area-readings`).
+    """
+    counts = [np.bincount(path[1:], minlength=situation.grid.cells) for path in paths]
+    visits, joint = np.array(counts)[:, cells], situation.belief.joint[cells]
+    target = share(joint, joint.sum(axis=2, keepdims=True))
+    likelihood = positives(camera_rates(situation.model), int(visits.max(initial=0)))
+    before, p = binary_entropy(p), p[..., None]
+    hazard, otherwise = hazard[..., None], otherwise[..., None]
+    information = np.zeros(visits.shape)
     for count in np.unique(visits[visits > 0]).tolist():
         safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
-        yield count, safe, hazardous
+        joint_with = p * (hazard * hazardous + (1.0 - hazard) * safe)
+        reading = joint_with + (1.0 - p) * (otherwise * hazardous + (1.0 - otherwise) * safe)
+        left = (reading * binary_entropy(share(joint_with, reading))).sum(axis=-1)
+        information += (visits == count) * (before - left)
+    total: Floats = information.sum(axis=1)
+    return total
 
 
 # Maximum number of lanes that flights combine: at the highest step limit, at each lower limit.
@@ -305,121 +345,52 @@ class Lane:
         lanes, paths = self._flights(situation)
         if not paths:
             return None
-        free = situation.draws.are_free(lanes)
-        p_free = free @ situation.outcomes.sum(axis=0)
+        draws, outcomes = situation.draws, situation.outcomes
+        free = draws.are_free(lanes)
+        p_free = free @ outcomes.sum(axis=0)
         best_lane = int(np.argmax(np.round(p_free, DECIMALS)))
-        is_probable = p_free[best_lane] >= PROBABLE
-        if is_probable:
-            paths += flights_along(situation, lanes[best_lane])
-        survival = situation.draws.survivals(paths, situation.model)
-        allowed = situation.is_allowed(survival)
-        if not allowed.any():
-            return None
-        paths = [path for path, is_allowed in zip(paths, allowed) if is_allowed]
-        survival = survival[allowed]
-        if is_probable:
-            known = free[best_lane], survival, situation.outcomes
-            value = information_on(*known) + readings_on(
-                *known, np.unique(lanes[best_lane]), paths, situation
-            )
+        if p_free[best_lane] >= PROBABLE:
+            cells = np.unique(lanes[best_lane]).tolist()
+            hazard = np.zeros(draws.cells)
+            hazard[cells] = draws.p_hazard()[cells]
+            paths += situation.searched(hazards_alone(hazard))
+            survival = draws.survivals(paths, situation.model)
+            value = information_on(free[best_lane, :, None], survival, outcomes)
+            value += readings_on_lane(situation, paths, survival, cells, free[best_lane])
         else:
-            value = expected_best(free, survival, situation.outcomes)
-            value += WORTH * information(survival, situation.outcomes)
-        best = int(np.argmax(np.round(value, DECIMALS)))
-        [rise] = expected_best(free, survival[[best]], situation.outcomes)
-        return situation.planned(paths[best], max(0.0, float(rise)))
+            survival = draws.survivals(paths, situation.model)
+            value = expected_best(free, survival, outcomes)
+            value += WORTH * information(survival, outcomes)
+        best = situation.best(survival, value)
+        if best is None:
+            return None
+        [rise] = expected_best(free, survival[[best]], outcomes)
+        return situation.planned(paths[best], rise)
 
     def _flights(self, situation: FlightState) -> tuple[list[Path], list[Path]]:
         """Return lanes to the goal, and the closed paths that a robot may fly."""
-        grid, draws, options = situation.grid, situation.draws, situation.options
-        start, most = situation.start, options.max_steps
+        grid, draws, start = situation.grid, situation.draws, situation.start
+        most = situation.options.max_steps
         least = int(grid.steps_from(start, grid.free)[self.to])
         if least >= grid.cells:
             return [], []
         half, longest = most // 2, max(least, most)
+        is_near = start == grid.base and least <= half
+        limits = [longest, most - least, half, least] if is_near else [longest]
+        lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
         if start != grid.base:
-            [lanes] = lanes_within(grid, draws, start, self.to, [longest])
             return lanes, flights_over(situation, np.unique(np.concatenate(lanes)).tolist())
-        if least > half:
-            [lanes] = lanes_within(grid, draws, start, self.to, [longest])
-            paths = [there_and_back(lane[: half + 1], lane[: half + 1]) for lane in lanes]
-        else:
-            limits = longest, most - least, half, least
-            lanes, *shorter = lanes_within(grid, draws, start, self.to, limits)
-            far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
-            # Exchanging out and back changes no outcome, so the longest lanes are only flown out.
-            paths = [
-                there_and_back(out, back)
-                for out in far + near
-                for back in near + nearest
-                if len(out) + len(back) - 2 <= most
-            ]
-        different = {path.tobytes(): path for path in paths}
-        return lanes, [
-            path
-            for path in different.values()
-            if np.bincount(path[1:]).max() <= options.max_visits
-        ]
-
-
-def flights_along(situation: FlightState, lane: Path) -> list[Path]:
-    """Return closed paths sought for information on the hazards of one lane only."""
-    grid, options = situation.grid, situation.options
-    none = np.zeros(grid.cells)
-    hazard = none.copy()
-    hazard[lane] = situation.draws.p_hazard()[lane]
-    objective = Objective.alone(
-        grid, Belief.from_maps(hazard, none, none), situation.model, options
-    )
-    return [each.path for each in PathFinder(grid, options).candidates(objective)[:SEARCHED]]
-
-
-def information_on(free: Floats, survival: Floats, outcomes: Floats) -> Floats:
-    """Return flights' information about one event, (flights,) nats (:eq:`lane-information`)."""
-
-    def left(chance: Floats, event: Floats) -> Floats:
-        entropy: Floats = binary_entropy(
-            (event / np.where(chance > 0.0, chance, 1.0)).clip(0.0, 1.0)
+        if not is_near:
+            starts = [lane[: half + 1] for lane in lanes]
+            return lanes, situation.within_visits(map(there_and_back, starts, starts))
+        far, near, nearest = map(partial(best_lanes, draws), shorter, (OUT, BACK, BACK))
+        # Exchanging out and back changes no outcome, so the longest lanes are only flown out.
+        return lanes, situation.within_visits(
+            there_and_back(out, back)
+            for out in far + near
+            for back in near + nearest
+            if len(out) + len(back) - 2 <= most
         )
-        return chance * entropy
-
-    gain = np.zeros(len(survival))
-    for outcome in outcomes:
-        known, chance = outcome * free, outcome.sum()
-        returned, returned_free = survival @ outcome, survival @ known
-        gain += left(np.array(chance), np.array(known.sum())) - left(returned, returned_free)
-        gain -= left(chance - returned, known.sum() - returned_free)
-    return np.maximum(gain, 0.0)
-
-
-def readings_on(
-    free: Floats,
-    survival: Floats,
-    outcomes: Floats,
-    cells: Path,
-    paths: Sequence[Path],
-    situation: FlightState,
-) -> Floats:
-    """Return the readings' information about whether `cells` are all free, (flights,) nats."""
-    # The cells' information is added as if independent, and limited to the event's entropy.
-    returned = survival * outcomes.sum(axis=0)
-    chance = returned.sum(axis=1)
-    each = np.where(chance > 0.0, chance, 1.0)
-    p_free = (returned @ free / each).clip(0.0, 1.0)[:, None]
-    hazard = returned @ situation.draws.hazardous[:, cells] / each[:, None]
-    # Probability of a hazard in each cell, given that not all cells are free.
-    here = (hazard / np.where(p_free < 1.0, 1.0 - p_free, 1.0)).clip(0.0, 1.0)[..., None]
-    entered = [np.bincount(path[1:], minlength=situation.grid.cells)[cells] for path in paths]
-    visits, joint = np.array(entered), situation.belief.joint[cells]
-    told = np.zeros_like(hazard)
-    for count, safe, hazardous in readings_given(joint, situation.model, visits):
-        all_free = p_free[..., None] * safe
-        reading = all_free + (1.0 - p_free[..., None]) * (here * hazardous + (1.0 - here) * safe)
-        given = all_free / np.where(reading > 0.0, reading, 1.0)
-        left = (reading * binary_entropy(given.clip(0.0, 1.0))).sum(axis=-1)
-        told += (visits == count) * (binary_entropy(p_free) - left)
-    total: Floats = chance * np.minimum(told.sum(axis=1), binary_entropy(p_free[:, 0]))
-    return total
 
 
 def best_lanes(draws: HazardDraws, lanes: Sequence[Path], count: int) -> list[Path]:

@@ -79,20 +79,18 @@ class HazardDraws:
 
     def p_hazard(self) -> Floats:
         """Return the probability of a hazard in each cell, shape (cells,)."""
-        probability: Floats = self.weight @ self.hazardous
-        return probability.clip(0.0, 1.0)
+        return np.clip(self.weight @ self.hazardous, 0.0, 1.0)
 
     def p_free(self, cells: ArrayLike) -> float:
         """Return the probability that no cell of `cells` has a hazard (:eq:`set-free`)."""
-        free: Bools = np.logical_not(self.hazardous[:, np.unique(cells)].any(axis=1))
+        free = ~self.hazardous[:, np.unique(cells)].any(axis=1)
         return float(np.clip(self.weight @ free, 0.0, 1.0))
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
         """Return P(n of `cells` have a hazard) for n = 0, 1, ... (:eq:`hazards-remaining`)."""
         there = np.unique(cells)
         count = self.hazardous[:, there].sum(axis=1)
-        chances: Floats = np.bincount(count, self.weight, there.size + 1).astype(np.float64)
-        return chances
+        return np.bincount(count, self.weight, there.size + 1).astype(np.float64)
 
     def survivals(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
         """Return the chance to survive each path, (steps + 1,), in each draw, (paths, draws)."""
@@ -100,15 +98,11 @@ class HazardDraws:
         safe, strike = model.log_survival
         exposure = self._hazards_entered(entered)
         steps = np.array([len(each) for each in entered])[:, None]
-        chances: Floats = np.exp(times_log(steps - exposure, safe) + times_log(exposure, strike))
-        return chances
+        return np.exp(times_log(steps - exposure, safe) + times_log(exposure, strike))
 
     def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
         """Return 1 where a draw has no hazard on a path, 0 elsewhere; shape (paths, draws)."""
-        free: Floats = np.equal(self._hazards_entered([*map(np.asarray, paths)]), 0.0).astype(
-            float
-        )
-        return free
+        return np.where(self._hazards_entered([*map(np.asarray, paths)]) == 0.0, 1.0, 0.0)
 
     def _hazards_entered(self, entered: Sequence[Path]) -> Floats:
         """Return the number of steps of each path into hazards, shape (paths, draws)."""
@@ -116,17 +110,11 @@ class HazardDraws:
         visits = np.zeros((len(entered), cells.size), dtype=np.float32)
         path = np.repeat(np.arange(len(entered)), [len(each) for each in entered])
         np.add.at(visits, (path, place), 1.0)
-        hazards = visits @ self.hazardous[:, cells].T.astype(np.float32)
-        return hazards.astype(np.float64)
+        return np.asarray(visits @ self.hazardous[:, cells].T.astype(np.float32), np.float64)
 
     def survival(self, path: ArrayLike, model: SensorModel) -> float:
         """Return the probability that a traveller survives a path (:eq:`traveller-survives`)."""
         return float(np.clip(self.weight @ self.survivals([path], model)[0], 0.0, 1.0))
-
-
-def quantile(count: Floats, level: float) -> int:
-    """Return the quantile at `level` of a distribution over 0, 1, 2, ..."""
-    return int(np.argmax(np.cumsum(count) >= level - 1e-12))
 
 
 def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
@@ -189,15 +177,9 @@ def targets(
             np.add.at(looks, entered[readings >= 0], 1)
             np.add.at(found, entered[readings == 1], 1)
     missed = (1.0 - model.true_positive) ** looks
-    order = np.argsort(-belief.target, kind='stable')
+    columns = belief.target, looks, found, missed
     return [
-        Target(
-            cell,
-            float(belief.target[cell]),
-            int(looks[cell]),
-            int(found[cell]),
-            float(missed[cell]),
-        )
-        for cell in order.tolist()
+        Target(cell, *(column[cell].item() for column in columns))
+        for cell in np.argsort(-belief.target, kind='stable').tolist()
         if belief.target[cell] >= least
     ]

@@ -135,21 +135,11 @@ def plan_round(
         As in `plan_team` and `check_sought`.
 
     """
-    for_information = partial(
-        plan_team,
-        grid,
-        belief,
-        model,
-        team,
-        options,
-        in_flight=in_flight,
-        visited=visited,
-        keepout=keepout,
-    )
+    for_information = partial(plan_team, grid, belief, model, team, options)
     for robot_type in team.types:
         check_sought(goal, options.of_type(robot_type))
     if goal is None or draws is None:
-        return for_information()
+        return for_information(in_flight=in_flight, visited=visited, keepout=keepout)
     in_use = without(grid, keepout) if len(keepout) else grid
     situation = FlightState(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
@@ -166,7 +156,7 @@ def plan_round(
             plan = goal.flight(own)
         if plan is None and len(keepout):
             # Keepout cells may block every path that serves the goal; then map the field.
-            return for_information()
+            return for_information(in_flight=in_flight, visited=visited, keepout=keepout)
         if plan is None:
             raise NoPathError(
                 f'no path for the goal {goal.name} was found that a robot survives with '

@@ -30,12 +30,11 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.decision import decision as lanes
 from kbnitp_ros.core.decision.goals import (
     expected_best,
-    expected_certainty,
-    expected_from_readings,
     FlightState,
     information,
     information_on,
-    readings_on,
+    readings_on_cells,
+    readings_on_lane,
 )
 from kbnitp_ros.core.decision.rounds import why_worthless
 from laws import for_each
@@ -87,6 +86,12 @@ def entropy(p):
     return -sum(side * np.log(side) for side in (p, 1.0 - p) if side > 1e-15)
 
 
+def state(grid, states, weight, model, belief=None):
+    belief = belief or Belief.prior(grid, 0.2, 0.25, 0.8)
+    draws = HazardDraws(states, inf, weight)
+    return FlightState(grid, 0, draws, belief, model, SearchOptions(), weight[None])
+
+
 @for_each('seed', range(300), every=1 if FULL else 3)
 def test_probabilities_are_those_of_all_states(seed):
     rng = np.random.default_rng(seed)
@@ -116,14 +121,11 @@ def test_probabilities_are_those_of_all_states(seed):
     lanes = [random_path(rng, width, height, 0, 3) for _ in range(3)]
     free = np.array([~states[:, lane].any(axis=1) for lane in lanes], dtype=float)
     chances = draws.survivals(flights, model)
-    grid = Grid(width, height)
-    belief = Belief.prior(grid, 0.2, 0.25, 0.8)
-    situation = FlightState(grid, 0, draws, belief, model, SearchOptions(), weight[None])
-    sent = situation.with_sent(path, model)
+    sent = state(Grid(width, height), states, weight, model).with_sent(path, model)
     best = expected_best(free, chances, sent.outcomes)
-    certain = expected_certainty(states[:, some].astype(float), chances, sent.outcomes)
+    certain = information_on(states[:, some].astype(float), chances, sent.outcomes)
     told = information(chances, sent.outcomes)
-    of_lane = information_on(free[0], chances, sent.outcomes)
+    of_lane = information_on(free[0, :, None], chances, sent.outcomes)
     for flight, own_best, own_certain, own_told, own_lane in zip(
         flights, best, certain, told, of_lane
     ):
@@ -153,21 +155,18 @@ def test_information_of_one_cell_about_a_lane_is_exact(seed):
     rng = np.random.default_rng([seed, 31])
     grid, model = Grid(3, 3), SensorModel(**random_sensors(rng))
     states, weight = posterior(rng, 3, 3, model, 2)
-    draws = HazardDraws(states, inf, weight)
-    belief = Belief.prior(grid, 0.2, 0.25, 0.8)
-    situation = FlightState(grid, 0, draws, belief, model, SearchOptions(), weight[None])
+    situation = state(grid, states, weight, model)
     lane, cell = [0, 1, 2], 1
     free = ~states[:, lane].any(axis=1)
     paths = [np.array([0, cell, 0]), np.array([0, 1, 2, 1, 0])]
-    survival = draws.survivals(paths, model)
-    told = readings_on(
-        free.astype(float), survival, situation.outcomes, np.array([cell, 2]), paths, situation
-    )
+    survival = situation.draws.survivals(paths, model)
+    told = readings_on_lane(situation, paths, survival, [cell, 2], free.astype(float))
     if survival[1] @ weight < 1e-9:
         assert not told.any()
         return
     back = weight * survival[0]
-    target = belief.joint[cell] / belief.joint[cell].sum(axis=1, keepdims=True)
+    target = situation.belief.joint[cell]
+    target = target / target.sum(axis=1, keepdims=True)
     positive = target @ [model.false_positive, model.true_positive]
     seen = np.where(states[:, cell], positive[1], positive[0])
     expected = back.sum() * entropy(back @ free / back.sum())
@@ -209,14 +208,10 @@ def test_information_about_hazards_is_exact(seed):
     path = random_path(rng, 3, 3, 0, 6)
     cells = [1, 3, 4]
     visits = np.bincount(path[1:], minlength=9)
-    returned = weight * survivals(states, path, model)
-    gained = expected_from_readings(
-        states[:, cells].astype(float),
-        returned[None],
-        visits[None, cells],
-        belief.joint[cells],
-        model,
-    )
+    survival = survivals(states, path, model)
+    returned = weight * survival
+    situation = state(Grid(3, 3), states, weight, model, belief)
+    gained = readings_on_cells(situation, [path], survival[None], cells)
     chance, expected = returned.sum(), 0.0
     for cell in cells:
         if not visits[cell] or chance < 1e-12:
