@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.core import Belief, Forecast, Grid, Observation, World
+from kbnitp_ros.core import Belief, Grid, Observation, World
+from kbnitp_ros.core.forecast import Forecast
 from kbnitp_ros.plugins import extra
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

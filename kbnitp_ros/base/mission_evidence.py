@@ -17,10 +17,10 @@ from kbnitp_ros.core import (
     Grid,
     HazardDraws,
     Ledger,
-    MissionRecord,
     Report,
     RobotType,
 )
+from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.messages.beliefs import Snapshot
 import numpy as np
 from numpy.typing import ArrayLike

@@ -15,8 +15,8 @@ from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_plan
-from kbnitp_ros.core import DeploymentKey, Grid, Plan, plan_round, Team
-from kbnitp_ros.core.decision.rounds import why_worthless
+from kbnitp_ros.core import DeploymentKey, Grid, Plan, Team
+from kbnitp_ros.core.decision.rounds import plan_round, why_worthless
 from kbnitp_ros.core.planning.planners import count_visits
 from kbnitp_ros.core.planning.regions import keepout_cells
 from kbnitp_ros.messages.beliefs import Snapshot

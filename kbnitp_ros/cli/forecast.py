@@ -25,8 +25,8 @@ from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search, make_stop, search_options, type_to_plan
-from kbnitp_ros.core import Forecast, forecast, Grid, RobotType, Team
-from kbnitp_ros.core.forecast import Course, PossibleWorld, wilson_interval
+from kbnitp_ros.core import forecast, Grid, RobotType, Team
+from kbnitp_ros.core.forecast import Course, Forecast, PossibleWorld, wilson_interval
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog

@@ -1,31 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """The science of path-based sensors: beliefs, updates, information and plans. Needs numpy only."""
 
+# Decisions: what may be relied on.
 from kbnitp_ros.core.decision.decision import Decision, safest_path
 from kbnitp_ros.core.decision.goals import Area, Goal, Lane
 from kbnitp_ros.core.decision.hazard_draws import HazardDraws, targets
-from kbnitp_ros.core.decision.rounds import plan_round, Stop
+from kbnitp_ros.core.decision.rounds import Stop
+
+# The field: what is, and what is known of it.
 from kbnitp_ros.core.field.belief import Belief, brier_score, log_loss
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
-from kbnitp_ros.core.field.unknowns import Beta, Dynamics, Learnt, Unknowns
+from kbnitp_ros.core.field.unknowns import Beta, Dynamics, Unknowns
 from kbnitp_ros.core.field.world import Execution, World
-from kbnitp_ros.core.forecast import Forecast, forecast
+
+# How a mission may go.
+from kbnitp_ros.core.forecast import forecast
+
+# Inference: what is learnt.
 from kbnitp_ros.core.inference.estimator import Estimator, Ledger
 from kbnitp_ros.core.inference.filters import KnownModel
 from kbnitp_ros.core.inference.methods import METHODS, update
-from kbnitp_ros.core.inference.model_check import ModelCheck
-from kbnitp_ros.core.inference.record import DeploymentKey, MissionRecord, Report
-from kbnitp_ros.core.mission import (
-    continue_mission,
-    Deployment,
-    Learning,
-    run_mission,
-    SimulatedMission,
-    Truth,
-)
+from kbnitp_ros.core.inference.record import DeploymentKey, Report
+
+# A whole mission.
+from kbnitp_ros.core.mission import continue_mission, Deployment, Learning, run_mission, Truth
+
+# Planning: where to go next.
 from kbnitp_ros.core.planning.information import (
     behavioral_information,
     Candidate,
@@ -53,17 +56,13 @@ __all__ = [
     'Dynamics',
     'Estimator',
     'Execution',
-    'Forecast',
     'Goal',
     'Grid',
     'HazardDraws',
     'KnownModel',
     'Lane',
     'Learning',
-    'Learnt',
     'Ledger',
-    'MissionRecord',
-    'ModelCheck',
     'NoPathError',
     'Observation',
     'PathFinder',
@@ -72,7 +71,6 @@ __all__ = [
     'RobotType',
     'SearchOptions',
     'SensorModel',
-    'SimulatedMission',
     'Stop',
     'Team',
     'Truth',
@@ -85,7 +83,6 @@ __all__ = [
     'log_loss',
     'path_information',
     'plan',
-    'plan_round',
     'plan_team',
     'run_mission',
     'safest_path',

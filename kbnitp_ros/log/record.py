@@ -13,12 +13,11 @@ from kbnitp_ros.core import (
     DeploymentKey,
     Grid,
     Ledger,
-    MissionRecord,
     Observation,
     Report,
     RobotType,
 )
-from kbnitp_ros.core.inference.record import deployment_order
+from kbnitp_ros.core.inference.record import deployment_order, MissionRecord
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role

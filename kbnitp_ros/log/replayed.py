@@ -11,7 +11,8 @@ from hashlib import blake2b
 from math import nan
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Grid, Ledger, ModelCheck
+from kbnitp_ros.core import DeploymentKey, Grid, Ledger
+from kbnitp_ros.core.inference.model_check import ModelCheck
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission

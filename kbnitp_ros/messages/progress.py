@@ -15,12 +15,12 @@ from kbnitp_ros.core import (
     Grid,
     Ledger,
     log_loss,
-    ModelCheck,
     path_information,
     World,
 )
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
+from kbnitp_ros.core.inference.model_check import ModelCheck
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import check_frame, Fields, filled, header, header_fields
 import numpy as np

@@ -14,12 +14,12 @@ from kbnitp_ros.core import (
     Execution,
     Grid,
     HazardDraws,
-    Learnt,
-    SimulatedMission,
     Truth,
     World,
 )
 from kbnitp_ros.core.field.belief import binary_entropy, log_losses, surprisal
+from kbnitp_ros.core.field.unknowns import Learnt
+from kbnitp_ros.core.mission import SimulatedMission
 from kbnitp_ros.study.scenario import ALONE, DecisionRequest, NUMBERS, Scenario, Strategy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -10,7 +10,6 @@ from kbnitp_ros.core import (
     Execution,
     Grid,
     Lane,
-    MissionRecord,
     plan,
     plan_team,
     Report,
@@ -22,6 +21,7 @@ from kbnitp_ros.core import (
     Truth,
     World,
 )
+from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.core.planning.regions import keepout_cells
 from laws import for_each
 import numpy as np

@@ -17,7 +17,6 @@ from kbnitp_ros.core import (
     NoPathError,
     Observation,
     plan,
-    plan_round,
     run_mission,
     safest_path,
     SearchOptions,
@@ -36,7 +35,7 @@ from kbnitp_ros.core.decision.goals import (
     readings_on_cells,
     readings_on_lane,
 )
-from kbnitp_ros.core.decision.rounds import why_worthless
+from kbnitp_ros.core.decision.rounds import plan_round, why_worthless
 from laws import for_each
 import numpy as np
 import pytest
