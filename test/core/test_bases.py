@@ -69,22 +69,7 @@ def test_a_grid_at_another_base_is_the_same_field():
     assert 'other' not in str(Grid(5, 4))
 
 
-@for_each('others, message', [
-    ((3,), 'base is 3: it must be a free cell, and this cell is blocked'),
-    ((20,), 'base is 20.*from 0 to 19'),
-    ((-1,), 'base is -1.*from 0 to 19'),
-    ((1.5,), 'base is 1.5.*whole number'),
-])  # fmt: skip
-def test_bad_bases_are_refused(others, message):
-    with pytest.raises(ValueError, match=message):
-        Grid(5, 4, blocked=(3,), other_bases=others)
-
-
 def test_a_base_of_another_grid_is_refused():
-    with pytest.raises(
-        ValueError, match=r'base 4 is not a base of the grid, which has \[0, 29\].*other'
-    ):
-        CORNERS.at(4)
     belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
     with pytest.raises(ValueError, match='base 4 is not a base of the grid'):
         plan_round(CORNERS, belief, MODEL, 6, 1, types=(RobotType(base=4),))

@@ -168,16 +168,3 @@ def test_a_proportion_has_the_wilson_interval():
     assert share == pytest.approx((0.85, 0.63958, 0.94763), abs=1e-4)
     assert wilson_interval(np.zeros(10))[1] == 0.0
     assert wilson_interval(np.ones(10))[2] == 1.0
-
-
-@for_each('changes, complaint', [
-    ({'robots': 0}, 'robots is 0: .*at least 1'),
-    ({'worlds': 0}, 'worlds is 0: .*at least 1'),
-    ({'goal': Lane(to=6)}, 'cell 6, an obstacle'),
-    ({'goal': Lane(to=15), 'options': SearchOptions(max_steps=2)}, 'at most max_steps = 2'),
-    ({'stop': Stop(losses=9)}, 'stop.losses is 9'),
-])  # fmt: skip
-def test_bad_input_is_refused(changes, complaint):
-    given = {'robots': 4, 'worlds': 2, 'rng': 1, 'options': OPTIONS, **changes}
-    with pytest.raises(ValueError, match=complaint):
-        forecast(GRID, Estimator(PRIOR, MODEL), **given)

@@ -127,24 +127,6 @@ def test_a_round_is_planned_at_once_and_assimilated_in_order(allocation):
     assert next(held, None) is None
 
 
-@for_each('options, message', [
-    ({'robots': -1}, 'robots is -1.*at least 0'),
-    ({'robots': 1.5}, 'robots is 1.5.*whole number'),
-    ({'method': 'magic'}, 'method.*magic.*kappa_bnitp'),
-    ({'agents': 0}, 'agents is 0.*at least 1'),
-    ({'agents': 25, 'robots': 3}, 'agents is 25.*24.*free cell'),
-])  # fmt: skip
-def test_bad_missions_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        fly(0, **options)
-
-
-def test_a_world_of_another_grid_is_refused():
-    small = World(np.zeros(4, bool), np.zeros(4, bool))
-    with pytest.raises(ValueError, match='world.*4 cells.*5 x 5'):
-        run_mission(GRID, PRIOR, MODEL, small, 3, 0)
-
-
 def test_plans_use_learnt_numbers():
     """The prior says that hazards are harmless, but not for certain."""
     rng = np.random.default_rng(5)

@@ -17,13 +17,10 @@ from kbnitp_ros.core import (
     SensorModel,
     Team,
     Unknowns,
-    update,
     World,
 )
 from kbnitp_ros.core.planning.planners import shortest_unvisited
 from kbnitp_ros.figures import plot
-from kbnitp_ros.plugins import PluginError
-from laws import for_each
 import numpy as np
 import pytest
 from rounds import Ignorant
@@ -139,72 +136,6 @@ def test_functions_and_classes_stand_for_names():
 
     planned = plan_team(GRID, PRIOR, MODEL, Team(2, both_alike), OPTIONS)
     assert [each.path.tolist() for each in planned] == [[0, 0], [0, 0]]
-
-
-def nonsense(finder, objective):
-    return []
-
-
-def test_a_function_that_returns_nonsense_is_named():
-    with pytest.raises(PluginError, match="planner 'nonsense' of test_objects returns no path"):
-        mission(options=SearchOptions(nonsense, 8))
-    with pytest.raises(TypeError, match=r'planner .*<lambda>: it must be callable with \(finder'):
-        mission(options=SearchOptions(lambda: 3, 8))
-    with pytest.raises(TypeError, match='method dict: it must'):
-        Estimator(PRIOR, MODEL, dict)
-
-
-@for_each('make, words', [
-    (lambda: Grid('4', 4), "grid width is '4': it must be a number"),
-    (lambda: SensorModel('a'), "lethality is 'a': it must be a number"),
-    (lambda: SensorModel(0.5, malfunction=None), 'malfunction is None: it must be a number'),
-    (lambda: SearchOptions(max_steps=[3]), 'max_steps is .3.: it must be a number'),
-    (lambda: mission(goal='lane'), r"goal is 'lane': it must be Lane\(...\) or Area"),
-    (lambda: mission(stop=0.9), r'stop is 0.9: it must be Stop\(...\)'),
-    (lambda: mission(team=2), r'team is 2: it must be Team\(...\)'),
-    (lambda: mission(options='beam'), "options is 'beam': it must be SearchOptions"),
-    (lambda: mission(truth=MODEL), 'truth is SensorModel.lethality=0.5.* it must be Truth'),
-    (lambda: mission(learning=Unknowns()), 'learning is Unknowns.*: it must be Learning'),
-    (lambda: mission(dynamics='changing'), "dynamics is 'changing': it must be Dynamics"),
-    (lambda: run_mission(PRIOR, GRID, MODEL, WORLD, 1, 1), 'grid is Belief.*: it must be Grid'),
-    (lambda: run_mission(GRID, PRIOR, MODEL, WORLD, 1, 'a'), "rng is 'a': it must be a seed"),
-    (lambda: core.plan((4, 4), PRIOR, MODEL, 8), r'grid is \(4, 4\): it must be Grid'),
-    (lambda: core.path_information(PRIOR, 0.5, [0, 1, 0]), 'model is 0.5: it must be SensorModel'),
-    (lambda: update(PRIOR, MODEL, [0, 1, 0]), r'observation is \[0, 1, 0\]: it must be Observ'),
-    (lambda: Estimator(GRID, MODEL), 'belief is Grid.*: it must be Belief'),
-    (lambda: Estimator(PRIOR, MODEL, unknowns='lethality'), "unknowns is 'lethality': it must"),
-    (lambda: Estimator(PRIOR, MODEL).assimilate([0, 1, 0]), 'observation is .*: it must be Obs'),
-    (lambda: Belief.prior(0.2, 0.3, 0.8, GRID), 'grid is 0.2: it must be Grid'),
-    (lambda: World.random(GRID, 0.2, 0.8, 0.1, 1), 'rng is 0.2: it must be a seed'),
-    (lambda: core.forecast(GRID, PRIOR, 3, 2, 1), 'estimator is Belief.*: it must be Estimator'),
-    (lambda: core.log_loss(PRIOR, WORLD.hazard), 'probability is Belief.*such as Belief.hazard'),
-    (lambda: Grid(4, 4, blocked=6), 'blocked is 6: it must be a list'),
-    (lambda: core.Truth(0.5), 'model is 0.5: it must be SensorModel'),
-    (lambda: Learning({'lethality': (0, 1)}), r'unknowns is \{.lethality.*: it must be Unknowns'),
-    (lambda: core.Clustering(0.5, GRID), 'grid is 0.5: it must be Grid'),
-    (lambda: core.PathFinder(GRID, 'beam'), "options is 'beam': it must be SearchOptions"),
-    (lambda: core.Area(3), 'cells is 3: it must be a list'),
-])  # fmt: skip
-def test_a_wrong_type_is_named(make, words):
-    with pytest.raises(TypeError, match=words):
-        make()
-
-
-@for_each('make, error, words', [
-    (lambda: SearchOptions('baem'), ValueError, "planner is 'baem': known are relaxed, beam"),
-    (lambda: SearchOptions(18), ValueError, 'planner is 18: known are relaxed, beam'),
-    (lambda: core.path_information(PRIOR, MODEL, mission(robots=1)[0].plan), ValueError,
-     r'path is Plan\(.*: it must list at least two cells'),
-    (lambda: mission(options=SearchOptions(lambda f, o: [0, 1, 0], 8)), PluginError,
-     r'finds 0: it must return a list of Candidate.along\(path, objective\)'),
-    (lambda: mission(options=SearchOptions(lambda f, o: [[0, 1, 0]], 8)), PluginError,
-     r'finds \[0, 1, 0\]: it must return a list of Candidate'),
-    (lambda: mission(options=SearchOptions(lambda f, o: np.array([0, 1, 0]), 8)), PluginError,
-     r'returns array\(\[0, 1, 0\]\): it must be a list of Candidate'),
-])  # fmt: skip
-def test_a_natural_mistake_is_named(make, error, words):
-    with pytest.raises(error, match=words):
-        make()
 
 
 def test_a_candidate_may_have_a_list_as_path():

@@ -369,37 +369,6 @@ def test_a_round_is_worth_as_much_as_the_best_of_its_plans():
     assert 'no plan is expected to bring more' in why_worthless(known, 0.0)
 
 
-@pytest.mark.parametrize('make, named', [
-    (lambda: Lane(24, 1.0), 'confidence is 1.0'),
-    (lambda: Area([3], 0.0), 'confidence is 0.0'),
-    (lambda: Area([]), 'without cells'),
-    (lambda: Lane(0), 'the base'),
-    (lambda: Lane(25), 'off the map'),
-    (lambda: Lane(3), 'obstacle'),
-    (lambda: Lane(4), 'no way leads'),
-    (lambda: Lane(20), 'max_steps = 3'),
-    (lambda: Area([20]), 'max_steps = 3'),
-    (lambda: Lane(6, 0.999), 'independent draws'),
-])  # fmt: skip
-def test_goals_that_cannot_be_reached_are_refused(make, named):
-    grid = Grid(5, 5, blocked=(3, 8, 9))
-    world = World(np.zeros(25, bool), np.zeros(25, bool))
-    with pytest.raises(ValueError, match=named):
-        run_mission(
-            grid, uniform(grid, 0.1), MODEL, world, 2, 1, options=SearchOptions(max_steps=3),
-            goal=make(),
-        )  # fmt: skip
-
-
-def test_contradictory_stops_are_refused():
-    world = World(np.zeros(25, bool), np.zeros(25, bool))
-    with pytest.raises(ValueError, match='stop.losses is 9'):
-        run_mission(GRID, PRIOR, MODEL, world, 2, 1, stop=Stop(losses=9))
-    for wrong in ({'gain': -1.0}, {'losses': -1}, {'losses': 1.5}):
-        with pytest.raises(ValueError, match='stop'):
-            Stop(**wrong)
-
-
 def test_targets_have_their_looks_and_misses():
     belief = Belief.from_maps([0.0, 0.2, 0.2], [0.1, 0.5, 0.3], [0.1, 0.5, 0.5])
     model = SensorModel(0.5, true_positive=0.9)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Beliefs are distributions, and are measured by their formulas."""
 
-from itertools import product
 from math import isfinite, log
 
 import brute_force
@@ -62,46 +61,6 @@ def test_kappa_is_the_target_where_there_is_no_hazard():
     np.testing.assert_allclose(belief.kappa, [0.3, 0.5], atol=1e-15)
 
 
-@for_each('field, value', product(['hazard', 'target', 'kappa'], [np.nan, -0.1, 1.1, np.inf]))
-def test_maps_of_no_probability_are_refused_at_the_first_bad_cell(field, value):
-    maps = {name: np.full(12, 0.5) for name in ('hazard', 'target', 'kappa')}
-    maps[field][[7, 9]] = value
-    with pytest.raises(ValueError, match=rf'{field} of cell 7 is {value}.*\[0, 1\]'):
-        Belief.from_maps(**maps)
-
-
-@for_each('hazard, target, kappa', [
-    (0.5, 0.1, 0.8),  # more hazardous targets than targets
-    (0.5, 0.9, 0.2),  # more hazardless targets than hazardless cells
-    (1.0, 0.3, 0.8),  # certain hazard: target is kappa
-])  # fmt: skip
-def test_maps_without_a_joint_are_refused_at_the_first_bad_cell(hazard, target, kappa):
-    maps = np.full((3, 12), 0.5)
-    maps[:, [7, 9]] = np.array([[hazard], [target], [kappa]])
-    with pytest.raises(ValueError, match=r'cell 7\b.*') as refusal:
-        Belief.from_maps(*maps)
-    for value in (hazard, target, kappa):
-        assert str(value) in str(refusal.value)
-
-
-@for_each('shapes', [(3, 3, 4), (3, 2, 3), (1, 3, 3), (0, 0, 0), ((3, 1),) * 3])
-def test_maps_of_wrong_shape_are_refused(shapes):
-    with pytest.raises(ValueError, match='(hazard|target|kappa).*shape'):
-        Belief.from_maps(*(np.full(shape, 0.5) for shape in shapes))
-
-
-@for_each('joint, message', [
-    (np.full((3, 4), 0.25), r'joint.*shape.*\(3, 4\)'),
-    (np.full((0, 2, 2), 0.25), 'joint.*shape'),
-    ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.7], [-0.2, 0.0]]], 'joint.*cell 1'),
-    ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, 0.5], [0.5, 0.5]]], 'joint.*cell 1'),
-    ([[[0.25, 0.25], [0.25, 0.25]], [[0.5, np.nan], [0.5, 0.0]]], 'joint.*cell 1'),
-])  # fmt: skip
-def test_joints_that_are_no_distribution_are_refused(joint, message):
-    with pytest.raises(ValueError, match=message):
-        Belief(joint)
-
-
 def test_prior_has_no_hazard_at_the_base_and_nothing_in_blocked_cells():
     grid = Grid(3, 2, base=4, blocked=(1, 5))
     belief = Belief.prior(grid, hazard=0.5, target=0.45, kappa=0.8)
@@ -121,18 +80,6 @@ def test_prior_takes_maps():
     np.testing.assert_allclose(belief.hazard, [0.2, 0.0, 0.4], atol=1e-15)
     np.testing.assert_allclose(belief.target, [0.5, 0.2, 0.2], atol=1e-15)
     np.testing.assert_allclose(belief.kappa, [0.9, 0.2, 0.1], atol=1e-14)
-
-
-@for_each('maps, message', [
-    ({'hazard': 1.5}, r'hazard.*1.5.*\[0, 1\]'),
-    ({'target': np.nan}, r'target.*nan.*\[0, 1\]'),
-    ({'kappa': -1}, r'kappa.*-1.*\[0, 1\]'),
-    ({'hazard': [0.5, 0.5]}, r'hazard.*shape \(2,\).*6'),
-    ({'target': 0.1}, 'cell 0'),
-])  # fmt: skip
-def test_bad_priors_are_refused(maps, message):
-    with pytest.raises(ValueError, match=message):
-        Belief.prior(Grid(3, 2, base=4), **{'hazard': 0.5, 'target': 0.45, 'kappa': 0.8, **maps})
 
 
 @for_each('seed', range(10))
@@ -166,9 +113,3 @@ def test_certainty_costs_nothing_when_right_and_much_when_wrong():
     assert one > 30
     assert two == pytest.approx(2 * one)
     assert brier_score(believed, [True, True, False]) == 2
-
-
-@for_each('score', [log_loss, brier_score])
-def test_a_truth_of_another_size_is_refused(score):
-    with pytest.raises(ValueError, match='truth'):
-        score(np.array([0.5, 0.5, 0.5]), [True])

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A wrong argument is refused by its name, its value, and what it may be."""
+
+from functools import partial
+from itertools import product
+from math import inf, nan
+
+from kbnitp_ros import core
+from kbnitp_ros.core import (
+    Area,
+    Belief,
+    brier_score,
+    Clustering,
+    Estimator,
+    Execution,
+    Grid,
+    Lane,
+    Learning,
+    log_loss,
+    Observation,
+    run_mission,
+    SearchOptions,
+    SensorModel,
+    Stop,
+    Team,
+    Truth,
+    Unknowns,
+    update,
+    World,
+)
+from kbnitp_ros.plugins import PluginError
+from laws import for_each
+import numpy as np
+import pytest
+
+GRID = Grid(4, 4, blocked=[6])
+PRIOR = Belief.prior(GRID, 0.15, 0.2, 0.8)
+MODEL = SensorModel(0.5)
+WORLD = World.random(GRID, 1, 0.15, 0.8, 0.1)
+TWO_BASES = Grid(6, 5, base=0, other_bases=(29,))
+SENSORS = ('lethality', 'malfunction', 'false_negative', 'true_positive', 'false_positive')
+
+
+def grid(width=4, height=3, **others):
+    return Grid(width, height, **others)
+
+
+def path(cells):
+    return Grid(4, 3, base=5, blocked=(9,)).check_path(cells, max_steps=5)
+
+
+def at_cells(**values):
+    """Return the belief of uniform maps with other values in two cells."""
+    maps = {name: np.full(12, 0.5) for name in ('hazard', 'target', 'kappa')}
+    for name, value in values.items():
+        maps[name][[7, 9]] = value
+    return Belief.from_maps(**maps)
+
+
+def prior(**others):
+    usual = {'hazard': 0.5, 'target': 0.45, 'kappa': 0.8}
+    return Belief.prior(Grid(3, 2, base=4), **usual | others)
+
+
+def draw(**densities):
+    usual = {'hazard_density': 0.15, 'kappa': 0.8, 'target_background': 0.1}
+    return World.random(GRID, 1, **usual | densities)
+
+
+def fits(hazard, target):
+    World(hazard, target).check(Grid(2, 2, base=1, blocked=(3,)))
+
+
+def wide(side, densities):
+    possible = np.ones(side**2, dtype=bool)
+    possible[[5, 77]] = False
+    return Clustering(Grid(side, side), 0.5).fields(possible, np.full(densities, 0.2))
+
+
+def mission(robots=4, rng=1, method='kappa_bnitp', grid=GRID, world=WORLD, **others):
+    belief = Belief.prior(grid, 0.15, 0.2, 0.8)
+    given = {'options': SearchOptions(max_steps=8)} | others
+    return run_mission(grid, belief, MODEL, world, robots, rng, method, **given)
+
+
+def goal(sought):
+    """Run a mission for a goal in a field whose cell 4 no way leads to."""
+    walled, world = Grid(5, 5, blocked=(3, 8, 9)), World(np.zeros(25, bool), np.zeros(25, bool))
+    return mission(2, grid=walled, world=world, options=SearchOptions(max_steps=3), goal=sought)
+
+
+def forecast(**changes):
+    usual = {'robots': 4, 'worlds': 2, 'rng': 1, 'options': SearchOptions(max_steps=8)}
+    return core.forecast(GRID, Estimator(PRIOR, MODEL), **usual | changes)
+
+
+def observed(cells, survived, readings=None, **others):
+    return partial(Observation, cells, survived, readings, **others)
+
+
+NO_PROBABILITIES = [
+    (partial(make, **{name: value}), ValueError, rf'{name} .*is {value}.*\[0, 1\]')
+    for make, names in (
+        (partial(SensorModel, lethality=0.5), SENSORS),
+        (Execution, ('detour', 'early_return', 'contact', 'camera_failure')),
+        (draw, ('hazard_density', 'kappa', 'target_background')),
+        (at_cells, ('hazard', 'target', 'kappa')),
+    )
+    for name, value in product(names, (-0.1, 1.1, nan, inf, -inf))
+]
+
+
+@for_each('make, error, words', [
+    # Grids, and points and paths on them.
+    (lambda: grid(width=0), ValueError, 'width is 0.*at least 1'),
+    (lambda: grid(height=-2), ValueError, 'height is -2.*at least 1'),
+    (lambda: grid(width=2.5), ValueError, 'width is 2.5.*whole number'),
+    (lambda: grid(width=nan), ValueError, 'width is nan.*whole number'),
+    (lambda: grid('4'), TypeError, "grid width is '4': it must be a number"),
+    (lambda: grid(base=12), ValueError, 'base is 12.*0 to 11'),
+    (lambda: grid(base=1.5), ValueError, 'base is 1.5.*0 to 11'),
+    (lambda: grid(base=5, blocked=(4, 5)), ValueError, 'base is 5.*must be a free cell.*blocked'),
+    (lambda: grid(blocked=(3, 12)), ValueError, 'blocked.*12.*0 to 11'),
+    (lambda: grid(blocked=(2.5,)), ValueError, 'blocked.*2.5.*0 to 11'),
+    (lambda: grid(blocked=6), TypeError, 'blocked is 6: it must be a list'),
+    (lambda: grid(other_bases=(3,), blocked=(3,)), ValueError, 'base is 3: it must be a free'),
+    (lambda: grid(other_bases=(20,)), ValueError, 'base is 20.*from 0 to 11'),
+    (lambda: grid(other_bases=(-1,)), ValueError, 'base is -1.*from 0 to 11'),
+    (lambda: grid(other_bases=(1.5,)), ValueError, 'base is 1.5.*whole number'),
+    (lambda: grid(resolution=0.0), ValueError, 'resolution is 0.*positive'),
+    (lambda: grid(resolution=nan), ValueError, 'resolution is nan.*positive'),
+    (lambda: grid(resolution=inf), ValueError, 'resolution is inf'),
+    (lambda: grid(origin=(0.0, nan)), ValueError, 'origin.*nan.*finite'),
+    (lambda: grid(origin=(0.0, 0.0, 0.0)), ValueError, 'origin.*two'),
+    (lambda: grid(origin=(1e16, 0.0)), ValueError, r'origin is \(1e\+16, 0.0\): cells of 1.0 m'),
+    (lambda: grid(origin=(0.0, -1e308)), ValueError, 'cannot be told apart.* within 4.5e'),
+    (lambda: grid(connectivity=6), ValueError, 'connectivity is 6.*4 or 8'),
+    (lambda: grid(yaw=inf), ValueError, 'yaw is inf.*finite'),
+    (lambda: grid().neighbors(-1), ValueError, 'cell is -1.*0 to 11'),
+    (lambda: grid().neighbors(12), ValueError, 'cell is 12.*0 to 11'),
+    (lambda: grid().neighbors(1.5), ValueError, 'cell is 1.5.*0 to 11'),
+    (lambda: grid().cells_at([(-0.01, 0.5)]), ValueError, r'\(-0.01, 0.5\) is outside.*4 x 3'),
+    (lambda: grid().cells_at([(0.5, -0.01)]), ValueError, r'\(0.5, -0.01\).*4 x 3'),
+    (lambda: grid().cells_at([(4.01, 0.5)]), ValueError, r'\(4.01, 0.5\).*4 x 3'),
+    (lambda: grid().cells_at([(0.5, 3.01)]), ValueError, r'\(0.5, 3.01\).*4 x 3'),
+    (lambda: grid().cells_at([(nan, 0.5)]), ValueError, r'\(nan, 0.5\).*4 x 3'),
+    (lambda: grid().cells_at([(-inf, inf)]), ValueError, r'\(-inf, inf\).*4 x 3'),
+    (lambda: grid(yaw=np.pi / 2).cells_at([(0.5, 0.5)]), ValueError, 'outside.*turned by 1.57'),
+    (lambda: grid().cells_at(np.full(6, 0.5)), ValueError, r'points have shape \(6,\)'),
+    (lambda: grid().cells_at(np.full((3, 3), 0.5)), ValueError, r'points have shape \(3, 3\)'),
+    (lambda: TWO_BASES.at(4), ValueError, r'base 4 is not a base.*which has \[0, 29\].*other'),
+    (lambda: path([]), ValueError, 'path.*at least two'),
+    (lambda: path([5]), ValueError, 'path.*at least two'),
+    (lambda: path(5), ValueError, 'path.*at least two'),
+    (lambda: path([[5, 5], [5, 5]]), ValueError, 'path'),
+    (lambda: path([5, 12, 5]), ValueError, 'path leaves the grid.*12.*0 to 11'),
+    (lambda: path([5, -1, 5]), ValueError, 'path leaves the grid.*-1.*0 to 11'),
+    (lambda: path([5, 7, 5]), ValueError, 'path jumps.*5 to 7'),
+    (lambda: path([5, 4, 3, 4, 5]), ValueError, 'path jumps.*4 to 3'),
+    (lambda: path([4, 5]), ValueError, 'path must start at the base 5.*4'),
+    (lambda: path([5, 4]), ValueError, 'path must end at the base 5.*4'),
+    (lambda: path([5, 9, 5]), ValueError, 'path enters a blocked cell.*9'),
+    (lambda: path([5, 5, 5, 5, 5, 5, 5]), ValueError, 'path has 6 steps.*5'),
+    (lambda: path([5.0, 6.5, 5.0]), ValueError, 'path.*float.*whole numbers'),
+    (lambda: path([5, nan, 5]), ValueError, 'path.*whole numbers'),
+    (lambda: path([True, True]), ValueError, 'path.*whole numbers'),
+    (lambda: path(['5', '6', '5']), ValueError, 'path.*whole numbers'),
+    # Clusters.
+    (lambda: Clustering(GRID, -0.1), ValueError, r"coupling is -0.1.*in \[0, 1.7\] or 'learn'"),
+    (lambda: Clustering(GRID, 1.8), ValueError, r"coupling is 1.8.*in \[0, 1.7\] or 'learn'"),
+    (lambda: Clustering(GRID, nan), ValueError, r"coupling is nan.*in \[0, 1.7\] or 'learn'"),
+    (lambda: Clustering(GRID, 'strong'), ValueError, r"coupling is 'strong'.*in \[0, 1.7\]"),
+    (lambda: Clustering(GRID, None), ValueError, r"coupling is None.*in \[0, 1.7\] or 'learn'"),
+    (lambda: Clustering(0.5, GRID), TypeError, 'grid is 0.5: it must be Grid'),
+    (lambda: wide(17, 1), ValueError, 'obstacles, its shorter side may have at most 16 cells'),
+    (lambda: wide(13, 2), ValueError, 'hazard_density is unknown'),
+    # Beliefs, and their scores. A cell's hazardous targets are at most its targets or hazards.
+    (lambda: at_cells(hazard=0.5, target=0.1, kappa=0.8), ValueError, r'cell 7\b.*0.5.*0.8.*0.1'),
+    (lambda: at_cells(hazard=0.5, target=0.9, kappa=0.2), ValueError, r'cell 7\b.*0.5.*0.2.*0.9'),
+    (lambda: at_cells(hazard=1.0, target=0.3, kappa=0.8), ValueError, r'cell 7\b.*1.0.*0.8.*0.3'),
+    (lambda: Belief.from_maps(*map(np.ones, (3, 3, 4))), ValueError, r'kappa.*shape \(4,\)'),
+    (lambda: Belief.from_maps(*map(np.ones, (3, 2, 3))), ValueError, r'target.*shape \(2,\)'),
+    (lambda: Belief.from_maps(*map(np.ones, (1, 3, 3))), ValueError, r'target.*shape \(3,\)'),
+    (lambda: Belief.from_maps([], [], []), ValueError, r'hazard.*shape \(0,\)'),
+    (lambda: Belief.from_maps(*np.ones((3, 3, 1))), ValueError, r'hazard.*shape \(3, 1\)'),
+    (lambda: Belief(np.full((3, 4), 0.25)), ValueError, r'joint.*shape.*\(3, 4\)'),
+    (lambda: Belief(np.full((0, 2, 2), 0.25)), ValueError, 'joint.*shape'),
+    (lambda: Belief([[[1, 0], [0, 0]], [[0.5, 0.7], [-0.2, 0]]]), ValueError, 'joint.*cell 1'),
+    (lambda: Belief([[[1, 0], [0, 0]], [[0.5, 0.5], [0.5, 0.5]]]), ValueError, 'joint.*cell 1'),
+    (lambda: Belief([[[1, 0], [0, 0]], [[0.5, nan], [0.5, 0]]]), ValueError, 'joint.*cell 1'),
+    (lambda: prior(hazard=1.5), ValueError, r'hazard.*1.5.*\[0, 1\]'),
+    (lambda: prior(target=nan), ValueError, r'target.*nan.*\[0, 1\]'),
+    (lambda: prior(kappa=-1), ValueError, r'kappa.*-1.*\[0, 1\]'),
+    (lambda: prior(hazard=[0.5, 0.5]), ValueError, r'hazard.*shape \(2,\).*6'),
+    (lambda: prior(target=0.1), ValueError, 'cell 0'),
+    (lambda: prior(hazard=[0, 0, 0, 0, 1, 0], target=0.8), ValueError, 'hazard of cell 4 is 1'),
+    (lambda: Belief.prior(0.2, 0.3, 0.8, GRID), TypeError, 'grid is 0.2: it must be Grid'),
+    (lambda: log_loss(np.full(3, 0.5), [True]), ValueError, 'truth has shape'),
+    (lambda: brier_score(np.full(3, 0.5), [True]), ValueError, 'truth has shape'),
+    (lambda: log_loss(PRIOR, WORLD.hazard), TypeError, 'probability is Belief.*Belief.hazard'),
+    # Sensors.
+    (lambda: SensorModel('a'), TypeError, "lethality is 'a': it must be a number"),
+    (lambda: SensorModel(0.5, None), TypeError, 'malfunction is None: it must be a number'),
+    # Worlds and executions.
+    (lambda: World([False] * 3, [False] * 4), ValueError, 'target.*4.*3'),
+    (lambda: World([], []), ValueError, 'hazard.*shape'),
+    (lambda: World([[False], [True]], [[False], [True]]), ValueError, 'hazard.*shape'),
+    (lambda: World([0.5, 0.0], [False, True]), ValueError, 'hazard.*0.5'),
+    (lambda: World([False, True], [2, 0]), ValueError, 'target.*2'),
+    (lambda: World([nan, 0.0], [False, True]), ValueError, 'hazard.*nan'),
+    (lambda: fits([0, 0, 0], [0, 0, 0]), ValueError, 'world.*3 cells.*2 x 2'),
+    (lambda: fits([0, 1, 0, 0], [0, 0, 0, 0]), ValueError, 'hazard.*base 1'),
+    (lambda: fits([0, 0, 0, 1], [0, 0, 0, 0]), ValueError, 'cell 3.*blocked'),
+    (lambda: fits([0, 0, 0, 0], [0, 0, 0, 1]), ValueError, 'cell 3.*blocked'),
+    (lambda: World.random(GRID, 0.2, 0.8, 0.1, 1), TypeError, 'rng is 0.2: it must be a seed'),
+    (lambda: WORLD.traverse([0, 16, 0], MODEL, 1), ValueError, 'path.*16.*0 to 15'),
+    (lambda: Execution().traverse(WORLD, GRID, [0, 3, 0], MODEL, 1), ValueError, 'jumps'),
+    # Observations.
+    (observed([0, 1, 0], True), ValueError, 'readings.*missing.*each step'),
+    (observed([0, 1, 0], True, [True]), ValueError, r'readings.*\(1,\).*2'),
+    (observed([0, 1, 0], True, [[True, False]]), ValueError, r'readings.*\(1, 2\).*2'),
+    (observed([0, 1, 0], True, [0.5, 1.0]), ValueError, r'readings.*0\.5.*True or False'),
+    (observed([0, 1, 0], True, [nan, 0.0]), ValueError, 'readings.*nan.*True or False'),
+    (observed([0, 1, 0], False, [True, False]), ValueError, 'readings.*lost.*none'),
+    (observed([], False), ValueError, 'path.*at least two'),
+    (observed([[0, 1, 0]], False), ValueError, 'path'),
+    (observed([0, 1.5, 0], False), ValueError, 'path.*whole numbers'),
+    (observed([0, -1, 0], False), ValueError, 'path.*-1.*from 0'),
+    (observed([0, 1, 2], False), ValueError, 'path.*0.*2.*base'),
+    *((observed([0, 1, 0], one), ValueError, 'survived') for one in (2, -1, 0.5, nan, 'y', None)),
+    # Methods and plans.
+    (lambda: update(PRIOR, MODEL, [0, 1, 0]), TypeError, r'observation is \[0, 1, 0\]: it must'),
+    (lambda: Estimator(GRID, MODEL), TypeError, 'belief is Grid.*: it must be Belief'),
+    (lambda: Estimator(PRIOR, MODEL, unknowns='x'), TypeError, "unknowns is 'x': it must"),
+    (lambda: Estimator(PRIOR, MODEL).assimilate([0]), TypeError, 'observation is .*: it must be'),
+    (lambda: Estimator(PRIOR, MODEL, dict), TypeError, 'method dict: it must'),
+    (lambda: SearchOptions('baem'), ValueError, "planner is 'baem': known are relaxed, beam"),
+    (lambda: SearchOptions(18), ValueError, 'planner is 18: known are relaxed, beam'),
+    (lambda: SearchOptions(max_steps=[3]), TypeError, 'max_steps is .3.: it must be a number'),
+    (lambda: core.PathFinder(GRID, 'beam'), TypeError, "options is 'beam': it must be SearchOpt"),
+    (lambda: core.plan((4, 4), PRIOR, MODEL, 8), TypeError, r'grid is \(4, 4\): it must be Grid'),
+    (lambda: core.path_information(PRIOR, 0.5, [0, 1, 0]), TypeError, 'model is 0.5: it must be'),
+    (lambda: core.path_information(PRIOR, MODEL, core.plan(GRID, PRIOR, MODEL, 4)), ValueError,
+     r'path is Plan\(.*: it must list at least two cells'),
+    # Goals and stops.
+    (lambda: goal(Lane(24, 1.0)), ValueError, 'confidence is 1.0'),
+    (lambda: goal(Area([3], 0.0)), ValueError, 'confidence is 0.0'),
+    (lambda: goal(Area([])), ValueError, 'without cells'),
+    (lambda: Area(3), TypeError, 'cells is 3: it must be a list'),
+    (lambda: goal(Lane(0)), ValueError, 'the base'),
+    (lambda: goal(Lane(25)), ValueError, 'off the map'),
+    (lambda: goal(Lane(3)), ValueError, 'obstacle'),
+    (lambda: goal(Lane(4)), ValueError, 'no way leads'),
+    (lambda: goal(Lane(20)), ValueError, 'max_steps = 3'),
+    (lambda: goal(Area([20])), ValueError, 'max_steps = 3'),
+    (lambda: goal(Lane(6, 0.999)), ValueError, 'independent draws'),
+    (lambda: Stop(gain=-1.0), ValueError, 'stop.gain is -1.0'),
+    (lambda: Stop(losses=-1), ValueError, 'stop.losses is -1'),
+    (lambda: Stop(losses=1.5), ValueError, 'stop.losses is 1.5'),
+    # Missions and forecasts.
+    (lambda: mission(-1), ValueError, 'robots is -1.*at least 0'),
+    (lambda: mission(1.5), ValueError, 'robots is 1.5.*whole number'),
+    (lambda: mission(rng='a'), TypeError, "rng is 'a': it must be a seed"),
+    (lambda: mission(method='magic'), ValueError, 'method.*magic.*kappa_bnitp'),
+    (lambda: mission(team=Team(0)), ValueError, 'agents is 0.*at least 1'),
+    (lambda: mission(team=Team(16)), ValueError, 'agents is 16.*15.*free cell'),
+    (lambda: mission(grid=Grid(5, 5)), ValueError, 'world.*16 cells.*5 x 5'),
+    (lambda: mission(2, stop=Stop(losses=9)), ValueError, 'stop.losses is 9'),
+    (lambda: mission(goal='lane'), TypeError, r"goal is 'lane': it must be Lane\(...\) or Area"),
+    (lambda: mission(stop=0.9), TypeError, r'stop is 0.9: it must be Stop\(...\)'),
+    (lambda: mission(team=2), TypeError, r'team is 2: it must be Team\(...\)'),
+    (lambda: mission(options='beam'), TypeError, "options is 'beam': it must be SearchOptions"),
+    (lambda: mission(truth=MODEL), TypeError, 'truth is SensorModel.*: it must be Truth'),
+    (lambda: mission(learning=Unknowns()), TypeError, 'learning is Unknowns.*: it must be Lear'),
+    (lambda: mission(dynamics='changing'), TypeError, "dynamics is 'changing': it must be Dyn"),
+    (lambda: run_mission(PRIOR, GRID, MODEL, WORLD, 1, 1), TypeError, 'grid is Belief.*: it must'),
+    (lambda: Truth(0.5), TypeError, 'model is 0.5: it must be SensorModel'),
+    (lambda: Learning({'kappa': (0, 1)}), TypeError, r'unknowns is \{.kappa.*: it must be Unk'),
+    (lambda: forecast(robots=0), ValueError, 'robots is 0: .*at least 1'),
+    (lambda: forecast(worlds=0), ValueError, 'worlds is 0: .*at least 1'),
+    (lambda: forecast(goal=Lane(6)), ValueError, 'cell 6, an obstacle'),
+    (lambda: forecast(goal=Lane(15), options=SearchOptions(max_steps=2)), ValueError,
+     'at most max_steps = 2'),
+    (lambda: forecast(stop=Stop(losses=9)), ValueError, 'stop.losses is 9'),
+    (lambda: core.forecast(GRID, PRIOR, 3, 2, 1), TypeError, 'estimator is Belief.*: it must be'),
+    # Functions in place of names.
+    (lambda: mission(options=SearchOptions(lambda: 3, 8)), TypeError,
+     r'planner .*<lambda>: it must be callable with \(finder'),
+    (lambda: mission(options=SearchOptions(lambda f, o: [], 8)), PluginError,
+     'planner .*<lambda>.* of test_arguments returns no path'),
+    (lambda: mission(options=SearchOptions(lambda f, o: [0, 1, 0], 8)), PluginError,
+     r'finds 0: it must return a list of Candidate.along\(path, objective\)'),
+    (lambda: mission(options=SearchOptions(lambda f, o: [[0, 1, 0]], 8)), PluginError,
+     r'finds \[0, 1, 0\]: it must return a list of Candidate'),
+    (lambda: mission(options=SearchOptions(lambda f, o: np.array([0, 1, 0]), 8)), PluginError,
+     r'returns array\(\[0, 1, 0\]\): it must be a list of Candidate'),
+    *NO_PROBABILITIES,
+])  # fmt: skip
+def test_a_wrong_argument_is_refused(make, error, words):
+    with pytest.raises(error, match=words):
+        make()
