@@ -119,8 +119,7 @@ def forecast(
     goal: Goal | None = None,
     stop: Stop | None = None,
     run: Callable[
-        [Callable[[PossibleWorld], Course], Iterable[PossibleWorld]],
-        Iterable[Course],
+        [Callable[[PossibleWorld], Course], Iterable[PossibleWorld]], Iterable[Course]
     ] = map,
 ) -> Forecast:
     """

@@ -282,16 +282,8 @@ def continue_mission(
     while len(deployments) < robots and not stop.why(decision, lost):
         leaving = team.first(robots - len(deployments))
         try:
-            plans = plan_round(
-                goal,
-                draws,
-                grid,
-                estimator.belief,
-                estimator.model,
-                leaving,
-                options,
-                visited=visited,
-            )
+            known = estimator.belief, estimator.model
+            plans = plan_round(goal, draws, grid, *known, leaving, options, visited=visited)
         except NoPathError:
             break
         if stop.why_not_worth(plans):
@@ -312,17 +304,8 @@ def continue_mission(
             lost += not made.observation.survived
             number = len(before) + len(deployments) + 1
             draws, decision = decided(goal, grid, estimator, number, options)
-            deployments.append(
-                Deployment(
-                    plan,
-                    made.observation,
-                    estimator.belief,
-                    estimator.model,
-                    dict(estimator.parameters),
-                    world,
-                    decision,
-                )
-            )
+            after = estimator.belief, estimator.model, dict(estimator.parameters)
+            deployments.append(Deployment(plan, made.observation, *after, world, decision))
     return SimulatedMission(deployments)
 
 

@@ -148,10 +148,7 @@ class Target(NamedTuple):
 
 
 def targets(
-    belief: Belief,
-    model: SensorModel,
-    observations: Sequence[Observation],
-    least: float = 0.0,
+    belief: Belief, model: SensorModel, observations: Sequence[Observation], least: float = 0.0
 ) -> list[Target]:
     """
     Return the cells that may have a target, the most probable first.

@@ -27,7 +27,7 @@ def log_partition(
     rows, columns = free.shape
     holes = np.argwhere(~free)
     if columns <= STRIP or (columns <= MAX_ACROSS and len(holes) > 1):
-        return _sums(free, fields, coupling)
+        return transfer(np.ascontiguousarray(free), fields, coupling)
     if len(holes) > 1:
         raise ValueError(
             f'a field of {columns} x {rows} cells with {len(holes)} cells that cannot have a '
@@ -39,21 +39,13 @@ def log_partition(
     for row, column in holes:
         middle = STRIP // 2
         strip[row, column if column < middle else max(middle, column - columns + STRIP)] = False
-    log_z, count = _sums(strip, fields, coupling)
+    log_z, count = transfer(strip, fields, coupling)
     wide, narrow = (
-        _sums(np.ones((rows, width), dtype=bool), fields, coupling) for width in (STRIP, STRIP - 1)
+        transfer(np.ones((rows, width), dtype=bool), fields, coupling)
+        for width in (STRIP, STRIP - 1)
     )
     more = columns - STRIP
     return log_z + more * (wide[0] - narrow[0]), count + more * (wide[1] - narrow[1])
-
-
-def _sums(
-    free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ln Z and the expected hazards for each field a, summed by `transfer`."""
-    log_z, count = np.empty_like(fields), np.empty_like(fields)
-    transfer(np.ascontiguousarray(free), fields, coupling, log_z, count)
-    return log_z, count
 
 
 # Maximum coupling: above the critical 1.763, hazards nearly fill large regions, or none occur.

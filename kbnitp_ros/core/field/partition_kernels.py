@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 
 @compiled
 def transfer(
-    free: NDArray[np.bool_],
-    fields: NDArray[np.float64],
-    coupling: float,
-    log_z: NDArray[np.float64],
-    count: NDArray[np.float64],
-) -> None:
-    r"""Sum over all hazards of a strip, row by row (equation :eq:`transfer-matrix`)."""
+    free: NDArray[np.bool_], fields: NDArray[np.float64], coupling: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    r"""Return ln Z and expected hazards of a strip for each field a (:eq:`transfer-matrix`)."""
+    log_z, count = np.empty_like(fields), np.empty_like(fields)
     rows, columns = free.shape
     states = 1 << columns
     weight, slope = np.empty(states), np.empty(states)
@@ -50,3 +47,4 @@ def transfer(
         total = weight.sum()
         log_z[value] = log_scale + log(total)
         count[value] = slope.sum() / total
+    return log_z, count

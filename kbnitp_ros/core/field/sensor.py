@@ -90,9 +90,7 @@ def times_log(count: ArrayLike, log: ArrayLike) -> NDArray[np.float64]:
 
 
 def log_predicted_survival(
-    hazard: NDArray[np.float64],
-    counts: NDArray[np.intp],
-    log_survival: NDArray[np.float64],
+    hazard: NDArray[np.float64], counts: NDArray[np.intp], log_survival: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return log S of n visits, S = (1 - z) s0^n + z s1^n (:eq:`predicted-survival`)."""
     _, lost, survived = powers(*log_survival.tolist(), int(counts.max(initial=0)))

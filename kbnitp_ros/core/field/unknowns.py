@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from kbnitp_ros.core.field.check import probability, read_only, Value
@@ -46,15 +46,13 @@ class Beta:
     high: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ('low', 'high'):
-            object.__setattr__(self, name, probability(name, getattr(self, name)))
-        for name in ('a', 'b'):
-            value = float(getattr(self, name))
-            is_log_uniform = name == 'a' and value == 0.0 < self.low
-            if not (0.0 < value < np.inf or is_log_uniform):
+        low, high = probability('low', self.low), probability('high', self.high)
+        a, b = float(self.a), float(self.b)
+        for name, value in (('a', a), ('b', b)):
+            if not (0.0 < value < np.inf or (name == 'a' and value == 0.0 < low)):
                 raise ValueError(f'{name} of a Beta is {value}: it must be above 0 and finite')
-            object.__setattr__(self, name, value)
-        if self.low >= self.high:
+        vars(self).update(a=a, b=b, low=low, high=high)
+        if low >= high:
             raise ValueError(
                 f'interval is from {self.low} to {self.high}: it must end above its start'
             )
@@ -85,8 +83,7 @@ class Bins(Value):
     log_prior: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            object.__setattr__(self, field.name, read_only(getattr(self, field.name)))
+        vars(self).update({name: read_only(values) for name, values in vars(self).items()})
 
     @classmethod
     def known(cls, value: float) -> Bins:
@@ -180,23 +177,20 @@ class Unknowns:
     false_positive: Interval | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            given = getattr(self, field.name)
+        for name, given in [*vars(self).items()]:
             if given is None or isinstance(given, Beta):
                 continue
             try:
                 if np.ndim(given) != 1 or len(given) != 2:
                     raise ValueError('it must be two numbers, low and high')
-                prior = Beta(low=given[0], high=given[1])
+                vars(self)[name] = Beta(low=given[0], high=given[1])
             except (TypeError, ValueError) as error:
-                raise ValueError(f'{field.name} is unknown within {given}: {error}') from error
-            object.__setattr__(self, field.name, prior)
+                raise ValueError(f'{name} is unknown within {given}: {error}') from error
 
     @property
     def priors(self) -> dict[str, Beta]:
         """Return the priors of the unknown numbers, by name."""
-        given = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: prior for name, prior in given.items() if prior is not None}
+        return {name: prior for name, prior in vars(self).items() if prior is not None}
 
 
 ALL_KNOWN = Unknowns()
@@ -265,7 +259,7 @@ class Dynamics:
                     raise ValueError(
                         f'{name} is {rate} and hazards are {self.kind}: only {kind} hazards use it'
                     )
-                object.__setattr__(self, name, rate)
+                vars(self)[name] = rate
 
     @property
     def effect(self) -> str:
@@ -284,12 +278,8 @@ class Dynamics:
         """Return the dynamics of each possible kind of hazards."""
         if self.kind != 'learn':
             return (self,)
-        return (
-            STATIC,
-            Dynamics('used_up'),
-            Dynamics('changing', self.appear, self.vanish),
-            Dynamics('moving', move=self.move),
-        )
+        changing = Dynamics('changing', self.appear, self.vanish)
+        return STATIC, Dynamics('used_up'), changing, Dynamics('moving', move=self.move)
 
     def known_rates(self) -> dict[str, float]:
         """Return the rates by name; raise ValueError if one is unknown."""

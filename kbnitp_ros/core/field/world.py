@@ -5,14 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from kbnitp_ros.core.field.check import (
-    generator,
-    probability,
-    read_only,
-    typed,
-    Value,
-    yes_or_no,
-)
+from kbnitp_ros.core.field.check import generator, probability, read_only, typed, Value, yes_or_no
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path, lost_after_contact, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -48,7 +41,7 @@ class World(Value):
                 raise ValueError(
                     f'{name} of a world has shape {values.shape}: it must be one value a cell'
                 )
-            object.__setattr__(self, name, read_only(values))
+            vars(self)[name] = read_only(values)
         if self.hazard.size != self.target.size:
             raise ValueError(
                 f'target of a world has {self.target.size} cells, its hazard {self.hazard.size}'
