@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Objects of the core are copied, compared and shown; functions stand for names."""
+"""Objects of the core are copied, compared and shown, and leave their caller's arrays alone."""
 
 from copy import deepcopy
 import pickle
@@ -17,10 +17,13 @@ from kbnitp_ros.core import (
     SensorModel,
     Team,
     Unknowns,
+    update,
     World,
 )
+from kbnitp_ros.core.field.unknowns import Bins
 from kbnitp_ros.core.planning.planners import shortest_unvisited
 from kbnitp_ros.figures import plot
+from laws import for_each
 import numpy as np
 import pytest
 from rounds import Ignorant
@@ -91,6 +94,39 @@ def test_values_and_their_arrays_cannot_be_changed(learnt):
     path[1], joint[3] = 2, 0.25
     assert observation.path.tolist() == [0, 1, 0]
     assert belief == PRIOR
+
+
+def fold(path):
+    core.Ledger(GRID, 4, Estimator(PRIOR, MODEL)).record_path(core.DeploymentKey('a', 1), path)
+
+
+PATH, READ = np.array([0, 1, 0]), np.array([True, False])
+MAPS = [np.full(16, 0.2), np.full(16, 0.4), np.full(16, 0.7)]
+
+
+@for_each('use, arrays', [
+    (lambda path, *given: Observation(path, True, given[0], entered=given[1]), [PATH, READ, READ]),
+    (lambda path, at: Observation(path, False, lost_at=at), [PATH, np.array([0.5, 1.0])]),
+    (World, [READ.repeat(8), READ.repeat(8)]),
+    (Belief, [PRIOR.joint]),
+    (Belief.from_maps, MAPS),
+    (lambda *maps: Belief.prior(GRID, *maps), MAPS),
+    (lambda blocked: Grid(3, 3, blocked=blocked).free, [np.array([4])]),
+    (lambda path: core.Plan(path, 1.0, 0.5), [PATH]),
+    (lambda draws, weight: core.HazardDraws(draws, 4.0, weight),
+     [np.zeros((4, 9), dtype=bool), np.full(4, 0.25)]),
+    (Bins, [np.array([0.0, 1.0]), np.array([0.5]), np.zeros(1)]),
+    (lambda path, read: update(PRIOR, MODEL, Observation(path, True, read)), [PATH, READ]),
+    (fold, [PATH]),
+    (lambda visited: core.plan(GRID, PRIOR, MODEL, 4, visited=visited), [np.zeros(16, int)]),
+])  # fmt: skip
+def test_arrays_of_the_caller_stay_as_they_are(use, arrays):
+    given = [array.copy() for array in arrays]
+    use(*given)
+    for array, before in zip(given, arrays):
+        assert array.flags.writeable
+        assert np.array_equal(array, before)
+        array[...] = array
 
 
 def test_beliefs_that_differ_in_the_last_bit_are_different(learnt):

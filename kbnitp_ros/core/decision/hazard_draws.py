@@ -55,10 +55,8 @@ class HazardDraws:
 
     def __post_init__(self) -> None:
         draws = len(self.hazardous)
-        if not self.weight.size:
-            object.__setattr__(self, 'weight', np.full(draws, 1.0 / draws))
-        for name in ('hazardous', 'weight'):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        weight = self.weight if self.weight.size else np.full(draws, 1.0 / draws)
+        vars(self).update(hazardous=read_only(self.hazardous), weight=read_only(weight))
 
     @classmethod
     def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:
