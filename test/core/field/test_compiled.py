@@ -88,29 +88,17 @@ def test_code_without_a_cache_is_compiled_at_every_start(tmp_path):
     assert 'NUMBA_CACHE_DIR' in warnings[0]
 
 
-def cut(file):
-    """Cut a file in half, as a power loss may."""
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+# What a power loss, or another program, leaves of a file; None: a folder.
+TORN = {
+    'half': lambda whole: whole[: len(whole) // 2],
+    'empty': lambda whole: b'',
+    'a folder': None,
+    'noise': lambda whole: bytes(range(256)) * 8,
+    'other': lambda whole: pickle.dumps(numba.__version__) + pickle.dumps('no index'),
+}
 
 
-def emptied(file):
-    file.write_bytes(b'')
-
-
-def overwritten(file):
-    file.write_bytes(bytes(range(256)) * 8)
-
-
-def of_other_content(file):
-    file.write_bytes(pickle.dumps(numba.__version__) + pickle.dumps('no index'))
-
-
-def replaced_by_a_folder(file):
-    file.unlink()
-    file.mkdir()
-
-
-@for_each('torn', [cut, emptied, replaced_by_a_folder, overwritten, of_other_content], every=5)
+@for_each('torn', TORN, every=5)
 def test_compilation_is_announced_once_and_torn_files_are_compiled_anew(tmp_path, torn):
     kept = tmp_path / 'kept'
     environment = {'folder': tmp_path, 'NUMBA_CACHE_DIR': str(kept)}
@@ -119,7 +107,12 @@ def test_compilation_is_announced_once_and_torn_files_are_compiled_anew(tmp_path
     (index,) = kept.glob('*/kernel.half-*.nbi')
     (data,) = kept.glob('*/kernel.third-*.nbc')
     for file in (index, data):
-        torn(file)
+        whole = file.read_bytes()
+        file.unlink()
+        if TORN[torn]:
+            file.write_bytes(TORN[torn](whole))
+        else:
+            file.mkdir()
     printed, (warning, announced) = run(KERNEL, **environment)
     assert (printed, announced) == (compiled, ANNOUNCED)
     assert str(index.parent) in warning
