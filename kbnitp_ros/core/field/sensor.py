@@ -58,29 +58,22 @@ class SensorModel:
         present = np.asarray(target, dtype=np.float64)
         return present * self.true_positive + (1.0 - present) * self.false_positive
 
+    # Cached, since each update and each plan needs the arrays several times.
     @property
+    @lru_cache(maxsize=64)  # noqa: B019
     def log_survival(self) -> NDArray[np.float64]:
         """Log P(step survived | Z = z) for z = 0, 1, shape (2,) (:eq:`step-survival`)."""
-        return _log_survival(self.lethality * (1.0 - self.false_negative), self.malfunction)
+        strike = self.lethality * (1.0 - self.false_negative)
+        with np.errstate(divide='ignore'):
+            return read_only(np.log1p(-strike * np.arange(2.0)) + np.log1p(-self.malfunction))
 
     @property
+    @lru_cache(maxsize=64)  # noqa: B019
     def log_reading(self) -> NDArray[np.float64]:
         """Log P(Y = y | X = x), indexed [y, x], shape (2, 2), in [-inf, 0] (:eq:`reading`)."""
-        return _log_reading(self.true_positive, self.false_positive)
-
-
-# Cached, since each update and each plan needs the arrays several times.
-@lru_cache(maxsize=64)
-def _log_survival(strike: float, malfunction: float) -> NDArray[np.float64]:
-    with np.errstate(divide='ignore'):
-        return read_only(np.log1p(-strike * np.arange(2.0)) + np.log1p(-malfunction))
-
-
-@lru_cache(maxsize=64)
-def _log_reading(true_positive: float, false_positive: float) -> NDArray[np.float64]:
-    positive = SensorModel(0.0, 0.0, 0.0, true_positive, false_positive).reading((0, 1))
-    with np.errstate(divide='ignore'):
-        return read_only(np.log(np.stack([1.0 - positive, positive])))
+        positive = self.reading((0, 1))
+        with np.errstate(divide='ignore'):
+            return read_only(np.log(np.stack([1.0 - positive, positive])))
 
 
 def times_log(count: ArrayLike, log: ArrayLike) -> NDArray[np.float64]:
