@@ -27,7 +27,7 @@ from kbnitp_ros.core.decision.decision import (
     STEP_COST,
     there_and_back,
 )
-from kbnitp_ros.core.decision.hazard_draws import Bools, cells_on, Floats, HazardDraws, Path
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.field.belief import Belief, binary_entropy
 from kbnitp_ros.core.field.check import check_several, whole_number
 from kbnitp_ros.core.field.grid import Grid
@@ -87,12 +87,6 @@ class FlightState:
     def planned(self, path: Path, gain: float) -> Plan:
         """Return the plan of a path with a gain for the goal."""
         return replace(Plan.along(path, self.belief, self.model), gain=max(0.0, float(gain)))
-
-    def after_return(self, survival: Floats, events: Floats | Bools) -> tuple[Floats, Floats]:
-        """Return P(return), (flights,), and P(event | return), (flights, events)."""
-        returned = survival * self.outcomes.sum(axis=0)
-        chance = returned.sum(axis=1)
-        return chance, share(returned @ events, chance[:, None])
 
     def searched(self, belief: Belief) -> list[Path]:
         """Return closed paths sought for information on a belief."""
@@ -203,7 +197,7 @@ class Area:
         survival = situation.draws.survivals(paths, situation.model)
         here = situation.draws.hazardous[:, cells].astype(np.float64)
         gain = information_on(here, survival, outcomes)
-        gain += readings_on_cells(situation, paths, survival, cells)
+        gain += readings_on(situation, paths, survival, cells, here)
         best = situation.best(survival, gain)
         return None if best is None else situation.planned(paths[best], gain[best])
 
@@ -229,61 +223,42 @@ def information_on(events: Floats, survival: Floats, outcomes: Floats) -> Floats
     return gain
 
 
-def readings_on_cells(
-    situation: FlightState, paths: Sequence[Path], survival: Floats, cells: Sequence[int]
-) -> Floats:
-    """Return readings' information about hazards in `cells`, (flights,) nats."""
-    chance, hazard = situation.after_return(survival, situation.draws.hazardous[:, cells])
-    return chance * readings_on(situation, paths, cells, hazard, np.ones(1), np.zeros(1))
-
-
-def readings_on_lane(
+def readings_on(
     situation: FlightState,
     paths: Sequence[Path],
     survival: Floats,
     cells: Sequence[int],
-    free: Floats,
-) -> Floats:
-    """Return readings' information about whether `cells` are all `free`, (flights,) nats."""
-    chance, p_free = situation.after_return(survival, free[:, None])
-    _, hazard = situation.after_return(survival, situation.draws.hazardous[:, cells])
-    # Probability of a hazard in each cell, given that not all cells are free.
-    given = share(hazard, 1.0 - p_free)
-    # The cells' information is added as if independent, and limited to the event's entropy.
-    told = readings_on(situation, paths, cells, p_free, np.zeros(1), given)
-    limited: Floats = np.minimum(told, binary_entropy(p_free[:, 0]))
-    return chance * limited
-
-
-def readings_on(
-    situation: FlightState,
-    paths: Sequence[Path],
-    cells: Sequence[int],
-    p: Floats,
-    hazard: Floats,
-    otherwise: Floats,
+    events: Floats,
 ) -> Floats:
     """
-    Return the readings' information about an event for each cell, summed, (flights,) nats.
+    Return the readings' information about events, summed, (flights,) nats.
 
-    `p` is P(event), `hazard` P(Z = 1 | event), `otherwise` P(Z = 1 | not event)
-    (:eq:`area-readings`).
+    The readings of each cell tell of its event, and `events` has shape (draws, cells); or all tell
+    of one event, (draws, 1) (:eq:`area-readings`).
     """
+    returned = survival * situation.outcomes.sum(axis=0)
+    chance: Floats = returned.sum(axis=1)
+    here = situation.draws.hazardous[:, cells]
+    event, hazard, both = (
+        share(returned @ each, chance[:, None]) for each in (events, here, here * events)
+    )
+    entropy, p = binary_entropy(event), event[..., None]
+    # P(Z = 1) given the event, and given that it did not happen.
+    given, otherwise = share(both, event)[..., None], share(hazard - both, 1.0 - event)[..., None]
     counts = [np.bincount(path[1:], minlength=situation.grid.cells) for path in paths]
     visits, joint = np.array(counts)[:, cells], situation.belief.joint[cells]
     target = share(joint, joint.sum(axis=2, keepdims=True))
     likelihood = positives(camera_rates(situation.model), int(visits.max(initial=0)))
-    before, p = binary_entropy(p), p[..., None]
-    hazard, otherwise = hazard[..., None], otherwise[..., None]
     information = np.zeros(visits.shape)
     for count in np.unique(visits[visits > 0]).tolist():
         safe, hazardous = np.moveaxis(target @ likelihood[count, : count + 1].T, 1, 0)
-        joint_with = p * (hazard * hazardous + (1.0 - hazard) * safe)
+        joint_with = p * (given * hazardous + (1.0 - given) * safe)
         reading = joint_with + (1.0 - p) * (otherwise * hazardous + (1.0 - otherwise) * safe)
         left = (reading * binary_entropy(share(joint_with, reading))).sum(axis=-1)
-        information += (visits == count) * (before - left)
-    total: Floats = information.sum(axis=1)
-    return total
+        information += (visits == count) * (entropy - left)
+    # Information about one event is added as if independent, and limited to its entropy.
+    limited: Floats = np.minimum(information.sum(axis=1), entropy.sum(axis=1))
+    return chance * limited
 
 
 # Maximum number of lanes that flights combine: at the highest step limit, at each lower limit.
@@ -355,8 +330,9 @@ class Lane:
             hazard[cells] = draws.p_hazard()[cells]
             paths += situation.searched(hazards_alone(hazard))
             survival = draws.survivals(paths, situation.model)
-            value = information_on(free[best_lane, :, None], survival, outcomes)
-            value += readings_on_lane(situation, paths, survival, cells, free[best_lane])
+            is_free = free[best_lane, :, None]
+            value = information_on(is_free, survival, outcomes)
+            value += readings_on(situation, paths, survival, cells, is_free)
         else:
             survival = draws.survivals(paths, situation.model)
             value = expected_best(free, survival, outcomes)

@@ -32,8 +32,7 @@ from kbnitp_ros.core.decision.goals import (
     FlightState,
     information,
     information_on,
-    readings_on_cells,
-    readings_on_lane,
+    readings_on,
 )
 from kbnitp_ros.core.decision.rounds import plan_round, why_worthless
 from laws import for_each
@@ -159,7 +158,7 @@ def test_information_of_one_cell_about_a_lane_is_exact(seed):
     free = ~states[:, lane].any(axis=1)
     paths = [np.array([0, cell, 0]), np.array([0, 1, 2, 1, 0])]
     survival = situation.draws.survivals(paths, model)
-    told = readings_on_lane(situation, paths, survival, [cell, 2], free.astype(float))
+    told = readings_on(situation, paths, survival, [cell, 2], free[:, None])
     if survival[1] @ weight < 1e-9:
         assert not told.any()
         return
@@ -210,7 +209,7 @@ def test_information_about_hazards_is_exact(seed):
     survival = survivals(states, path, model)
     returned = weight * survival
     situation = state(Grid(3, 3), states, weight, model, belief)
-    gained = readings_on_cells(situation, [path], survival[None], cells)
+    gained = readings_on(situation, [path], survival[None], cells, states[:, cells])
     chance, expected = returned.sum(), 0.0
     for cell in cells:
         if not visits[cell] or chance < 1e-12:
