@@ -147,34 +147,6 @@ def test_probabilities_are_those_of_all_states(seed):
         assert own_lane == pytest.approx(sure, abs=1e-9)
 
 
-@for_each('seed', range(40))
-def test_information_of_one_cell_about_a_lane_is_exact(seed):
-    """Readings of several cells tell at most the expected entropy of the lane."""
-    rng = np.random.default_rng([seed, 31])
-    grid, model = Grid(3, 3), SensorModel(**random_sensors(rng))
-    states, weight = posterior(rng, 3, 3, model, 2)
-    situation = state(grid, states, weight, model)
-    lane, cell = [0, 1, 2], 1
-    free = ~states[:, lane].any(axis=1)
-    paths = [np.array([0, cell, 0]), np.array([0, 1, 2, 1, 0])]
-    survival = situation.draws.survivals(paths, model)
-    told = readings_on(situation, paths, survival, [cell, 2], free[:, None])
-    if survival[1] @ weight < 1e-9:
-        assert not told.any()
-        return
-    back = weight * survival[0]
-    target = situation.belief.joint[cell]
-    target = target / target.sum(axis=1, keepdims=True)
-    positive = target @ [model.false_positive, model.true_positive]
-    seen = np.where(states[:, cell], positive[1], positive[0])
-    expected = back.sum() * entropy(back @ free / back.sum())
-    for reading in (back * seen, back * (1.0 - seen)):
-        expected -= reading.sum() * entropy(reading @ free / reading.sum())
-    assert told[0] == pytest.approx(expected, abs=1e-9)
-    chance = survival[1] @ weight
-    assert 0.0 <= told[1] <= chance * entropy((weight * survival[1]) @ free / chance) + 1e-9
-
-
 @for_each('seed', range(30))
 def test_cheapest_ways_cost_least_of_all_ways(seed):
     rng = np.random.default_rng([seed, 25])
@@ -194,43 +166,51 @@ def test_cheapest_ways_cost_least_of_all_ways(seed):
 
 
 @for_each('seed', range(60))
-def test_information_about_hazards_is_exact(seed):
+def test_information_of_readings_is_exact(seed):
     """The expected fall of the entropies, over all states, fates and readings."""
     rng = np.random.default_rng([seed, 26])
     model = SensorModel(**random_sensors(rng))
     states, weight = posterior(rng, 3, 3, model, 2)
     belief = Belief(rng.dirichlet(np.ones(4), 9).reshape(9, 2, 2))
-    target = belief.joint[:, :, 1] / np.where(
-        belief.joint.sum(axis=2) > 0.0, belief.joint.sum(axis=2), 1.0
-    )
+    situation = state(Grid(3, 3), states, weight, model, belief)
     path = random_path(rng, 3, 3, 0, 6)
-    cells = [1, 3, 4]
     visits = np.bincount(path[1:], minlength=9)
     survival = survivals(states, path, model)
     returned = weight * survival
-    situation = state(Grid(3, 3), states, weight, model, belief)
-    gained = readings_on(situation, [path], survival[None], cells, states[:, cells])
-    chance, expected = returned.sum(), 0.0
-    for cell in cells:
-        if not visits[cell] or chance < 1e-12:
-            continue
-        hazard = returned @ states[:, cell] / chance
-        left = 0.0
+    positive = np.array([model.false_positive, model.true_positive])
+
+    def left(likelihood, event):
+        both = returned * likelihood
+        return both.sum() * entropy(both @ event / both.sum()) if both.sum() > 1e-12 else 0.0
+
+    def told(cell, event):
+        target = belief.joint[cell] / belief.joint[cell].sum(axis=1, keepdims=True)
+        of_readings = 0.0
         for reading in product((0, 1), repeat=int(visits[cell])):
-            both = []
-            for is_hazardous, p_hazard in ((0, 1.0 - hazard), (1, hazard)):
-                of_target = target[cell, is_hazardous]
-                p_reading = 0.0
-                for present, p_target in ((0, 1.0 - of_target), (1, of_target)):
-                    positive = model.true_positive if present else model.false_positive
-                    p_reading += p_target * np.prod(
-                        [positive if each else 1.0 - positive for each in reading]
-                    )
-                both.append(p_hazard * p_reading)
-            if (total := sum(both)) > 0.0:
-                left += total * entropy(both[1] / total)
-        expected += chance * (entropy(hazard) - left)
-    assert gained[0] == pytest.approx(expected, abs=1e-9)
+            each = [positive if is_read else 1.0 - positive for is_read in reading]
+            p_reading = target @ np.prod([np.ones(2), *each], axis=0)
+            of_readings += left(p_reading[states[:, cell].astype(int)], event)
+        return left(1.0, event) - of_readings
+
+    def found(cells, events):
+        return readings_on(situation, [path], survival[None], cells, events)[0]
+
+    cells = [1, 3, 4]
+    of_cells = sum(told(cell, states[:, cell]) for cell in cells)
+    assert found(cells, states[:, cells]) == pytest.approx(of_cells, abs=1e-9)
+    free = ~states[:, cells].any(axis=1)
+    assert found([1], free[:, None]) == pytest.approx(told(1, free), abs=1e-9)
+    of_lane = min(sum(told(cell, free) for cell in cells), left(1.0, free))
+    assert found(cells, free[:, None]) == pytest.approx(of_lane, abs=1e-9)
+
+
+def test_readings_of_cells_alike_tell_at_most_the_entropy_of_a_lane():
+    states = np.array([[False] * 9, [False] + [True] * 8])
+    model = SensorModel(0.0, 0.0, 0.0, true_positive=1.0, false_positive=0.0)
+    target_if_hazard = Belief([[[0.5, 0.0], [0.0, 0.5]]] * 9)
+    situation = state(Grid(3, 3), states, np.array([0.5, 0.5]), model, target_if_hazard)
+    paths, free = [np.array([0, 1, 2, 1, 0])], ~states[:, [1]]
+    assert readings_on(situation, paths, np.ones((1, 2)), [1, 2], free) == np.log(2.0)
 
 
 def test_safest_path_is_the_best_of_all_ways_nearly_always():
