@@ -29,7 +29,7 @@ from kbnitp_ros.core.decision.decision import (
 )
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
 from kbnitp_ros.core.field.belief import Belief, binary_entropy
-from kbnitp_ros.core.field.check import check_several, whole_number
+from kbnitp_ros.core.field.check import whole_number, whole_numbers
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.planning.objective import camera_rates, Objective, positives
@@ -165,9 +165,7 @@ class Area:
     confidence: float | None = None
 
     def __post_init__(self) -> None:
-        cells = tuple(
-            sorted({whole_number('goal', cell, 0) for cell in check_several('cells', self.cells)})
-        )
+        cells = tuple(sorted({*whole_numbers('cells', self.cells, 'goal', 0)}))
         if not cells:
             raise ValueError('goal is an area without cells: give at least one')
         object.__setattr__(self, 'cells', cells)

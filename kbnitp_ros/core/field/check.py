@@ -96,13 +96,6 @@ def in_short(value: object) -> str:
     return words if len(words) <= 80 else f'{words[:76]} ...'
 
 
-def check_several(name: str, values: Iterable[Any]) -> Iterable[Any]:
-    """Check that `values` is a collection."""
-    if not isinstance(values, Iterable):
-        raise TypeError(f'{name} is {in_short(values)}: it must be a list')
-    return values
-
-
 def generator(rng: np.random.Generator | int) -> np.random.Generator:
     """Return a random generator, made from `rng` if that is a seed."""
     try:
@@ -142,6 +135,15 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
     most = inf if high is None else high
     number(name, value, f'a whole number {allowed}', lambda n: low <= n <= most and n == n // 1)
     return int(value)
+
+
+def whole_numbers(
+    name: str, values: Iterable[int], of_one: str, low: int, high: int | None = None
+) -> list[int]:
+    """Return a collection of whole numbers as a list; `of_one` names a single number."""
+    if not isinstance(values, Iterable):
+        raise TypeError(f'{name} is {in_short(values)}: it must be a list')
+    return [whole_number(of_one, value, low, high) for value in values]
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:

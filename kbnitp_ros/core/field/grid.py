@@ -10,7 +10,7 @@ from hashlib import sha256
 from math import cos, isfinite, pi, remainder, sin, sqrt, tau
 import struct
 
-from kbnitp_ros.core.field.check import check_several, read_only, whole_number
+from kbnitp_ros.core.field.check import read_only, whole_number, whole_numbers
 from kbnitp_ros.core.field.observation import as_path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -86,14 +86,9 @@ class Grid:
         width = whole_number('grid width', self.width, 1)
         height = whole_number('grid height', self.height, 1)
         last = width * height - 1
-        blocked = frozenset(
-            whole_number('blocked cell', cell, 0, last)
-            for cell in check_several('blocked', self.blocked)
-        )
-        base, *others = (
-            whole_number('base', cell, 0, last)
-            for cell in (self.base, *check_several('other_bases', self.other_bases))
-        )
+        blocked = frozenset(whole_numbers('blocked', self.blocked, 'blocked cell', 0, last))
+        base = whole_number('base', self.base, 0, last)
+        others = whole_numbers('other_bases', self.other_bases, 'base', 0, last)
         for cell in (base, *others):
             if cell in blocked:
                 raise ValueError(
