@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Worlds, sensors, executions and observations of robots."""
 
-from itertools import product
 import math
-from types import SimpleNamespace
 
 import brute_force
 from kbnitp_ros.core import Execution, Grid, SensorModel, World
@@ -56,30 +54,15 @@ TARGET = [False, True, True, False]
 
 
 @pytest.mark.slow
-@for_each(
-    'path, sensors',
-    product(
-        [[0, 1, 2, 0], [0, 1, 1, 3, 0], [0, 2, 2, 0], [0, 0]],
-        [
-            {'lethality': 0.3},
-            {
-                'lethality': 0.6,
-                'malfunction': 0.2,
-                'false_negative': 0.3,
-                'true_positive': 0.7,
-                'false_positive': 0.4,
-            },
-            {'lethality': 0.05, 'malfunction': 0.0},
-        ],
-    ),
-)
+@for_each('path', [[0, 1, 2, 0], [0, 1, 1, 3, 0], [0, 2, 2, 0], [0, 0]])
+@for_each('sensors', [(0.3,), (0.6, 0.2, 0.3, 0.7, 0.4), (0.05, 0.0)])
 def test_robots_return_and_report_as_often_as_predicted(path, sensors):
-    world, model, runs = World(HAZARD, TARGET), SensorModel(**sensors), 3000
+    world, model, runs = World(HAZARD, TARGET), SensorModel(*sensors), 3000
     rng = np.random.default_rng(7)
     seen = [world.traverse(path, model, rng) for _ in range(runs)]
     assert all(observation.path.tolist() == path for observation in seen)
     returned = [observation.readings for observation in seen if observation.survived]
-    s0, s1 = brute_force.step_survival(SimpleNamespace(**vars(model)))
+    s0, s1 = brute_force.step_survival(model)
     assert_share(len(returned), runs, math.prod(s1 if HAZARD[cell] else s0 for cell in path[1:]))
     off, on = brute_force.detection(model)
     for step, cell in enumerate(path[1:]):
@@ -96,12 +79,10 @@ def test_readings_of_one_cell_are_drawn_afresh_each_visit():
     assert_share(sum(bool(a) == bool(b) for a, b in pairs), 2000, 0.5)
 
 
-FIELDS = ('lethality', 'malfunction', 'false_negative', 'true_positive', 'false_positive')
-
-
 def test_defaults_are_those_of_the_paper():
     model = SensorModel(0.5)
-    assert [getattr(model, name) for name in FIELDS] == [0.5, 0.05, 0.05, 0.95, 0.05]
+    assert (model.lethality, model.malfunction, model.false_negative) == (0.5, 0.05, 0.05)
+    assert (model.true_positive, model.false_positive) == (0.95, 0.05)
 
 
 GRID = Grid(5, 4, base=6, blocked=(8, 13), through_corners=False)
