@@ -13,7 +13,6 @@ from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.mission import goal_cells, make_stop
 from kbnitp_ros.core import Decision, Grid, safest_path
-from kbnitp_ros.core.decision.decision import SafestPath
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.beliefs import Snapshot
@@ -46,7 +45,7 @@ class Decisions:
         self._news = 0
         self._begun_with = 0, 0
         self._deciding: futures.Future[Decision | None] | None = None
-        self._finding: futures.Future[SafestPath] | None = None
+        self._finding: futures.Future[Decision] | None = None
         # Reason why the plans for the newest belief end the mission, empty if they do not; and the
         # reason logged last.
         self.not_worth = ''
@@ -162,7 +161,7 @@ class Decisions:
             return response
         answer = Future()
 
-        def find() -> SafestPath:
+        def find() -> Decision:
             if (draws := self.knowledge.draws(newest)) is None:
                 raise ValueError(UNKNOWN)
             most = self._node.values['max_steps']

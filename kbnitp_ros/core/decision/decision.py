@@ -30,18 +30,6 @@ MAX_TOGETHER = 1 << 25
 DECIMALS = 9
 
 
-@dataclass(frozen=True, eq=False)
-class SafestPath:
-    """The safest path found."""
-
-    # Cells in order, shape (steps + 1,).
-    path: Path
-    # Probability that no cell of the path has a hazard, in [0, 1].
-    p_free: float
-    # Probability that a traveller survives the path, in [0, 1].
-    survival: float
-
-
 def cheapest_lanes(
     grid: Grid, costs: Floats, start: int, to: ArrayLike, limits: Sequence[int]
 ) -> list[list[Path]]:
@@ -104,8 +92,14 @@ def there_and_back(out: Path, back: Path) -> Path:
 
 
 def safest_path(
-    grid: Grid, draws: HazardDraws, model: SensorModel, start: int, to: int, max_steps: int
-) -> SafestPath:
+    grid: Grid,
+    draws: HazardDraws,
+    model: SensorModel,
+    start: int,
+    to: int,
+    max_steps: int,
+    confidence: float | None = None,
+) -> Decision:
     """
     Return the path with the highest probability of being free of hazards.
 
@@ -123,17 +117,27 @@ def safest_path(
         The first and the last cell.
     max_steps : int
         Maximum steps of a path, at least 1.
+    confidence : float, optional
+        As in `Lane`.
+
+    Returns
+    -------
+    Decision
+        The decision on the cells of the path.
 
     Raises
     ------
     ValueError
-        If a cell is off the map or on an obstacle, or no path within `max_steps` joins the cells.
+        If a cell is off the map or on an obstacle, no path within `max_steps` joins the cells, or
+        the confidence is out of range.
 
     """
+    check_confidence(confidence)
     check_way(grid, start, to, max_steps)
     [paths] = lanes_within(grid, draws, start, to, [max_steps])
     best = int(np.argmax(np.round(draws.are_free(paths) @ draws.weight, DECIMALS)))
-    return SafestPath(paths[best], draws.p_free(paths[best]), draws.survival(paths[best], model))
+    path = paths[best]
+    return Decision.about('lane', draws, path, confidence, path, draws.survival(path, model))
 
 
 def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
@@ -204,9 +208,10 @@ class Decision:
         draws: HazardDraws,
         cells: ArrayLike,
         confidence: float | None,
-        lane: SafestPath | None = None,
+        path: ArrayLike = (),
+        survival: float = nan,
     ) -> Decision:
-        """Return the decision on whether `cells`, such as the cells of `lane`, are free."""
+        """Return the decision on whether `cells`, such as the cells of `path`, are free."""
         count = draws.hazard_count(cells)
         low, high = np.searchsorted(np.cumsum(count), np.array([0.05, 0.95]) - 1e-12).tolist()
         p_free = draws.p_free(cells)
@@ -221,8 +226,8 @@ class Decision:
             p_free=p_free,
             cells=read_only(np.unique(cells)),
             independent_draws=draws.independent,
-            path=read_only(np.empty(0, dtype=np.intp) if lane is None else lane.path),
-            survival=nan if lane is None else lane.survival,
+            path=read_only(np.array(path, dtype=np.intp)),
+            survival=survival,
             hazards_mean=float(count @ np.arange(count.size)),
             hazards_5=low,
             hazards_95=high,

@@ -310,8 +310,7 @@ class Lane:
         self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
     ) -> Decision:
         """Return the decision on the safest lane found, of at most `max_steps` steps one way."""
-        lane = safest_path(grid, draws, model, grid.base, self.to, max_steps)
-        return Decision.about(self.name, draws, lane.path, self.confidence, lane)
+        return safest_path(grid, draws, model, grid.base, self.to, max_steps, self.confidence)
 
     def flight(self, situation: FlightState) -> Plan | None:
         """Return the next flight; None if no flight is allowed."""
