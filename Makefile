@@ -113,7 +113,7 @@ clean:
 	rm -rf .venv .tools build install log
 
 # What demo, nodes, studies and tests would compile at their first start, each for itself.
-.venv/.kernels: .venv/.run $(wildcard kbnitp_ros/core/*/*_kernels.py kbnitp_ros/core/*/*/*_kernels.py)
+.venv/.kernels: .venv/.run kbnitp_ros/core/field/compiled.py $(wildcard kbnitp_ros/core/*/*_kernels.py kbnitp_ros/core/*/*/*_kernels.py)
 	PYTHONPATH=. tools/step.sh 'Compiling the kernels' .venv/bin/python tools/compile_kernels.py
 	touch $@
 

@@ -354,10 +354,7 @@ def joint_after_moves(
 
 def inverse(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return 1 / x, 0 for 0."""
-    inverted: NDArray[np.float64] = np.divide(
-        1.0, values, out=np.zeros_like(values), where=values > 0.0
-    )
-    return inverted
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0.0)
 
 
 def neighbors_to_move_to(grid: Grid, possible: NDArray[np.bool_]) -> NDArray[np.intp]:
