@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
-from kbnitp_ros.core.inference.hypotheses import CERTAIN, Evidence, Floats, Hypotheses, Places
+from kbnitp_ros.core.inference.hypotheses import CERTAIN, Floats, Hypotheses, Places, Tally
 from kbnitp_ros.core.inference.prior_maps import expit
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ class Chains:
     def __init__(
         self,
         hypotheses: Hypotheses,
-        evidence: Evidence,
+        evidence: Tally,
         state: ChainState,
         rng: np.random.Generator,
     ) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sampling infers from: the possible values of numbers, and the evidence of a mission."""
+"""The possible values of numbers, and the tally of the evidence, for sampling."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class Loss:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Tally:
     """Immutable evidence of all deployments (:eq:`loss-factor`)."""
 
     # Robot types so far, reduced to the fields of the sensor model.
@@ -139,7 +139,7 @@ class Evidence:
     losses: tuple[Loss, ...] = ()
     deployments: int = 0
 
-    def after(self, observation: Observation, robot_type: RobotType) -> Evidence:
+    def after(self, observation: Observation, robot_type: RobotType) -> Tally:
         """Return the evidence with one more deployment, by a robot of this type."""
         sensors = RobotType(**robot_type.sensors)
         robot_types, counts = self.robot_types, self.counts.copy()
@@ -158,7 +158,7 @@ class Evidence:
             seen, unseen = survived[readings == 1], survived[readings == 0]
         for count, steps in zip(counts[:, of_type], (survived, seen, unseen)):
             count += np.bincount(steps, minlength=count.size).astype(np.int32)
-        return Evidence(robot_types, counts, losses, self.deployments + 1)
+        return Tally(robot_types, counts, losses, self.deployments + 1)
 
     def visited(self) -> NDArray[np.bool_]:
         """Return a mask of the cells that a robot was sent into, shape (cells,)."""

@@ -23,7 +23,7 @@ from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt, Unknowns
 from kbnitp_ros.core.inference.chains import CHAINS, Chains, ChainState
 from kbnitp_ros.core.inference.filters import check_cells
-from kbnitp_ros.core.inference.hypotheses import Evidence, Hypotheses
+from kbnitp_ros.core.inference.hypotheses import Hypotheses, Tally
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,7 +85,7 @@ class Sampler:
             )
         self._hypotheses = hypotheses = Hypotheses(belief, model, unknowns, clustering)
         self._seed = seed
-        self._evidence = Evidence((ORDINARY,), np.zeros((3, 1, belief.cells), np.int32))
+        self._evidence = Tally((ORDINARY,), np.zeros((3, 1, belief.cells), np.int32))
         self.belief = hypotheses.belief()
         rng = generator(seed, 0)
         self._state = ChainState.start(hypotheses, rng)
