@@ -134,7 +134,11 @@ def lost_likelihood(
     visits: Visits,
     lost_at: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Return P(lost | Z_i = z) = 1 - s_z^n_i prod_{k != i} S_k (:eq:`loss-exact`)."""
+    """
+    Return P(lost | Z_i = z) = 1 - s_z^n_i prod_{k != i} S_k (:eq:`loss-exact`).
+
+    It is the sum over the steps in which the robot may have been lost (:eq:`loss-universes`).
+    """
     if lost_at is not None:
         return located_likelihood(hazard, model, visits, lost_at)
     log_survival = model.log_survival
@@ -162,29 +166,6 @@ def located_likelihood(
         if spared > 0.0:
             chance[cell] *= survives / spared
     return likelihood
-
-
-def multi_universe_likelihood(
-    hazard: NDArray[np.float64],
-    model: SensorModel,
-    visits: Visits,
-    lost_at: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
-    """Return sum_j P(destroyed in step j | Z_i = z) (Otte & Sofge 2021) (:eq:`loss-universes`)."""
-    if lost_at is not None:
-        return located_likelihood(hazard, model, visits, lost_at)
-    log_survival = model.log_survival
-    cells = len(visits.cells)
-    visited = visits.of_step[:, None] == np.arange(cells)
-    # Visits before each step, and after the last step, shape (steps + 1, n).
-    made = np.concatenate([np.zeros((1, cells), dtype=np.intp), visited.cumsum(axis=0)])
-    predicted = log_predicted_survival(hazard, made, log_survival)
-    given = times_log(made[..., None], log_survival)
-    # Log survival in all cells but i: subtracting log S_i would give NaN where S_i = 0.
-    but_own = np.where(np.eye(cells, dtype=bool), 0.0, predicted[:, None, :]).sum(axis=-1)
-    alive = np.exp(but_own[..., None] + given)
-    destroyed: NDArray[np.float64] = (alive[:-1] - alive[1:]).sum(axis=0)
-    return destroyed
 
 
 def published_likelihood(

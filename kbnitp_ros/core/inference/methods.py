@@ -17,7 +17,6 @@ from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, HAZARDS, Learnt, STATIC, Unknowns
 from kbnitp_ros.core.inference.filters import (
     lost_likelihood,
-    multi_universe_likelihood,
     OnePass,
     published_likelihood,
 )
@@ -111,7 +110,7 @@ METHODS = Registry(
     as_method,
     {
         'relaxed_itp': OnePass(
-            multi_universe_likelihood,
+            lost_likelihood,
             correlated=False,
             dynamics=('changing', 'used_up', 'moving', 'learn'),
             bank=learning,
