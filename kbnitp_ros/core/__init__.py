@@ -21,8 +21,8 @@ from kbnitp_ros.core.forecast import forecast
 
 # Inference: what is learnt.
 from kbnitp_ros.core.inference.estimator import Estimator, Ledger
-from kbnitp_ros.core.inference.filters import KnownModel
 from kbnitp_ros.core.inference.methods import METHODS, update
+from kbnitp_ros.core.inference.one_pass import KnownModel
 from kbnitp_ros.core.inference.record import DeploymentKey, Report
 
 # A whole mission.

@@ -9,7 +9,7 @@ from math import ceil
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core import Observation, targets, World
-from kbnitp_ros.core.inference.filters import hazards_used_up
+from kbnitp_ros.core.inference.filter import hazards_used_up
 from kbnitp_ros.files import counted, some
 from kbnitp_ros.report.mission import DeploymentSummary, Mission
 from kbnitp_ros.report.tables import Curves

@@ -15,7 +15,7 @@ from kbnitp_ros.core import (
     Team,
     update,
 )
-from kbnitp_ros.core.inference.filters import KnownModel
+from kbnitp_ros.core.inference.one_pass import KnownModel
 from kbnitp_ros.core.planning.plans import divided, TeamMember
 import numpy as np
 

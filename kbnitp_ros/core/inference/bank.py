@@ -26,14 +26,19 @@ from kbnitp_ros.core.field.unknowns import (
     STATIC,
     Unknowns,
 )
-from kbnitp_ros.core.inference.filters import (
+from kbnitp_ros.core.inference.filter import (
     check_cells,
+    condition,
+    Effects,
+    Evidence,
+    Floats,
     hazard_change,
     IMPOSSIBLE,
+    independent,
+    predict_outcome,
     RATES,
     safe_log,
 )
-from kbnitp_ros.core.inference.particle_filter import assimilated, Evidence, Floats, Steps
 from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
 import numpy as np
 from numpy.typing import NDArray
@@ -91,10 +96,10 @@ class Bank:
                 'nothing'
             )
         self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
-        # Cache for the latest numbers: these, their change between deployments, `Steps` by type.
-        self._effects: tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Steps]] | None = (
-            None
-        )
+        # Cache for the latest numbers: these, their change between deployments, `Effects` by type.
+        self._effects: (
+            tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Effects]] | None
+        ) = None
         self._joints = self._first_joints(self._numbers)
         # By particle: log likelihood of all outcomes, and of outcomes since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
@@ -237,7 +242,7 @@ class Bank:
         has_begun: bool = False,
         is_predicted: bool = False,
     ) -> tuple[Floats, Floats]:
-        """Fold deployments into joints; return joints and log chances, as `assimilated` does."""
+        """Fold deployments into joints; return joints, and logs of chances and predictions."""
         joints = np.array(joints)
         log_chances: Floats = np.zeros((1, len(numbers)))
         learnt = dict(zip(self._names, numbers.T))
@@ -247,13 +252,13 @@ class Bank:
                 density = learnt.get('hazard_density', prior_density(self._prior))
                 rates['appear'] = appearance(rates['vanish'], density)
             self._effects = numbers, hazard_change(self._prior, self._dynamics, rates), {}
-        _, change, steps = self._effects
+        _, change, effects = self._effects
         for evidence in deployments:
             if has_begun:
                 joints = change(joints)
             has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
-            if robot_type not in steps:
+            if robot_type not in effects:
                 model = robot_type.model(self._known)
                 # Numbers that the robot type sets replace learnt numbers.
                 of_all = {k: v for k, v in learnt.items() if k not in robot_type.sensors}
@@ -264,11 +269,15 @@ class Bank:
                     for name in RATES
                 }
                 are_used_up = self._dynamics.kind == 'used_up'
-                steps[robot_type] = Steps.of(own, model.false_negative, are_used_up)
-            joints[cells], chances = assimilated(
-                joints[cells], steps[robot_type], evidence, self._correlated, is_predicted
-            )
-            log_chances = log_chances + chances
+                effects[robot_type] = Effects.of(own, model.false_negative, are_used_up)
+            joint = joints[cells]
+            if not self._correlated:
+                joint = independent(joint)
+            joints[cells], log_chance = condition(joint, evidence, effects[robot_type])
+            chances = [log_chance]
+            if is_predicted:
+                chances.extend(predict_outcome(joint, evidence, effects[robot_type]))
+            log_chances = log_chances + np.stack(chances)
         return joints, log_chances
 
     def _resample(self, rng: np.random.Generator) -> None:

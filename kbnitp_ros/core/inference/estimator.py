@@ -27,7 +27,6 @@ from kbnitp_ros.core.field.unknowns import (
 )
 from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.bank import prior_density
-from kbnitp_ros.core.inference.filters import OnePass
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,
@@ -37,6 +36,7 @@ from kbnitp_ros.core.inference.methods import (
     supported_dynamics,
 )
 from kbnitp_ros.core.inference.model_check import Checker, ModelCheck
+from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.record import deployment_order, DeploymentKey, MissionRecord, Report
 from kbnitp_ros.plugins import entry_name, PluginError
 import numpy as np

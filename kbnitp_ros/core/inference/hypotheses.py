@@ -13,7 +13,7 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Unknowns
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
-from kbnitp_ros.core.inference.filters import can_be_lost, RATES
+from kbnitp_ros.core.inference.filter import RATES
 from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
 import numpy as np
 from numpy.typing import NDArray
@@ -231,3 +231,21 @@ class Tally:
 def starts(sizes: NDArray[Any]) -> NDArray[np.int32]:
     """Return the start of each of several groups, and the end of the last."""
     return np.append(0, sizes.cumsum()).astype(np.int32)
+
+
+def can_be_lost(
+    possible: NDArray[np.bool_],
+    of_step: NDArray[np.integer],
+    lost_at: NDArray[np.float64],
+    survives: NDArray[np.float64],
+    dies: NDArray[np.float64],
+) -> bool:
+    """Return whether some arrangement of hazards makes the loss possible."""
+    open_to = possible.copy()
+    for cell, weight in zip(of_step, lost_at):
+        if weight > 0.0 and (open_to[cell] & (dies > 0.0)).any():
+            return True
+        open_to[cell] &= survives > 0.0
+        if not open_to[cell].any():
+            return False
+    return False

@@ -13,8 +13,14 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, Learnt, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, learnt_from, log_sum
-from kbnitp_ros.core.inference.filters import check_cells, IMPOSSIBLE, RATES, safe_log
-from kbnitp_ros.core.inference.particle_filter import Evidence, Floats
+from kbnitp_ros.core.inference.filter import (
+    check_cells,
+    Evidence,
+    Floats,
+    IMPOSSIBLE,
+    RATES,
+    safe_log,
+)
 import numpy as np
 from numpy.typing import NDArray
 

@@ -15,12 +15,8 @@ from kbnitp_ros.core.field.check import typed
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, HAZARDS, Learnt, STATIC, Unknowns
-from kbnitp_ros.core.inference.filters import (
-    lost_likelihood,
-    OnePass,
-    published_likelihood,
-)
 from kbnitp_ros.core.inference.kinds import learning
+from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import Registry, takes
 
@@ -110,17 +106,15 @@ METHODS = Registry(
     as_method,
     {
         'relaxed_itp': OnePass(
-            lost_likelihood,
             correlated=False,
             dynamics=('changing', 'used_up', 'moving', 'learn'),
             bank=learning,
         ),
-        'relaxed_bnitp': OnePass(published_likelihood, correlated=False),
+        'relaxed_bnitp': OnePass(correlated=False, is_published=True),
         # The paper's method: its printed update of a loss is overconfident.
-        'kappa_bnitp_published': OnePass(published_likelihood, correlated=True),
+        'kappa_bnitp_published': OnePass(correlated=True, is_published=True),
         # The default: the same with the exact update of a loss.
         'kappa_bnitp': OnePass(
-            lost_likelihood,
             correlated=True,
             dynamics=('changing', 'used_up', 'moving', 'learn'),
             bank=learning,

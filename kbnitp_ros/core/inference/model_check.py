@@ -18,8 +18,8 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, log_sum
+from kbnitp_ros.core.inference.filter import Evidence, Floats, READING_SHIFTS
 from kbnitp_ros.core.inference.kinds import Kinds, learning
-from kbnitp_ros.core.inference.particle_filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
 
 # Average ratio at which the model is in doubt.

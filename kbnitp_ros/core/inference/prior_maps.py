@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.inference.filters import ratio
+from kbnitp_ros.core.inference.filter import ratio
 import numpy as np
 from numpy.typing import NDArray
 

@@ -22,7 +22,7 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt, Unknowns
 from kbnitp_ros.core.inference.chains import CHAINS, Chains, ChainState
-from kbnitp_ros.core.inference.filters import check_cells
+from kbnitp_ros.core.inference.filter import check_cells
 from kbnitp_ros.core.inference.hypotheses import Hypotheses, Tally
 import numpy as np
 from numpy.typing import NDArray

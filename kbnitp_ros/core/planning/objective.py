@@ -11,7 +11,7 @@ from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
-from kbnitp_ros.core.inference.filters import condition, lost_likelihood
+from kbnitp_ros.core.inference.filter import condition, Evidence, known_effects
 from kbnitp_ros.core.planning.information_kernels import coin, new_readings, Readings
 from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
@@ -225,17 +225,14 @@ def after_deployment(
     origin, is_return = kept // 2, kept % 2 == 1
     probability, joint, readings = probability[kept], joint[origin], readings[origin]
 
-    log_likelihood = np.tile(
-        times_log(visits.counts[:, None], model.log_survival), (kept.size, 1, 1)
-    )
-    with np.errstate(divide='ignore'):
-        log_likelihood[~is_return] = np.log(
-            lost_likelihood(hazard[origin[~is_return]], model, visits)
-        )
-    visited = joint[:, at].reshape(-1, 2, 2)
-    joint[:, at] = condition(visited, log_likelihood.reshape(-1, 2, 1)).reshape(
-        kept.size, at.size, 2, 2
-    )
+    # An outcome of the robots before is a hypothesis of the filter.
+    none, all_alike = np.zeros_like(visits.counts), np.ones(visits.of_step.size)
+    for some, lost_in in ((is_return, None), (~is_return, all_alike)):
+        if some.any():
+            of_cells = np.moveaxis(joint[np.ix_(some, at)], 0, -1)
+            evidence = Evidence(visits, none, none, lost_in)
+            after, _ = condition(of_cells, evidence, known_effects(model))
+            joint[np.ix_(some, at)] = np.moveaxis(after, -1, 0)
     for count in np.unique(visits.counts):
         more = np.ix_(is_return, at[visits.counts == count])
         readings[more] = np.roll(readings[more], count, axis=axis)

@@ -21,7 +21,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.inference.bank import Bank
-from kbnitp_ros.core.inference.particle_filter import Evidence
+from kbnitp_ros.core.inference.filter import Evidence
 from laws import for_each
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
-from kbnitp_ros.core.inference.filters import OnePass
+from kbnitp_ros.core.inference.one_pass import OnePass
 from laws import for_each
 import numpy as np
 import pyagrum

@@ -1,0 +1,431 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The filter: joints of the cells under each of many hypotheses, given a deployment in closed form.
+
+A hypothesis is a guess of all numbers. Joints have the shape (cells, 2, 2, hypotheses), indexed
+[cell, z, x, hypothesis]. A filter of known numbers has one hypothesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache, partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.observation import Observation, Visits
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel, sum_of_others, times_log
+from kbnitp_ros.core.field.unknowns import (
+    Dynamics,
+    joint_after_change,
+    joint_after_moves,
+    neighbors_to_move_to,
+    Rates,
+)
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+# Numbers of a sensor model that can be unknown.
+RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+
+# Text of the exception for impossible evidence.
+IMPOSSIBLE = (
+    'the outcome is impossible under this belief and sensor model: '
+    'allow for it with probabilities that are not exactly 0 or 1'
+)
+
+# Maximum number of values of an array over steps, cells and hypotheses.
+MAX_VALUES = 1_000_000
+
+# Lowest log of a power: what is possible stays so, where products would underflow.
+LOWEST = -340.0
+
+# Factors on the odds of a positive reading in alternatives of the model check.
+READING_SHIFTS = (2.0, 0.5)
+
+
+def safe_log(chance: Floats) -> Floats:
+    """Return the logarithm, -inf for 0."""
+    log: Floats = np.log(chance, out=np.full_like(chance, -np.inf), where=chance > 0.0)
+    return log
+
+
+def ratio(part: Floats, whole: Floats) -> Floats:
+    """Return part / whole, 0 if both are 0."""
+    share: Floats = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
+    return share
+
+
+def power(count: ArrayLike, log: Floats) -> Floats:
+    """Return the log of a power, at least `LOWEST` or -inf."""
+    with np.errstate(invalid='ignore'):
+        return np.where(
+            log > -np.inf, np.maximum(times_log(count, log), LOWEST), times_log(count, log)
+        )
+
+
+def check_cells(belief: Belief, observation: Observation) -> None:
+    """Check that a path lies in the field of a belief."""
+    beyond = observation.path[observation.path >= belief.cells]
+    if beyond.size:
+        raise ValueError(
+            f'path has the cell {beyond[0]}: the belief has the cells 0 to {belief.cells - 1}'
+        )
+
+
+def hazard_change(
+    prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
+) -> Callable[[Floats], Floats]:
+    """Return the function that updates joints for hazard changes between deployments."""
+    possible = prior.hazard > 0.0
+    appear, vanish, move = (
+        rates.get(name, getattr(dynamics, name)) for name in ('appear', 'vanish', 'move')
+    )
+    if dynamics.effect == 'changing':
+        return partial(joint_after_change, possible=possible, appear=appear, vanish=vanish)
+    if dynamics.effect == 'moving':
+        if prior.grid is None:
+            raise ValueError(
+                'hazards are moving, and the prior has no grid for them to move on: make it with '
+                'Belief.prior(grid, ...) or belief.on(grid)'
+            )
+        neighbors = neighbors_to_move_to(prior.grid, possible)
+        return partial(joint_after_moves, neighbors=neighbors, move=move)
+    return lambda joint: joint
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """The outcome of one deployment, counted by cell."""
+
+    # Visits to the cells of the path.
+    visits: Visits
+    # Numbers of readings of each cell, shape (n,); 0 for a lost robot.
+    positive: NDArray[np.intp]
+    negative: NDArray[np.intp]
+    # Likelihood of a loss in each step, shape (steps,); None for a return.
+    lost_in: Floats | None
+    robot_type: RobotType = ORDINARY
+
+    @classmethod
+    def of(cls, observation: Observation, robot_type: RobotType = ORDINARY) -> Evidence:
+        """Count an outcome by cell."""
+        path, readings = observation.evidence
+        visits = Visits.of(path)
+        read = np.full(path.size - 1, -1) if readings is None else readings
+        positive, negative = (
+            np.bincount(visits.of_step[read == reading], minlength=visits.cells.size)
+            for reading in (1, 0)
+        )
+        lost_in = None if observation.survived else loss_weights(observation)
+        return cls(visits, positive, negative, lost_in, robot_type)
+
+    @cached_property
+    def has_readings(self) -> bool:
+        """Return whether a cell has a reading."""
+        return bool(self.negative.any() or self.positive.any())
+
+    @cached_property
+    def made(self) -> NDArray[np.intp]:
+        """Return the visits to each cell before each step, and after all, (steps + 1, n)."""
+        entered = self.visits.of_step[:, None] == np.arange(self.visits.cells.size)
+        made: NDArray[np.intp] = np.concatenate([entered[:1] & False, entered]).cumsum(axis=0)
+        return made
+
+
+def loss_weights(observation: Observation) -> Floats:
+    """Return the likelihood of a loss in each step given its observation, shape (steps,)."""
+    if observation.lost_at is not None:
+        return observation.lost_at
+    weights = np.ones(observation.steps)
+    weights[: observation.steps_survived] = 0.0
+    return weights
+
+
+class Powers(NamedTuple):
+    """Effects of 0, 1, 2, ... survived visits, each of shape (visits, hypotheses)."""
+
+    # Probability of no malfunction; with it, that a hazard is used up and that it is kept.
+    endured: Floats
+    spared: Floats
+    kept: Floats
+    # Log P(a hazard is kept), and P(survived) of a hazard and its complement, no malfunction.
+    log_kept: Floats
+    survived: Floats
+    lost: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Effects:
+    """Effects of a step on the robot and on the hazard of its cell, by hypothesis."""
+
+    # Probability of a malfunction, and of a strike by a hazard that destroys the robot, shape
+    # (hypotheses,).
+    malfunction: Floats
+    strike: Floats
+    # Log probabilities of no malfunction, and that a hazard neither strikes nor is used up.
+    log_endured: Floats
+    log_kept: Floats
+    # Probability that a robot survives a strike that uses the hazard up; None if no hazard is
+    # used up.
+    spared: float | None
+    # Log P(reading y | X = x), indexed [y, x, hypothesis], shape (2, 2, hypotheses).
+    log_read: Floats
+    # Powers for visits and for readings, by their maximum.
+    _powers: dict[int, Powers] = field(default_factory=dict)
+    _read: dict[int, Floats] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, rates: Mapping[str, Any], false_negative: float, are_used_up: bool = False
+    ) -> Effects:
+        """Return the effects of a step, given the `RATES`, each of shape (hypotheses,)."""
+        lethality, malfunction, *chances = (np.atleast_1d(rates[name]) * 1.0 for name in RATES)
+        strike = lethality * (1.0 - false_negative)
+        positive = np.stack(chances[::-1])
+        with np.errstate(divide='ignore'):
+            endured = np.log1p(-malfunction)
+            kept = np.log1p(-(lethality if are_used_up else strike))
+            read = np.log(np.stack([1.0 - positive, positive]))
+        spared = false_negative if are_used_up else None
+        return cls(malfunction, strike, endured, kept, spared, read)
+
+    def powers(self, most: int) -> Powers:
+        """Return the effects of up to `most` visits (:eq:`used-up-survival`)."""
+        if most not in self._powers:
+            visits = np.arange(most + 1)[:, None]
+            log_kept = power(visits, self.log_kept)
+            endured = np.exp(power(visits, self.log_endured))
+            kept, gone = np.exp(log_kept), 0.0 - np.expm1(log_kept)
+            spared = gone * (self.spared or 0.0)
+            self._powers[most] = Powers(
+                endured, endured * spared, endured * kept, log_kept, kept + spared, gone - spared
+            )
+        return self._powers[most]
+
+    def readings(self, most: int) -> Floats:
+        """Return the powers of P(y | x), indexed [number, y, x, hypothesis]."""
+        if most not in self._read:
+            numbers = np.arange(most + 1)[:, None, None, None]
+            self._read[most] = np.exp(power(numbers, self.log_read))
+        return self._read[most]
+
+    def at(self, some: slice) -> Effects:
+        """Return the effects under some of the hypotheses."""
+        arrays = (self.malfunction, self.strike, self.log_endured, self.log_kept, self.log_read)
+        malfunction, strike, endured, kept, read = (each[..., some] for each in arrays)
+        return Effects(malfunction, strike, endured, kept, self.spared, read)
+
+
+@lru_cache(maxsize=64)
+def known_effects(model: SensorModel, are_used_up: bool = False) -> Effects:
+    """Return the effects of a step under a known sensor model."""
+    return Effects.of(vars(model), model.false_negative, are_used_up)
+
+
+# P(outcome, Z after | Z before) of each cell, up to a scale: Z stays 0, falls to 0, stays 1; and
+# the log of the scale; each of shape (n, hypotheses).
+Likelihood = tuple[Floats, Floats, Floats, Floats]
+
+# Log of the scale of returns.
+NO_SCALE = np.zeros((1, 1))
+
+
+def condition(
+    joint: Floats, evidence: Evidence, effects: Effects, correlated: bool = True
+) -> tuple[Floats, Floats]:
+    """
+    Return the joints of the path's cells given an outcome, and the outcome's ln P.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (n, 2, 2, hypotheses)
+        Joints of the cells of the path before the deployment.
+    evidence : Evidence
+        The outcome, counted by cell.
+    effects : Effects
+        Effects of a step.
+    correlated : bool
+        Whether targets depend on hazards; if not, they are made independent first.
+
+    Returns
+    -------
+    joint : ndarray, shape (n, 2, 2, hypotheses)
+        The joints after it, :eq:`returned`, :eq:`loss-exact`, :eq:`used-up-returned` and
+        :eq:`used-up-lost`; those before it under hypotheses that make the outcome impossible.
+    log_chance : ndarray, shape (hypotheses,)
+        Log probability of the outcome; -inf if it is impossible.
+
+    """
+    if not correlated:
+        joint = independent(joint)
+    counts = evidence.visits.counts
+    if not counts.size:
+        return joint, np.zeros(joint.shape[-1])
+    is_lost = evidence.lost_in is not None
+    stays, spared, kept, log_scale = outcome_likelihood(joint.sum(axis=2), evidence, effects)
+    after = np.empty_like(joint)
+    np.multiply(joint[:, 0], stays[:, None], out=after[:, 0])
+    np.multiply(joint[:, 1], kept[:, None], out=after[:, 1])
+    if effects.spared is not None:
+        after[:, 0] += joint[:, 1] * spared[:, None]
+    if evidence.has_readings:
+        after *= reading_likelihood(evidence, effects)[:, None]
+    total = after.sum(axis=(1, 2))
+    if total.min() > 0.0:
+        after /= total[:, None, None]
+        log_total = np.log(total)
+    else:
+        whole = total[:, None, None]
+        after = np.divide(after, whole, out=joint.copy(), where=whole > 0.0)
+        log_total = safe_log(total)
+    return after, log_total[0] + log_scale[0] if is_lost else log_total.sum(axis=0)
+
+
+def outcome_likelihood(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
+    """Return P(outcome, Z after | Z before) of each cell, given P(Z) of all, (n, 2, h)."""
+    if evidence.lost_in is not None:
+        return lost(hazard, evidence, effects)
+    counts = evidence.visits.counts
+    powers = effects.powers(int(counts.max()))
+    return powers.endured[counts], powers.spared[counts], powers.kept[counts], NO_SCALE
+
+
+def reading_likelihood(evidence: Evidence, effects: Effects) -> Floats:
+    """Return P(readings | X = x) of each cell, (n, 2, hypotheses) (:eq:`returned`)."""
+    negative, positive = evidence.negative, evidence.positive
+    powers = effects.readings(int(max(negative.max(), positive.max())))
+    likelihood: Floats = powers[negative, 0] * powers[positive, 1]
+    return likelihood
+
+
+def hazards_used_up(
+    belief: Belief, model: SensorModel, observation: Observation
+) -> NDArray[np.float64]:
+    """Return P(used up) of each cell's hazard (:eq:`used-up-returned`, :eq:`used-up-lost`)."""
+    evidence, effects = Evidence.of(observation), known_effects(model, are_used_up=True)
+    used_up, cells = np.zeros(belief.cells), evidence.visits.cells
+    joint = belief.joint[cells, ..., None]
+    stays, spared, kept, _ = outcome_likelihood(joint.sum(axis=2), evidence, effects)
+    if evidence.has_readings:
+        joint = joint * reading_likelihood(evidence, effects)[:, None]
+    safe, hazardous = joint[:, 0].sum(axis=1), joint[:, 1].sum(axis=1)
+    gone = hazardous * spared
+    used_up[cells] = ratio(gone, safe * stays + gone + hazardous * kept)[:, 0]
+    return used_up
+
+
+def independent(joint: Floats) -> Floats:
+    """Return the joints with the same hazards and targets, independent of each other."""
+    product: Floats = joint.sum(axis=2)[:, :, None] * joint.sum(axis=1)[:, None]
+    return product
+
+
+def predict_outcome(joint: Floats, evidence: Evidence, effects: Effects) -> Floats:
+    """Return ln P(return), and with each shift of readings' odds (:eq:`shifted-readings`)."""
+    counts = evidence.visits.counts
+    powers = effects.powers(int(counts.max(initial=0)))
+    survived = (powers.kept + powers.spared)[counts]
+    alive = joint[:, 0] * powers.endured[counts][:, None] + joint[:, 1] * survived[:, None]
+    looks = (evidence.negative + evidence.positive)[:, None, None]
+    negative, positive = np.exp(effects.log_read)
+    chances = [alive] + [
+        alive * (negative + shift * positive) ** looks for shift in READING_SHIFTS
+    ]
+    log_chances: Floats = safe_log(np.stack(chances).sum(axis=2)).sum(axis=1)
+    return log_chances
+
+
+def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
+    """Return the likelihood of a loss: a sum over steps, which telescopes if all are alike."""
+    weights = evidence.lost_in
+    assert weights is not None
+    first = int((weights > 0.0).argmax())
+    if effects.spared is None and weights[first:].min() == 1.0:
+        return lost_after(first, hazard, evidence, effects)
+    hypotheses = hazard.shape[-1]
+    width = max(MAX_VALUES // evidence.made.size, 1)
+    if width >= hypotheses:
+        return lost_in_steps(hazard, evidence, effects)
+    blocks = [slice(start, start + width) for start in range(0, hypotheses, width)]
+    parts = [lost_in_steps(hazard[..., some], evidence, effects.at(some)) for some in blocks]
+    stays, spared, kept, log_scale = (np.concatenate(each, axis=-1) for each in zip(*parts))
+    return stays, spared, kept, log_scale
+
+
+def log_survival(hazard: Floats, counts: NDArray[np.intp], powers: Powers) -> Floats:
+    """Return ln P(so many visits survived, no malfunction), (..., n, hypotheses)."""
+    loss = hazard[:, 1] * powers.lost[counts]
+    # 1 - loss is inaccurate for losses near 1, the sum of survivals for losses near 0.
+    log: Floats = np.log1p(-np.minimum(loss, 0.5))
+    if loss.max() >= 0.5:
+        survived = hazard[:, 0] + hazard[:, 1] * powers.survived[counts]
+        log = np.where(loss < 0.5, log, safe_log(survived))
+    return log
+
+
+def others(logs: Floats) -> Floats:
+    """Return, in place of each cell's value, the sum over all other cells, (..., n, h)."""
+    return sum_of_others(logs.swapaxes(-1, -2)).swapaxes(-1, -2)
+
+
+def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
+    """Return P(survived `first` steps and lost later | Z_i = z) (:eq:`loss-exact`)."""
+    counts, steps = evidence.visits.counts, evidence.visits.of_step.size - first
+    powers = effects.powers(int(counts.max()))
+    nothing = np.zeros_like(hazard[:, 0])
+    stays, kept, log_scale = nothing + 1.0, nothing + 1.0, nothing
+    if first:
+        survived = evidence.made[first]
+        counts = counts - survived
+        stays, kept = powers.endured[survived], powers.kept[survived]
+        alive = hazard[:, 0] * stays + hazard[:, 1] * kept
+        stays, kept = ratio(stays + nothing, alive), ratio(kept + nothing, alive)
+        hazard = hazard * np.stack([stays, kept], axis=1)
+        log_scale = nothing + safe_log(alive).sum(axis=0)
+    rest = others(log_survival(hazard, counts, powers)) + times_log(steps, effects.log_endured)
+    stays = stays * -np.expm1(rest)
+    return stays, nothing, kept * -np.expm1(rest + powers.log_kept[counts]), log_scale
+
+
+def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
+    """Return sum_k w_k P(lost in step k, Z after | Z before) (:eq:`used-up-lost`)."""
+    assert evidence.lost_in is not None
+    of_step, made = evidence.visits.of_step, evidence.made[:-1]
+    here = np.arange(of_step.size)
+    powers = effects.powers(int(made.max()))
+    kept = np.exp(powers.log_kept)[made]
+    spared = (powers.survived - np.exp(powers.log_kept))[made]
+    # In the step of the loss the robot failed, or a hazard struck it.
+    failed, struck = effects.malfunction, (1.0 - effects.malfunction) * effects.strike
+    own_kept, own_spared = kept[here, of_step], spared[here, of_step]
+    own_lost = own_kept * struck
+    own_kept, own_spared = own_kept * failed, own_spared * failed
+    if effects.spared is None:
+        own_kept += own_lost
+    else:
+        own_spared += own_lost
+    chance = log_survival(hazard, made, powers)
+    chance[here, of_step] = safe_log(
+        hazard[of_step, 0] * failed + hazard[of_step, 1] * (own_kept + own_spared)
+    )
+    log_weights = safe_log(evidence.lost_in)[:, None] + times_log(
+        here[:, None], effects.log_endured
+    )
+    reached = others(chance) + log_weights[:, None]
+    scale = reached.max(axis=0)
+    scale[scale == -np.inf] = 0.0
+    reached = np.exp(reached - scale)
+    at_own = reached[here, of_step]
+    reached[here, of_step] = 0.0
+    is_in = (of_step == np.arange(evidence.visits.cells.size)[:, None]).astype(float)
+    return (
+        reached.sum(axis=0) + is_in @ (at_own * failed),
+        (reached * spared).sum(axis=0) + is_in @ (at_own * own_spared),
+        (reached * kept).sum(axis=0) + is_in @ (at_own * own_kept),
+        scale,
+    )
