@@ -62,10 +62,8 @@ def ratio(part: Floats, whole: Floats) -> Floats:
 
 def power(count: ArrayLike, log: Floats) -> Floats:
     """Return the log of a power, at least `LOWEST` or -inf."""
-    with np.errstate(invalid='ignore'):
-        return np.where(
-            log > -np.inf, np.maximum(times_log(count, log), LOWEST), times_log(count, log)
-        )
+    exact = times_log(count, log)
+    return np.where(log > -np.inf, np.maximum(exact, LOWEST), exact)
 
 
 def check_cells(belief: Belief, observation: Observation) -> None:
