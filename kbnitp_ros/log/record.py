@@ -139,6 +139,10 @@ def required_belief(log: MissionLog) -> Snapshot:
     )
 
 
+# The kbnitp_ros that has an earlier version of a method.
+EARLIER = {('kappa_bnitp_sampled', 2): ', 1.0'}
+
+
 def begun(prior: Snapshot) -> Ledger:
     """Return the ledger of a recorded mission before its first deployment."""
     try:
@@ -149,7 +153,7 @@ def begun(prior: Snapshot) -> Ledger:
         raise LogError(
             f'the beliefs were computed by version {prior.version} of {prior.method}, and this '
             f'kbnitp_ros computes version {ledger.estimator.version}: use the kbnitp_ros that '
-            'recorded the log'
+            f'recorded the log{EARLIER.get((prior.method, prior.version), "")}'
         )
     return ledger
 

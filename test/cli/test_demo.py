@@ -176,7 +176,7 @@ def test_a_mission_begun_with_1_0_goes_on(tmp_path):
     assert out in evidence.outcomes
     assert len(evidence.outcomes) == 8
     assert not evidence.refused
-    assert replay(log).grade is Grade.IDENTICAL
+    assert replay(log).grade is not Grade.DIFFERENT
 
 
 @pytest.mark.processes

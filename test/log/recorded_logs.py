@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write logs of test_recorded.py: kinds of hazards, located losses and a late return."""
+"""Write logs of test_recorded.py: kinds of hazards, located losses, sampling, a late return."""
 
 from pathlib import Path
 import sys
@@ -23,6 +23,11 @@ KINDS = {
         'conduct': HEARD,
         'method': 'kappa_bnitp_sampled',
         'method_seed': 5,
+    },
+    'kappa_bnitp_sampled': {
+        'unknowns': Unknowns(lethality=(0.0, 1.0), hazard_density=(0.05, 0.6)),
+        'method': 'kappa_bnitp_sampled',
+        'method_seed': 3,
     },
 }
 

@@ -2,10 +2,10 @@
 """
 Recorded logs that every later version must replay.
 
-Logs named after a method are of `demo --robots 8 --size 5x4 --max-steps 8 --seed 3 --method
-METHOD` by the first version with these messages; that of `kappa_bnitp_sampled` learns two numbers.
-Those of kinds of hazards and `late_return` are by `recorded_logs.py`. A change to the results of a
-method needs a new version of it; the old one stays to replay these.
+Logs named after a one-pass method are of `demo --robots 8 --size 5x4 --max-steps 8 --seed 3
+--method METHOD` by 1.0; those of kinds of hazards, of sampling and `late_return` are by
+`recorded_logs.py`. A change to the results of a method needs a new version of it; the kbnitp_ros
+that has the earlier one is named.
 """
 
 from collections import Counter
@@ -16,6 +16,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.core import METHODS
+from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.record import read_resumed
 from kbnitp_ros.log.replay import replay
@@ -68,6 +69,14 @@ for log in sys.argv[1:]:
 
 def test_there_is_one_of_each_method_and_kind_of_hazards():
     assert {*METHODS, *KINDS, 'late_return'} == set(NAMES)
+
+
+def test_a_log_of_an_earlier_sampler_names_the_version_that_replays_it(tmp_path):
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes(gzip.decompress(RECORDED.with_name('sampled_by_1_0.mcap.gz').read_bytes()))
+    with pytest.raises(LogError, match=r'version 2 of kappa_bnitp_sampled.*the log, 1\.0'):
+        replay(path)
+    assert len(read_history(path).observations) == 8
 
 
 def log(name, folder):

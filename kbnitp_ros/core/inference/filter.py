@@ -256,7 +256,8 @@ def condition(
         The joints after it, :eq:`returned`, :eq:`loss-exact`, :eq:`used-up-returned` and
         :eq:`used-up-lost`; those before it under hypotheses that make the outcome impossible.
     log_chance : ndarray, shape (hypotheses,)
-        Log probability of the outcome; -inf if it is impossible.
+        Log probability of the outcome, :eq:`bank-returned` and :eq:`bank-lost`; -inf if it is
+        impossible.
 
     """
     if not correlated:
@@ -339,7 +340,7 @@ def predict_outcome(joint: Floats, evidence: Evidence, effects: Effects) -> Floa
 
 
 def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
-    """Return the likelihood of a loss: a sum over steps, which telescopes if all are alike."""
+    """Return a loss's likelihood: a sum over steps, which may telescope (:eq:`loss-universes`)."""
     weights = evidence.lost_in
     assert weights is not None
     first = int((weights > 0.0).argmax())
@@ -372,7 +373,7 @@ def others(logs: Floats) -> Floats:
 
 
 def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
-    """Return P(survived `first` steps and lost later | Z_i = z) (:eq:`loss-exact`)."""
+    """Return P(survived `first` steps, lost later | Z) (:eq:`loss-exact`, :eq:`loss-contact`)."""
     counts, steps = evidence.visits.counts, evidence.visits.of_step.size - first
     powers = effects.powers(int(counts.max()))
     nothing = np.zeros_like(hazard[:, 0])
@@ -391,7 +392,7 @@ def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects)
 
 
 def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
-    """Return sum_k w_k P(lost in step k, Z after | Z before) (:eq:`used-up-lost`)."""
+    """Return sum_k w_k P(lost in step k, Z after | Z before) (:eq:`located-exact`)."""
     assert evidence.lost_in is not None
     of_step, made = evidence.visits.of_step, evidence.made[:-1]
     here = np.arange(of_step.size)
