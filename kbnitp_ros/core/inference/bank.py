@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A bank of one-pass filters, one for each of many guesses of unknown numbers.
+The bank of filters: an estimator as a mixture of hypotheses, weighted by their evidence.
 
-Iterated batch importance sampling (Chopin 2002): a particle is a guess with the filter's joints of
-all cells, weighted by the evidence of each deployment. When few particles have most of the weight,
-particles are resampled, and moved by Metropolis steps that filter all evidence again.
+A hypothesis is a kind of hazards and a guess of all unknown numbers. Everything known is a bank of
+one. Particles, random numbers and resampling are of each kind, so that a kind of low prior
+probability keeps its particles.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from kbnitp_ros.core.field.unknowns import (
     Bins,
     Dynamics,
     Learnt,
-    STATIC,
     Unknowns,
 )
+from kbnitp_ros.core.inference.explanations import Explanations
 from kbnitp_ros.core.inference.filter import (
     check_cells,
     condition,
@@ -34,7 +34,6 @@ from kbnitp_ros.core.inference.filter import (
     Floats,
     hazard_change,
     IMPOSSIBLE,
-    independent,
     predict_outcome,
     RATES,
     safe_log,
@@ -55,15 +54,29 @@ MORE = 8
 # Number of copies of all joints in memory, including those of resampling and moves.
 COPIES = MORE + 24
 
-# Maximum bytes of a bank.
+# Maximum bytes of the filters of a kind.
 MAX_MEMORY = 4 << 30
 
 # Number of groups of particles; the spread of their beliefs gives the sampling error.
 GROUPS = 8
 
+# Prior probability of each kind. The evidence of a hundred robots hardly separates slow changes
+# from static hazards, so with equal priors most static fields would be classified as changing.
+PRIOR = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12}
 
-class Bank:
-    """A belief and learnt numbers, by a bank of filters."""
+# As `condition`.
+Condition = Callable[[Floats, Evidence, Effects], tuple[Floats, Floats]]
+
+
+class Filters:
+    """
+    The filters of one kind of hazards, one for each guess of the unknown numbers.
+
+    Iterated batch importance sampling (Chopin 2002): a particle is a guess with the filter's
+    joints of all cells, weighted by the evidence of each deployment. When few particles have most
+    of the weight, particles are resampled, and moved by Metropolis steps that filter all evidence
+    again.
+    """
 
     def __init__(
         self,
@@ -71,23 +84,21 @@ class Bank:
         model: SensorModel,
         unknowns: Unknowns,
         seed: int,
-        dynamics: Dynamics = STATIC,
-        correlated: bool = True,
+        dynamics: Dynamics,
+        on_loss: Condition = condition,
         count: int | None = None,
     ) -> None:
         self._prior, self._known, self._seed = belief, model, seed
-        self._dynamics, self._correlated = dynamics, correlated
+        self._dynamics, self._on_loss = dynamics, on_loss
         priors = {**unknowns.priors, **dynamics.unknown_rates}
-        self._names, self._priors = tuple(priors), tuple(priors.values())
-        if not self._correlated and 'kappa' in self._names:
-            raise ValueError('kappa cannot be learnt by a method without kappa: use kappa_bnitp')
-        self._maps = prior_maps(belief, model, self._names)
+        self.names, self._priors = tuple(priors), tuple(priors.values())
+        self._maps = prior_maps(belief, model, self.names)
         self.predicted: tuple[Floats, ...] = ()
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
         self._evidence: tuple[Evidence, ...] = ()
         enough = FEW if len(priors) < 4 else MANY
-        self._count = count or (enough if priors else 1)
+        self._count = (count or enough) if priors else 1
         estimate = 32 * belief.cells * self._count * COPIES
         if self._count > 1 and estimate > MAX_MEMORY:
             raise ValueError(
@@ -95,57 +106,47 @@ class Bank:
                 f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or learn '
                 'nothing'
             )
-        self._numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
+        # The numbers of each particle, shape (particles, numbers).
+        self.numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         # Cache for the latest numbers: these, their change between deployments, `Effects` by type.
-        self._effects: (
-            tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Effects]] | None
-        ) = None
-        self._joints = self._first_joints(self._numbers)
+        self._effects = self._effects_with(self.numbers)
+        self._joints = self._first_joints(self.numbers)
         # By particle: log likelihood of all outcomes, and of outcomes since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 
-    def copy(self) -> Bank:
-        """Return an independent copy; arrays are shared, since they are never changed."""
-        return copy(self)
-
-    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+    def take(self, evidence: Evidence, is_predicted: bool = False) -> None:
         """Weight the particles by one more deployment; resample if few keep most of the weight."""
-        check_cells(self._prior, observation)
-        self.take(Evidence.of(observation, robot_type))
-
-    def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
-        """Assimilate evidence counted by cell; several banks may share the counts."""
         has_begun = bool(self._evidence)
-        rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
+        rng = np.random.default_rng([self._seed, len(self._evidence) + 1]) if self.names else None
         numbers, log_likelihood, log_weights = (
-            self._numbers,
+            self.numbers,
             self._log_likelihood,
             self._log_weights,
         )
         deployment = [evidence], has_begun, is_predicted
         joints, log_chances = self._fold(self._joints, numbers, *deployment)
-        if (log_weights + log_chances[0]).max() == -np.inf:
+        if rng and (log_weights + log_chances[0]).max() == -np.inf:
             numbers = stratified(self._priors, MORE * self._count, rng)
             before, (log_likelihood, *_) = self._fold(
                 self._first_joints(numbers), numbers, self._evidence
             )
             log_weights = log_likelihood
             joints, log_chances = self._fold(before, numbers, *deployment)
-            if (log_weights + log_chances[0]).max() == -np.inf:
-                raise ValueError(IMPOSSIBLE)
+        if (log_weights + log_chances[0]).max() == -np.inf:
+            raise ValueError(IMPOSSIBLE)
         predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
         self.predicted = (*self.predicted, predicted)
         self.log_evidence += float(predicted[0])
-        self._evidence, self._numbers, self._joints = (*self._evidence, evidence), numbers, joints
+        self._evidence, self.numbers, self._joints = (*self._evidence, evidence), numbers, joints
         self._log_likelihood = log_likelihood + log_chances[0]
         self._log_weights = log_weights + log_chances[0]
-        is_due = self._effective() < 0.5 * self._count or len(numbers) > self._count
-        if is_due and self._priors:
+        self.__dict__.pop('weights', None)
+        if rng and (self._effective() < 0.5 * self._count or len(numbers) > self._count):
             self._resample(rng)
-        self.__dict__.pop('belief', None)
+            self.__dict__.pop('weights', None)
 
-    @property
+    @cached_property
     def weights(self) -> Floats:
         """Return the probability of each particle, shape (particles,)."""
         weights: Floats = np.exp(self._log_weights - self._log_weights.max())
@@ -156,27 +157,18 @@ class Bank:
         """Return the effective number of particles."""
         return float(1.0 / (self.weights**2).sum())
 
-    @cached_property
-    def belief(self) -> Belief:
-        """Return the weighted mean of the filters."""
-        joint = self._joints @ self.weights
-        return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
+    def joint(self) -> Floats:
+        """Return the weighted mean of the joints."""
+        if self._count == 1:
+            return self._joints[..., 0]
+        joint: Floats = self._joints @ self.weights
+        joint /= joint.sum(axis=(1, 2), keepdims=True)
+        return joint
 
-    @property
-    def model(self) -> SensorModel:
-        """Return the sensor model with the posterior means of the learnt numbers."""
-        means = dict(zip(self._names, self.weights @ self._numbers))
-        return replace(self._known, **{name: means[name] for name in RATES if name in means})
+    def mean(self, name: str) -> float:
+        """Return the posterior mean of a number."""
+        return float(self.weights @ self.numbers[:, self.names.index(name)])
 
-    @property
-    def parameters(self) -> Mapping[str, Learnt]:
-        """Return the posterior of each number."""
-        return {
-            name: learnt_from(prior, values, self.weights, self._effective())
-            for name, prior, values in zip(self._names, self._priors, self._numbers.T)
-        }
-
-    @property
     def sampling_error(self) -> float:
         """Return the expected KL divergence of the belief due to sampling, nats (by groups)."""
         weights = self.weights
@@ -187,45 +179,29 @@ class Bank:
             [weights[groups == group] @ hazard[groups == group] for group in range(GROUPS)]
         )
         means = means[shares > 0.0] / shares[shares > 0.0, None]
-        mean = self.belief.hazard
+        mean = self.joint()[:, 1].sum(axis=1)
         spread = means.var(axis=0, ddof=1) if len(means) > 1 else np.zeros_like(mean)
         chance = mean * (1.0 - mean)
         return float((spread[chance > 0.0] / (2.0 * GROUPS * chance[chance > 0.0])).sum())
 
-    is_converged = True
-
-    def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
-        """Draw particles, and then the hazards of each cell independently."""
-        hazardous, _ = self._drawn(count, rng)
-        return hazardous, float(min(count, self._effective()))
-
-    def draws_with_models(
+    def draws(
         self, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
-        """Draw hazards, each draw with the sensor model of its particle."""
-        hazardous, particles = self._drawn(count, rng)
-        models = [
-            replace(
-                self._known,
-                **{name: value for name, value in zip(self._names, numbers) if name in RATES},
-            )
-            for numbers in self._numbers[particles].tolist()
-        ]
-        return hazardous, models
-
-    def _drawn(
-        self, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-        """Return hazards of all cells, shape (count, cells), and the particle of each draw."""
-        particles = rng.choice(len(self._numbers), count, p=self.weights)
+    ) -> tuple[NDArray[np.bool_], list[SensorModel], float]:
+        """Draw particles, and then hazards of each cell; return the effective number of draws."""
+        particles = rng.choice(len(self.numbers), count, p=self.weights)
         hazard = self._joints[:, 1].sum(axis=1).T[particles]
-        return rng.random(hazard.shape) < hazard, particles
+        models = [
+            replace(self._known, **{k: v for k, v in zip(self.names, numbers) if k in RATES})
+            for numbers in self.numbers[particles].tolist()
+        ]
+        effective = float(min(count, self._effective()))
+        return rng.random(hazard.shape) < hazard, models, effective
 
     def _first_joints(self, numbers: Floats) -> Floats:
         """Return the prior of each particle, shape (cells, 2, 2, particles)."""
-        if not set(MAPS) & set(self._names):
+        if not set(MAPS) & set(self.names):
             return np.repeat(self._prior.joint[..., None], len(numbers), axis=-1)
-        learnt = dict(zip(self._names, numbers.T))
+        learnt = dict(zip(self.names, numbers.T))
         hazard, kappa, background = (
             with_average(*self._maps[name], learnt[name])
             if name in learnt
@@ -245,13 +221,8 @@ class Bank:
         """Fold deployments into joints; return joints, and logs of chances and predictions."""
         joints = np.array(joints)
         log_chances: Floats = np.zeros((1, len(numbers)))
-        learnt = dict(zip(self._names, numbers.T))
-        if self._effects is None or self._effects[0] is not numbers:
-            rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
-            if 'vanish' in rates and not self._dynamics.appear:
-                density = learnt.get('hazard_density', prior_density(self._prior))
-                rates['appear'] = appearance(rates['vanish'], density)
-            self._effects = numbers, hazard_change(self._prior, self._dynamics, rates), {}
+        if self._effects[0] is not numbers:
+            self._effects = self._effects_with(numbers)
         _, change, effects = self._effects
         for evidence in deployments:
             if has_begun:
@@ -259,32 +230,43 @@ class Bank:
             has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in effects:
-                model = robot_type.model(self._known)
-                # Numbers that the robot type sets replace learnt numbers.
-                of_all = {k: v for k, v in learnt.items() if k not in robot_type.sensors}
-                own = {
-                    name: np.broadcast_to(
-                        of_all.get(name, getattr(model, name)), numbers.shape[:1]
-                    )
-                    for name in RATES
-                }
-                are_used_up = self._dynamics.kind == 'used_up'
-                effects[robot_type] = Effects.of(own, model.false_negative, are_used_up)
+                effects[robot_type] = self._effects_of(robot_type, numbers)
             joint = joints[cells]
-            if not self._correlated:
-                joint = independent(joint)
-            joints[cells], log_chance = condition(joint, evidence, effects[robot_type])
+            how = condition if evidence.lost_in is None else self._on_loss
+            joints[cells], log_chance = how(joint, evidence, effects[robot_type])
             chances = [log_chance]
             if is_predicted:
                 chances.extend(predict_outcome(joint, evidence, effects[robot_type]))
             log_chances = log_chances + np.stack(chances)
         return joints, log_chances
 
+    def _effects_with(
+        self, numbers: Floats
+    ) -> tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Effects]]:
+        """Return the numbers, their change of hazards between deployments, and no effects yet."""
+        learnt = dict(zip(self.names, numbers.T))
+        rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
+        if 'vanish' in rates and not self._dynamics.appear:
+            density = learnt.get('hazard_density', prior_density(self._prior))
+            rates['appear'] = appearance(rates['vanish'], density)
+        return numbers, hazard_change(self._prior, self._dynamics, rates), {}
+
+    def _effects_of(self, robot_type: RobotType, numbers: Floats) -> Effects:
+        """Return the effects of a step; numbers that the robot type sets replace learnt ones."""
+        model = robot_type.model(self._known)
+        own = {name: np.full(len(numbers), getattr(model, name)) for name in RATES}
+        own |= {
+            name: values
+            for name, values in zip(self.names, numbers.T)
+            if name in RATES and name not in robot_type.sensors
+        }
+        return Effects.of(own, model.false_negative, self._dynamics.kind == 'used_up')
+
     def _resample(self, rng: np.random.Generator) -> None:
         """Resample the particles by their weights, and move them."""
         low, high = np.array([(prior.low, prior.high) for prior in self._priors]).T
         weights = self.weights
-        logits = np.log(self._numbers - low) - np.log(high - self._numbers)
+        logits = np.log(self.numbers - low) - np.log(high - self.numbers)
         centred = logits - weights @ logits
         covariance = (centred * weights[:, None]).T @ centred + 1e-9 * np.eye(logits.shape[1])
         scale = 2.38 / np.sqrt(logits.shape[1]) * np.linalg.cholesky(covariance).T
@@ -304,8 +286,169 @@ class Bank:
             logits = np.where(is_moved[:, None], proposed, logits)
             log_likelihood = np.where(is_moved, log_proposed, log_likelihood)
             joints = np.where(is_moved, folded, joints)
-        self._numbers, self._joints = expit_within(logits, self._priors), joints
+        self.numbers, self._joints = expit_within(logits, self._priors), joints
         self._log_likelihood, self._log_weights = log_likelihood, np.zeros(self._count)
+
+
+class Bank:
+    """A belief about hazards of one kind, or of several: a mixture of `Filters` (:eq:`kinds`)."""
+
+    is_converged = True
+
+    def __init__(
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        seed: int,
+        dynamics: Dynamics,
+        on_loss: Condition = condition,
+        count: int | None = None,
+    ) -> None:
+        if dynamics.kind == 'learn' and belief.grid is None:
+            raise ValueError(
+                'hazards of any kind may be moving, and moving hazards cannot be weighed: the '
+                'prior has no grid for them to move on; make it with Belief.prior(grid, ...) or '
+                'belief.on(grid)'
+            )
+        self._prior, self._known = belief, model
+        self._priors = {**unknowns.priors, **dynamics.unknown_rates}
+        self._filters = {
+            each.kind: Filters(belief, model, unknowns, seed, each, on_loss, count)
+            for each in dynamics.kinds
+        }
+        self._ruled_out: frozenset[str] = frozenset()
+        self.predicted: tuple[Floats, ...] = ()
+        self._is_known = len(self._filters) == 1 and not self._priors
+        self._explanations: Explanations | None = None
+        if self._is_known and dynamics.kind == 'used_up':
+            self._explanations = Explanations(belief.hazard > 0.0)
+
+    def copy(self) -> Bank:
+        """Return an independent copy; arrays are shared, since none is ever changed."""
+        return copy(self)
+
+    def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
+        """Weight the hypotheses by the evidence of one more deployment."""
+        check_cells(self._prior, observation)
+        self.take(Evidence.of(observation, robot_type), not self._is_known)
+
+    def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
+        """Assimilate an outcome counted by cell; several banks may share the counts."""
+        filters, ruled_out, predicted = dict(self._filters), set(self._ruled_out), []
+        for (kind, each), weight in zip(self._filters.items(), self._weights):
+            if kind not in ruled_out:
+                filters[kind] = each = copy(each)
+                try:
+                    each.take(evidence, is_predicted)
+                except ValueError:
+                    ruled_out.add(kind)
+                else:
+                    # Weights underflow to 0 after hundreds of robots.
+                    predicted.append(safe_log(weight) + each.predicted[-1])
+        if not predicted:
+            raise ValueError(IMPOSSIBLE)
+        if self._explanations is not None:
+            model = evidence.robot_type.model(self._known)
+            self._explanations = self._explanations.with_deployment(evidence, model)
+        self._filters, self._ruled_out = filters, frozenset(ruled_out)
+        self.predicted = (*self.predicted, log_sum(np.transpose(predicted)))
+        for name in ('_weights', 'belief'):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def _weights(self) -> Floats:
+        """Return the probability of each kind."""
+        if len(self._filters) == 1:
+            return np.ones(1)
+        log_evidence = np.array(
+            [
+                -np.inf if kind in self._ruled_out else each.log_evidence + np.log(PRIOR[kind])
+                for kind, each in self._filters.items()
+            ]
+        )
+        weights: Floats = np.exp(log_evidence - log_sum(log_evidence))
+        return weights
+
+    @property
+    def kinds(self) -> dict[str, float]:
+        """Return the probability of each kind of hazards."""
+        return dict(zip(self._filters, self._weights.tolist()))
+
+    @cached_property
+    def belief(self) -> Belief:
+        """Return the weighted mean of the filters."""
+        if self._is_known and not self.predicted:
+            return self._prior
+        joints = [each.joint() for each in self._filters.values()]
+        return Belief(sum(weight * joint for weight, joint in zip(self._weights, joints)))
+
+    @property
+    def model(self) -> SensorModel:
+        """Return the sensor model with the posterior means of the learnt numbers."""
+        means = {
+            name: float(self._weights @ [each.mean(name) for each in self._filters.values()])
+            for name in RATES
+            if name in self._priors
+        }
+        return replace(self._known, **means)
+
+    @property
+    def parameters(self) -> Mapping[str, Learnt]:
+        """Return the posterior of each number, and of each rate given its kind."""
+        learnt = {}
+        for name, prior in self._priors.items():
+            having = [each for each in self._filters.values() if name in each.names]
+            shares = np.array(
+                [w for w, each in zip(self._weights, self._filters.values()) if each in having]
+            )
+            shares = shares / shares.sum() if shares.any() else np.ones_like(shares)
+            weights = np.concatenate([w * each.weights for w, each in zip(shares, having)])
+            values = np.concatenate([each.numbers[:, each.names.index(name)] for each in having])
+            order = np.argsort(values, kind='stable')
+            ascending = values[order]
+            edges = [prior.low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]
+            bins = Bins(np.array(edges), ascending, np.full(values.size, -np.log(values.size)))
+            learnt[name] = Learnt(bins, weights[order], float(1.0 / (weights**2).sum()))
+        return learnt
+
+    @property
+    def sampling_error(self) -> float:
+        """Return the expected KL divergence of the belief due to sampling, nats."""
+        if self._is_known:
+            return 0.0
+        errors = [each.sampling_error() for each in self._filters.values()]
+        return float(self._weights @ errors)
+
+    def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
+        """Draw hypotheses, and then the hazards of each cell independently."""
+        hazardous, _, independent = self._draw(count, rng)
+        return hazardous, independent
+
+    def draws_with_models(
+        self, count: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
+        """Draw hazards, each draw with the sensor model of its hypothesis."""
+        hazardous, models, _ = self._draw(count, rng)
+        return hazardous, models
+
+    def _draw(
+        self, count: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.bool_], list[SensorModel], float]:
+        """Return hazards and sensor models in random order, and the effective number of draws."""
+        if self._is_known:
+            hazard = self.belief.hazard
+            return rng.random((count, hazard.size)) < hazard, [self._known] * count, float(count)
+        if len(self._filters) == 1:
+            (only,) = self._filters.values()
+            return only.draws(count, rng)
+        shares = rng.multinomial(count, self._weights).tolist()
+        drawn = [e.draws(n, rng) for e, n in zip(self._filters.values(), shares) if n]
+        hazardous = np.concatenate([each for each, _, _ in drawn])
+        models = [model for _, each, _ in drawn for model in each]
+        order = rng.permutation(count)
+        independent = sum(effective for _, _, effective in drawn)
+        return hazardous[order], [models[place] for place in order], independent
 
 
 def with_average(probability: Floats, undecided: NDArray[np.bool_], averages: Floats) -> Floats:
@@ -324,15 +467,6 @@ def prior_density(belief: Belief) -> float:
     """Return the mean hazard of the cells that may have a hazard."""
     hazard = belief.hazard
     return float(hazard[hazard > 0.0].mean()) if hazard.any() else 0.0
-
-
-def learnt_from(prior: Beta, values: Floats, weights: Floats, effective: float) -> Learnt:
-    """Return the posterior of a number from weighted particles."""
-    order = np.argsort(values, kind='stable')
-    ascending = values[order]
-    edges = [prior.low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]
-    bins = Bins(np.array(edges), ascending, np.full(values.size, -np.log(values.size)))
-    return Learnt(bins, weights[order], effective)
 
 
 def log_sum(logs: Floats) -> Floats:

@@ -132,11 +132,9 @@ class Estimator:
         self._make_checker: Callable[[], Checker] | None = None
         self._checker: Checker | None = None
         self._checked_deployments = 0
-        if isinstance(start, OnePass) and start.bank is not None:
+        if isinstance(start, OnePass) and start.learns:
             prior = belief if start.correlated else belief.independent()
-            self._make_checker = partial(
-                Checker, prior, model, unknowns, self.seed, dynamics, start.correlated
-            )
+            self._make_checker = partial(Checker, prior, model, unknowns, self.seed, dynamics)
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(

@@ -233,9 +233,7 @@ Likelihood = tuple[Floats, Floats, Floats, Floats]
 NO_SCALE = np.zeros((1, 1))
 
 
-def condition(
-    joint: Floats, evidence: Evidence, effects: Effects, correlated: bool = True
-) -> tuple[Floats, Floats]:
+def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floats, Floats]:
     """
     Return the joints of the path's cells given an outcome, and the outcome's ln P.
 
@@ -247,8 +245,6 @@ def condition(
         The outcome, counted by cell.
     effects : Effects
         Effects of a step.
-    correlated : bool
-        Whether targets depend on hazards; if not, they are made independent first.
 
     Returns
     -------
@@ -260,8 +256,6 @@ def condition(
         impossible.
 
     """
-    if not correlated:
-        joint = independent(joint)
     counts = evidence.visits.counts
     if not counts.size:
         return joint, np.zeros(joint.shape[-1])

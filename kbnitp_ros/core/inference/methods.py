@@ -15,7 +15,6 @@ from kbnitp_ros.core.field.check import typed
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, HAZARDS, Learnt, STATIC, Unknowns
-from kbnitp_ros.core.inference.kinds import learning
 from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import Registry, takes
@@ -108,7 +107,7 @@ METHODS = Registry(
         'relaxed_itp': OnePass(
             correlated=False,
             dynamics=('changing', 'used_up', 'moving', 'learn'),
-            bank=learning,
+            learns=True,
         ),
         'relaxed_bnitp': OnePass(correlated=False, is_published=True),
         # The paper's method: its printed update of a loss is overconfident.
@@ -117,7 +116,7 @@ METHODS = Registry(
         'kappa_bnitp': OnePass(
             correlated=True,
             dynamics=('changing', 'used_up', 'moving', 'learn'),
-            bank=learning,
+            learns=True,
         ),
         'kappa_bnitp_sampled': Sampler,
     },

@@ -19,7 +19,6 @@ from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, log_sum
 from kbnitp_ros.core.inference.filter import Evidence, Floats, READING_SHIFTS
-from kbnitp_ros.core.inference.kinds import Kinds, learning
 import numpy as np
 
 # Average ratio at which the model is in doubt.
@@ -76,18 +75,17 @@ class Checker:
         unknowns: Unknowns,
         seed: int,
         dynamics: Dynamics,
-        correlated: bool,
     ) -> None:
-        def bank(unknowns: Unknowns, dynamics: Dynamics) -> Bank | Kinds:
-            is_open = unknowns.priors or dynamics.unknown_rates
-            count = min(PARTICLES, max(2, MAX_CELLS // belief.cells)) if is_open else None
-            return learning(belief, model, unknowns, seed, dynamics, correlated, count)
+        count = min(PARTICLES, max(2, MAX_CELLS // belief.cells))
 
-        self._own: Bank | Kinds | None = None
+        def bank(unknowns: Unknowns, dynamics: Dynamics) -> Bank:
+            return Bank(belief, model, unknowns, seed, dynamics, count=count)
+
+        self._own: Bank | None = None
         if not (unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'):
             self._own = bank(unknowns, dynamics)
         self._believed = WORDS.get(dynamics.kind, 'any kind of hazards')
-        self._alternatives: dict[str, Bank | Kinds | None] = {}
+        self._alternatives: dict[str, Bank | None] = {}
         if dynamics.kind != 'learn':
             for other in Dynamics('learn').kinds:
                 can_move = other.kind != 'moving' or belief.grid is not None

@@ -15,19 +15,16 @@ from kbnitp_ros.core.inference.filter import (
     Effects,
     Evidence,
     Floats,
-    independent,
     ratio,
 )
 import numpy as np
 
 
 def condition_published(
-    joint: Floats, evidence: Evidence, effects: Effects, correlated: bool = True
+    joint: Floats, evidence: Evidence, effects: Effects
 ) -> tuple[Floats, Floats]:
     """Return the joints of the path's cells given a loss, as `condition` does; ln P is 0."""
     assert evidence.lost_in is not None
-    if not correlated:
-        joint = independent(joint)
     visits = evidence.visits
     first = int((evidence.lost_in > 0.0).argmax())
     survived = replace(visits, counts=evidence.made[first])

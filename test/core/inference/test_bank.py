@@ -20,7 +20,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.unknowns import joint_after_change
-from kbnitp_ros.core.inference.bank import Bank
+from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
 from laws import for_each
 import numpy as np
@@ -76,8 +76,8 @@ def particle_sensors(numbers):
 def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
     belief, model, outcomes = drawn(seed)
     prior = belief if method == 'kappa_bnitp' else belief.independent()
-    bank = Bank(prior, model, TWO, 0, new_dynamics(kind), method == 'kappa_bnitp')
-    numbers = bank._numbers[:3]
+    bank = Filters(prior, model, TWO, 0, new_dynamics(kind))
+    numbers = bank.numbers[:3]
     evidence = [Evidence.of(*outcome) for outcome in outcomes]
     joints, _ = bank._fold(bank._first_joints(numbers), numbers, evidence)
     for place, own in enumerate(numbers):
@@ -90,8 +90,8 @@ def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
 @for_each('seed, kind', [(seed, kind) for seed in range(300) for kind in KINDS], every=10)
 def test_an_outcome_has_the_probability_of_all_states(seed, kind):
     belief, model, outcomes = drawn(seed, 1)
-    bank = Bank(belief, model, TWO, 0, new_dynamics(kind))
-    (observation, robot_type), numbers = outcomes[0], bank._numbers[:3]
+    bank = Filters(belief, model, TWO, 0, new_dynamics(kind))
+    (observation, robot_type), numbers = outcomes[0], bank.numbers[:3]
     evidence = [Evidence.of(observation, robot_type)]
     _, (log_chance, *_) = bank._fold(bank._first_joints(numbers), numbers, evidence)
     lost_at = observation.lost_at
@@ -114,10 +114,10 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
 def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
     """Weighed by the product of the predictive probabilities of all outcomes."""
     belief, model, outcomes = drawn(seed, 3)
-    bank = Bank(belief, model, TWO, 0, new_dynamics(kind))
-    monkeypatch.setattr(Bank, '_resample', lambda *_: None)
+    bank = Filters(belief, model, TWO, 0, new_dynamics(kind))
+    monkeypatch.setattr(Filters, '_resample', lambda *_: None)
     weights, joints = [], []
-    for own in bank._numbers:
+    for own in bank.numbers:
         estimator = Estimator(belief, particle_sensors(own), dynamics=new_dynamics(kind))
         weight = 1.0
         for number, (observation, robot_type) in enumerate(outcomes):
@@ -139,10 +139,9 @@ def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
         weights.append(weight)
         joints.append(estimator.belief.joint)
     for outcome in outcomes:
-        bank = bank.copy()
-        bank.assimilate(*outcome)
+        bank.take(Evidence.of(*outcome))
     expected = np.average(joints, axis=0, weights=weights)
-    np.testing.assert_allclose(bank.belief.joint, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(bank.joint(), expected, rtol=0, atol=1e-9)
 
 
 def fly_mission(lethality, seed, robots=40, kind='static'):

@@ -20,7 +20,7 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.inference.bank import Bank
+from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
 from laws import for_each
 import numpy as np
@@ -55,8 +55,8 @@ def after(observations, **kwargs):
 
 @for_each('seed, kind', [(seed, kind) for seed in range(20) for kind in UNKNOWN], every=10)
 def test_each_rate_has_the_filter_of_that_rate(seed, kind):
-    bank = Bank(PRIOR, MODEL, Unknowns(), 0, UNKNOWN[kind])
-    rates = bank._numbers[:3]
+    bank = Filters(PRIOR, MODEL, Unknowns(), 0, UNKNOWN[kind])
+    rates = bank.numbers[:3]
     evidence = [Evidence.of(each, ORDINARY) for each in outcomes(seed)]
     joints, _ = bank._fold(bank._first_joints(rates), rates, evidence)
     for place, rate in enumerate(rates[:, 0]):
@@ -81,11 +81,11 @@ def test_kinds_are_weighed_by_the_probability_of_all_evidence(seed):
     observations = list(outcomes(seed, 3))
     evidence, joints = {}, {}
     for hypothesis in dynamics.kinds:
-        bank = Bank(PRIOR, MODEL, Unknowns(), 0, hypothesis)
+        bank = Filters(PRIOR, MODEL, Unknowns(), 0, hypothesis)
         for observation in observations:
-            bank.assimilate(observation, ORDINARY)
+            bank.take(Evidence.of(observation, ORDINARY))
         evidence[hypothesis.kind] = PRIORS[hypothesis.kind] * np.exp(bank.log_evidence)
-        joints[hypothesis.kind] = bank.belief.joint
+        joints[hypothesis.kind] = bank.joint()
     total = sum(evidence.values())
     estimator = after(observations, dynamics=dynamics)
     for kind, probability in estimator.kinds.items():
