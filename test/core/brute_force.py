@@ -239,7 +239,7 @@ def loss_weight(delta, marginals):
 
 def published_loss(joint, model, path, lost_at=None):
     """
-    Hazard, target and kappa of each cell of the path after a loss, eq. 10, 11 and 12.
+    Hazard, target and kappa of each cell of the path after a loss, eq. 9, 10 and 11.
 
     Sums over every delta in {0, 1}^steps; a repeated cell over each of its instances. `lost_at`,
     if given, multiplies the weight of a loss in a step.
@@ -269,9 +269,9 @@ def published_loss(joint, model, path, lost_at=None):
 
     after = {}
     for cell in set(cells):
-        z_terms = [sum(term(cell, z, x) for x in (0, 1)) for z in (0, 1)]  # eq. 10
-        x_terms = [sum(term(cell, z, x) for z in (0, 1)) for x in (0, 1)]  # eq. 11
-        kappa_terms = [term(cell, 1, x) for x in (0, 1)]  # eq. 12
+        z_terms = [sum(term(cell, z, x) for x in (0, 1)) for z in (0, 1)]  # eq. 9
+        x_terms = [sum(term(cell, z, x) for z in (0, 1)) for x in (0, 1)]  # eq. 10
+        kappa_terms = [term(cell, 1, x) for x in (0, 1)]  # eq. 11
         hazard = z_terms[1] / sum(z_terms)
         target = x_terms[1] / sum(x_terms)
         kappa = kappa_terms[1] / sum(kappa_terms) if sum(kappa_terms) else target
