@@ -344,3 +344,23 @@ def test_equations_have_labels_that_the_code_cites_and_no_others():
     }
     assert [label for label, times in Counter(LABELS).items() if times > 1] == []
     assert cited == set(LABELS)
+
+
+def numbers_in(labels):
+    ranges = re.findall(r'(\d+)(?:-(\d+))?', ' '.join(labels))
+    return sorted(n for first, last in ranges for n in range(int(first), int(last or first) + 1))
+
+
+def test_each_line_and_equation_of_the_paper_has_a_function_and_a_test():
+    table = rows('docs/mathematics.md', 'in the paper')
+    for label, (_, name, test) in table.items():
+        docstring = ' '.join(locate(f'kbnitp_ros.{name}').__doc__.split())
+        assert re.search(rf'{re.escape(label)}\b', docstring), (label, name)
+        path, function = test.split('::')
+        assert f'\ndef {function}(' in ROOT.joinpath(path).read_text(), test
+    lines, equations = (
+        [label[len(head) :] for label in table if label.startswith(head)]
+        for head in ('Algorithm 1, ', 'eq. ')
+    )
+    assert numbers_in(lines) == [*range(1, 13)]
+    assert numbers_in(equations) == [*range(1, 12)]

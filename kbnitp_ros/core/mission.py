@@ -239,6 +239,8 @@ def continue_mission(
     """
     Continue a mission from an estimator.
 
+    This is the loop over robots (arXiv:2305.06929, Algorithm 1, line 1).
+
     Parameters
     ----------
     grid, world, rng, options, team, goal, stop

@@ -30,7 +30,8 @@ class Belief(Value):
     """
     Independent cells, each with a joint distribution of its hazard Z and its target X.
 
-    The joint is the state; the hazard, target and kappa maps are views of it.
+    The joint is the state; the hazard, target and kappa maps are views of it
+    (arXiv:2305.06929, Algorithm 1, line 2).
 
     Parameters
     ----------

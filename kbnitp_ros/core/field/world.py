@@ -114,7 +114,7 @@ class World(Value):
         self, path: ArrayLike, model: SensorModel, rng: np.random.Generator | int
     ) -> Observation:
         """
-        Send a robot along a path.
+        Send a robot along a path (arXiv:2305.06929, Algorithm 1, line 4).
 
         Two uniform numbers are drawn for each step, also after a loss.
 

@@ -237,6 +237,9 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
     """
     Return the joints of the path's cells given an outcome, and the outcome's ln P.
 
+    For a return, each joint is multiplied by the likelihoods of survival and of the readings, the
+    product of arXiv:2305.06929, eq. 2, and normalised (Algorithm 1, lines 6-8; eq. 6-8).
+
     Parameters
     ----------
     joint : ndarray, shape (n, 2, 2, hypotheses)

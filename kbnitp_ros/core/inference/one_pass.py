@@ -82,7 +82,11 @@ class OnePass:
         return condition_published if self.is_published else condition
 
     def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
-        """Return the posterior; cells off the path stay the same, bit for bit."""
+        """
+        Return the posterior; cells off the path stay the same, bit for bit.
+
+        Returns and losses branch here (arXiv:2305.06929, Algorithm 1, lines 5 and 9).
+        """
         check_cells(belief, observation)
         evidence = Evidence.of(observation)
         cells, joint = evidence.visits.cells, belief.joint.copy()

@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""
-The update of a loss as the paper prints it (arXiv:2305.06929, eq. 5 and 9-11).
-
-It weighs each cell by the steps in which the robot may have been destroyed there or elsewhere, and
-counts a cell that is entered n times n times: it is overconfident (:eq:`loss-published`).
-"""
+"""The update of a loss as the paper prints it."""
 
 from __future__ import annotations
 
@@ -23,14 +18,21 @@ import numpy as np
 def condition_published(
     joint: Floats, evidence: Evidence, effects: Effects
 ) -> tuple[Floats, Floats]:
-    """Return the joints of the path's cells given a loss, as `condition` does; ln P is 0."""
+    """
+    Return the joints of the path's cells given a loss, as `condition` does; ln P is 0.
+
+    The posterior (arXiv:2305.06929, Algorithm 1, lines 10-12; eq. 9-11) sums the joint of the path
+    (eq. 3-5) over the steps in which the robot may have been destroyed (:eq:`loss-published`).
+    Eq. 5 assumes that no cell is entered twice: here a cell that is entered n times counts n
+    times, and the belief becomes overconfident.
+    """
     assert evidence.lost_in is not None
     visits = evidence.visits
     first = int((evidence.lost_in > 0.0).argmax())
     survived = replace(visits, counts=evidence.made[first])
     joint, log_chance = condition(joint, replace(evidence, visits=survived, lost_in=None), effects)
     counts, of_step = visits.counts - survived.counts, visits.of_step[first:]
-    # Eq. 5: a robot survives the step into a cell, whatever it has survived there before.
+    # Eq. 5 assumes that no cell is entered twice: earlier visits to a cell do not count here.
     survives = 1.0 - effects.malfunction
     hazard = joint[:, 1].sum(axis=1)
     survives_step = (survives * (1.0 - hazard * effects.strike))[of_step]

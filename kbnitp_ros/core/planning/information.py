@@ -39,8 +39,8 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
 
     Equation :eq:`information`.
 
-    The paper's objective I(X; Y | Theta) + I(Z; Theta) equals I(Z, X; Theta, Y), since given X the
-    readings are independent of Z. It is computed exactly as
+    The objective I(X; Y | Theta) + I(Z; Theta) of arXiv:2305.06929, eq. 1, equals
+    I(Z, X; Theta, Y), since given X the readings are independent of Z. It is computed exactly as
 
         h(P0) - E_z[h(P(survive | z))] + P0 * sum_i I(X_i; Y_i^(n_i) | survived n_i visits)
 

@@ -295,7 +295,7 @@ def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.in
 
 
 def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Search with the single best label of each cell and step: the paper's planner."""
+    """Search with the best label of each cell and step (arXiv:2305.06929, calculateBNPath)."""
     return best_paths(finder.grid, objective, finder.options, 1)
 
 

@@ -81,7 +81,8 @@ def plan(
     """
     Plan the next deployment: a closed path of high expected information.
 
-    The planner maximises information - loss_cost * (1 - survival).
+    The planner maximises information - loss_cost * (1 - survival); 'relaxed' is calculateBNPath
+    (arXiv:2305.06929, Algorithm 1, line 3).
 
     Parameters
     ----------
