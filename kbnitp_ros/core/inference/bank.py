@@ -117,34 +117,38 @@ class Filters:
 
     def take(self, evidence: Evidence, is_predicted: bool = False) -> None:
         """Weight the particles by one more deployment; resample if few keep most of the weight."""
-        has_begun = bool(self._evidence)
-        rng = np.random.default_rng([self._seed, len(self._evidence) + 1]) if self.names else None
-        numbers, log_likelihood, log_weights = (
-            self.numbers,
-            self._log_likelihood,
-            self._log_weights,
-        )
-        deployment = [evidence], has_begun, is_predicted
-        joints, log_chances = self._fold(self._joints, numbers, *deployment)
-        if rng and (log_weights + log_chances[0]).max() == -np.inf:
-            numbers = stratified(self._priors, MORE * self._count, rng)
-            before, (log_likelihood, *_) = self._fold(
-                self._first_joints(numbers), numbers, self._evidence
-            )
-            log_weights = log_likelihood
-            joints, log_chances = self._fold(before, numbers, *deployment)
-        if (log_weights + log_chances[0]).max() == -np.inf:
+        deployment = [evidence], bool(self._evidence), is_predicted
+        joints, log_chances = self._fold(self._joints, self.numbers, *deployment)
+        predicted = log_chances[:, 0]
+        if self.names:
+            rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
+            if (self._log_weights + log_chances[0]).max() == -np.inf:
+                joints, log_chances = self._drawn_anew(deployment, rng)
+            log_weights = self._log_weights
+            predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
+        if predicted[0] == -np.inf:
             raise ValueError(IMPOSSIBLE)
-        predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
         self.predicted = (*self.predicted, predicted)
         self.log_evidence += float(predicted[0])
-        self._evidence, self.numbers, self._joints = (*self._evidence, evidence), numbers, joints
-        self._log_likelihood = log_likelihood + log_chances[0]
-        self._log_weights = log_weights + log_chances[0]
-        self.__dict__.pop('weights', None)
-        if rng and (self._effective() < 0.5 * self._count or len(numbers) > self._count):
-            self._resample(rng)
+        self._evidence, self._joints = (*self._evidence, evidence), joints
+        if self.names:
+            self._log_likelihood = self._log_likelihood + log_chances[0]
+            self._log_weights = self._log_weights + log_chances[0]
             self.__dict__.pop('weights', None)
+            if self._effective() < 0.5 * self._count or len(self.numbers) > self._count:
+                self._resample(rng)
+                self.__dict__.pop('weights', None)
+
+    def _drawn_anew(
+        self, deployment: tuple[list[Evidence], bool, bool], rng: np.random.Generator
+    ) -> tuple[Floats, Floats]:
+        """Draw more particles from the prior, since none allows the evidence; fold it again."""
+        self.numbers = stratified(self._priors, MORE * self._count, rng)
+        before, (self._log_likelihood, *_) = self._fold(
+            self._first_joints(self.numbers), self.numbers, self._evidence
+        )
+        self._log_weights = self._log_likelihood
+        return self._fold(before, self.numbers, *deployment)
 
     @cached_property
     def weights(self) -> Floats:
@@ -232,12 +236,12 @@ class Filters:
             if robot_type not in effects:
                 effects[robot_type] = self._effects_of(robot_type, numbers)
             joint = joints[cells]
-            how = condition if evidence.lost_in is None else self._on_loss
+            how = self._on_loss if evidence.is_lost else condition
             joints[cells], log_chance = how(joint, evidence, effects[robot_type])
-            chances = [log_chance]
             if is_predicted:
-                chances.extend(predict_outcome(joint, evidence, effects[robot_type]))
-            log_chances = log_chances + np.stack(chances)
+                foreseen = predict_outcome(joint, evidence, effects[robot_type])
+                log_chance = np.concatenate([log_chance[None], foreseen])
+            log_chances = log_chances + log_chance
         return joints, log_chances
 
     def _effects_with(
@@ -336,7 +340,7 @@ class Bank:
     def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
         """Assimilate an outcome counted by cell; several banks may share the counts."""
         filters, ruled_out, predicted = dict(self._filters), set(self._ruled_out), []
-        for (kind, each), weight in zip(self._filters.items(), self._weights):
+        for kind, each in self._filters.items():
             if kind not in ruled_out:
                 filters[kind] = each = copy(each)
                 try:
@@ -344,15 +348,19 @@ class Bank:
                 except ValueError:
                     ruled_out.add(kind)
                 else:
-                    # Weights underflow to 0 after hundreds of robots.
-                    predicted.append(safe_log(weight) + each.predicted[-1])
+                    predicted.append(each.predicted[-1])
         if not predicted:
             raise ValueError(IMPOSSIBLE)
+        mixed = predicted[0]
+        if len(filters) > 1:
+            # Weights underflow to 0 after hundreds of robots.
+            weights = [w for kind, w in zip(filters, self._weights) if kind not in ruled_out]
+            mixed = log_sum(safe_log(np.array(weights)) + np.transpose(predicted))
         if self._explanations is not None:
             model = evidence.robot_type.model(self._known)
             self._explanations = self._explanations.with_deployment(evidence, model)
         self._filters, self._ruled_out = filters, frozenset(ruled_out)
-        self.predicted = (*self.predicted, log_sum(np.transpose(predicted)))
+        self.predicted = (*self.predicted, mixed)
         for name in ('_weights', 'belief'):
             self.__dict__.pop(name, None)
 
@@ -380,8 +388,10 @@ class Bank:
         """Return the weighted mean of the filters."""
         if self._is_known and not self.predicted:
             return self._prior
-        joints = [each.joint() for each in self._filters.values()]
-        return Belief(sum(weight * joint for weight, joint in zip(self._weights, joints)))
+        joint, *others = [each.joint() for each in self._filters.values()]
+        if others:
+            joint = sum(w * each for w, each in zip(self._weights, [joint, *others]))
+        return Belief(joint)
 
     @property
     def model(self) -> SensorModel:
@@ -391,7 +401,7 @@ class Bank:
             for name in RATES
             if name in self._priors
         }
-        return replace(self._known, **means)
+        return replace(self._known, **means) if means else self._known
 
     @property
     def parameters(self) -> Mapping[str, Learnt]:

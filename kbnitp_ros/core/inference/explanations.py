@@ -28,10 +28,10 @@ class Explanations:
         """Return the explanations with one more deployment."""
         path = evidence.visits.cells[evidence.visits.of_step]
         is_certain = model.lethality == 1.0
-        if evidence.lost_in is None:
+        if not evidence.is_lost:
             return self._entered(path) if is_certain else self
         if model.malfunction:
-            known = path[: int((evidence.lost_in > 0.0).argmax())]
+            known = path[: evidence.first]
             return self._entered(known) if is_certain else self
         fits = (evidence.lost_in > 0.0) & self.possible[path]
         if not is_certain:

@@ -105,8 +105,11 @@ class Evidence:
     # Numbers of readings of each cell, shape (n,); 0 for a lost robot.
     positive: NDArray[np.intp]
     negative: NDArray[np.intp]
-    # Likelihood of a loss in each step, shape (steps,); None for a return.
-    lost_in: Floats | None
+    # Whether the robot was lost, the steps that it is known to have survived, and the likelihood
+    # of a loss in each step, shape (steps,); None if all later steps are alike.
+    is_lost: bool
+    first: int = 0
+    lost_at: Floats | None = None
     robot_type: RobotType = ORDINARY
 
     @classmethod
@@ -114,18 +117,24 @@ class Evidence:
         """Count an outcome by cell."""
         path, readings = observation.evidence
         visits = Visits.of(path)
-        read = np.full(path.size - 1, -1) if readings is None else readings
-        positive, negative = (
-            np.bincount(visits.of_step[read == reading], minlength=visits.cells.size)
-            for reading in (1, 0)
-        )
-        lost_in = None if observation.survived else loss_weights(observation)
-        return cls(visits, positive, negative, lost_in, robot_type)
+        positive = negative = np.zeros_like(visits.counts)
+        if readings is not None:
+            seen, unseen = (visits.of_step[readings == reading] for reading in (1, 0))
+            positive, negative = (np.bincount(e, minlength=positive.size) for e in (seen, unseen))
+        lost = not observation.survived, observation.steps_survived, observation.lost_at
+        return cls(visits, positive, negative, *lost, robot_type)
+
+    @cached_property
+    def lost_in(self) -> Floats:
+        """Return the likelihood of a loss in each step, shape (steps,)."""
+        if self.lost_at is not None:
+            return self.lost_at
+        return (np.arange(self.visits.of_step.size) >= self.first).astype(float)
 
     @cached_property
     def has_readings(self) -> bool:
         """Return whether a cell has a reading."""
-        return bool(self.negative.any() or self.positive.any())
+        return not self.is_lost and bool(self.negative.any() or self.positive.any())
 
     @cached_property
     def made(self) -> NDArray[np.intp]:
@@ -133,15 +142,6 @@ class Evidence:
         entered = self.visits.of_step[:, None] == np.arange(self.visits.cells.size)
         made: NDArray[np.intp] = np.concatenate([entered[:1] & False, entered]).cumsum(axis=0)
         return made
-
-
-def loss_weights(observation: Observation) -> Floats:
-    """Return the likelihood of a loss in each step given its observation, shape (steps,)."""
-    if observation.lost_at is not None:
-        return observation.lost_at
-    weights = np.ones(observation.steps)
-    weights[: observation.steps_survived] = 0.0
-    return weights
 
 
 class Powers(NamedTuple):
@@ -262,7 +262,6 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
     counts = evidence.visits.counts
     if not counts.size:
         return joint, np.zeros(joint.shape[-1])
-    is_lost = evidence.lost_in is not None
     stays, spared, kept, log_scale = outcome_likelihood(joint.sum(axis=2), evidence, effects)
     after = np.empty_like(joint)
     np.multiply(joint[:, 0], stays[:, None], out=after[:, 0])
@@ -279,12 +278,12 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
         whole = total[:, None, None]
         after = np.divide(after, whole, out=joint.copy(), where=whole > 0.0)
         log_total = safe_log(total)
-    return after, log_total[0] + log_scale[0] if is_lost else log_total.sum(axis=0)
+    return after, log_total[0] + log_scale[0] if evidence.is_lost else log_total.sum(axis=0)
 
 
 def outcome_likelihood(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
     """Return P(outcome, Z after | Z before) of each cell, given P(Z) of all, (n, 2, h)."""
-    if evidence.lost_in is not None:
+    if evidence.is_lost:
         return lost(hazard, evidence, effects)
     counts = evidence.visits.counts
     powers = effects.powers(int(counts.max()))
@@ -338,11 +337,8 @@ def predict_outcome(joint: Floats, evidence: Evidence, effects: Effects) -> Floa
 
 def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
     """Return a loss's likelihood: a sum over steps, which may telescope (:eq:`loss-universes`)."""
-    weights = evidence.lost_in
-    assert weights is not None
-    first = int((weights > 0.0).argmax())
-    if effects.spared is None and weights[first:].min() == 1.0:
-        return lost_after(first, hazard, evidence, effects)
+    if effects.spared is None and evidence.lost_at is None:
+        return lost_after(evidence.first, hazard, evidence, effects)
     hypotheses = hazard.shape[-1]
     width = max(MAX_VALUES // evidence.made.size, 1)
     if width >= hypotheses:
@@ -374,7 +370,6 @@ def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects)
     counts, steps = evidence.visits.counts, evidence.visits.of_step.size - first
     powers = effects.powers(int(counts.max()))
     nothing = np.zeros_like(hazard[:, 0])
-    stays, kept, log_scale = nothing + 1.0, nothing + 1.0, nothing
     if first:
         survived = evidence.made[first]
         counts = counts - survived
@@ -383,14 +378,15 @@ def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects)
         stays, kept = ratio(stays + nothing, alive), ratio(kept + nothing, alive)
         hazard = hazard * np.stack([stays, kept], axis=1)
         log_scale = nothing + safe_log(alive).sum(axis=0)
-    rest = others(log_survival(hazard, counts, powers)) + times_log(steps, effects.log_endured)
-    stays = stays * -np.expm1(rest)
-    return stays, nothing, kept * -np.expm1(rest + powers.log_kept[counts]), log_scale
+    rest = others(log_survival(hazard, counts, powers)) + steps * effects.log_endured
+    lost_if_safe, lost_if_struck = -np.expm1(rest), -np.expm1(rest + powers.log_kept[counts])
+    if first:
+        return stays * lost_if_safe, nothing, kept * lost_if_struck, log_scale
+    return lost_if_safe, nothing, lost_if_struck, nothing
 
 
 def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
     """Return sum_k w_k P(lost in step k, Z after | Z before) (:eq:`located-exact`)."""
-    assert evidence.lost_in is not None
     of_step, made = evidence.visits.of_step, evidence.made[:-1]
     here = np.arange(of_step.size)
     powers = effects.powers(int(made.max()))

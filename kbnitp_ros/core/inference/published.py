@@ -26,11 +26,12 @@ def condition_published(
     Eq. 5 assumes that no cell is entered twice: here a cell that is entered n times counts n
     times, and the belief becomes overconfident.
     """
-    assert evidence.lost_in is not None
     visits = evidence.visits
-    first = int((evidence.lost_in > 0.0).argmax())
+    first = evidence.first
     survived = replace(visits, counts=evidence.made[first])
-    joint, log_chance = condition(joint, replace(evidence, visits=survived, lost_in=None), effects)
+    joint, log_chance = condition(
+        joint, replace(evidence, visits=survived, is_lost=False), effects
+    )
     counts, of_step = visits.counts - survived.counts, visits.of_step[first:]
     # Eq. 5 assumes that no cell is entered twice: earlier visits to a cell do not count here.
     survives = 1.0 - effects.malfunction

@@ -226,11 +226,11 @@ def after_deployment(
     probability, joint, readings = probability[kept], joint[origin], readings[origin]
 
     # An outcome of the robots before is a hypothesis of the filter.
-    none, all_alike = np.zeros_like(visits.counts), np.ones(visits.of_step.size)
-    for some, lost_in in ((is_return, None), (~is_return, all_alike)):
+    none = np.zeros_like(visits.counts)
+    for some, is_lost in ((is_return, False), (~is_return, True)):
         if some.any():
             of_cells = np.moveaxis(joint[np.ix_(some, at)], 0, -1)
-            evidence = Evidence(visits, none, none, lost_in)
+            evidence = Evidence(visits, none, none, is_lost)
             after, _ = condition(of_cells, evidence, known_effects(model))
             joint[np.ix_(some, at)] = np.moveaxis(after, -1, 0)
     for count in np.unique(visits.counts):
