@@ -253,7 +253,8 @@ class Estimator:
         inference = self._inference.copy()
         with METHODS.blamed(self.method):
             inference.assimilate(observation, robot_type)
-            self._inference = self._checked(inference)
+            is_ours = self.method in METHODS.own
+            self._inference = inference if is_ours else self._checked(inference)
         self._evidence = (*self._evidence, (observation, robot_type))
 
     def _checked(self, inference: Inference) -> Inference:
