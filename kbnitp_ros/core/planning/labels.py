@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Label search and local search: extend the best partial paths, then improve the best paths."""
+"""Label search: extend the best partial paths, then rank the best closed paths."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import log_predicted_survival, powers, times_log
 from kbnitp_ros.core.planning.information import Candidate, DECIMALS
 from kbnitp_ros.core.planning.label_kernels import (
+    exact_values,
     Floats,
     Gains,
     LabelProblem,
@@ -19,7 +20,6 @@ from kbnitp_ros.core.planning.label_kernels import (
     search,
     trace_closed,
 )
-from kbnitp_ros.core.planning.local_search_kernels import exact_values, improve_all
 from kbnitp_ros.core.planning.objective import (
     BEHAVIORAL_EXPONENTS,
     camera_rates,
@@ -118,9 +118,6 @@ def _powers(
 # Minimum number of closed paths ranked by exact value; twice `width` if that is more.
 MIN_RANKED = 8
 
-# By round of local search: number of paths improved, maximum number of cells in a gap.
-ROUNDS = ((16, 2), (4, 3))
-
 # Maximum bytes of a search.
 MAX_MEMORY = 1 << 30
 
@@ -131,12 +128,6 @@ def best_paths(
     """Search for closed paths of high value; return them best first."""
     labels = LabelSearch(grid, objective, options, width)
     values, paths, steps = labels.ranked(*labels.closed(max(2 * width, MIN_RANKED)))
-    for count, between in ROUNDS if width > 1 else ():
-        improved, improved_steps = paths[:count].copy(), steps[:count].copy()
-        improve_all(labels.problem, improved, improved_steps, between)
-        values, paths, steps = labels.ranked(
-            np.concatenate([paths, improved]), np.concatenate([steps, improved_steps])
-        )
     return [
         Candidate(value, labels.reach.cells[path[: count + 1]])
         for value, path, count in zip(values.tolist(), paths, steps)

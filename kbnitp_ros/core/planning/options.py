@@ -45,10 +45,9 @@ class SearchOptions:
     planner : str or callable
         One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns a list of
         `Candidate`, the best first. 'relaxed' keeps the best label of each cell and step; 'beam'
-        keeps `width` / 4 labels, and improves the best paths by local search. Baselines, which
-        seek no information: 'random' draws a closed walk, 'coverage' sweeps the field row by row,
-        starting where earlier paths ended, and 'shortest_unvisited' goes from one least visited
-        cell to the nearest other one.
+        keeps `width` / 4 labels. Baselines, which seek no information: 'random' draws a closed
+        walk, 'coverage' sweeps the field row by row, starting where earlier paths ended, and
+        'shortest_unvisited' goes from one least visited cell to the nearest other one.
     max_steps : int
         Maximum steps of a path, at least 1.
     width : int

@@ -300,7 +300,7 @@ def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Search with `width` / 4 labels of each cell and step, and improve the best paths."""
+    """Search with the best `width` / 4 labels of each cell and step."""
     return best_paths(finder.grid, objective, finder.options, finder.options.width)
 
 

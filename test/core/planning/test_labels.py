@@ -20,8 +20,7 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.core.planning import labels, planners
-from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_products
-from kbnitp_ros.core.planning.local_search_kernels import improve, take
+from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_products, take
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     ERROR,
@@ -220,49 +219,6 @@ def test_the_bound_is_reached_where_only_readings_inform():
         assert value <= hoped + 1e-8
         assert hoped <= value + 1e-8
         assert np.array_equal(products.factor[0, powers:], np.ones(problem.chance.size))
-
-
-@pytest.mark.slow
-@for_each('seed', range(40), every=2)
-def test_an_improved_path_is_better_than_all_its_neighbours(seed):
-    """With up to two cells in a row replaced, within the limits."""
-    limits = {'max_visits': (2, 4, 4)[seed % 3], 'max_distance': (0.0, 8.5)[seed % 2]}
-    rng, grid, options, search = small_problem(seed, 8, 8, **limits)
-    near = [set(grid.neighbors(cell).tolist()) for cell in range(9)]
-
-    def is_allowed(path):
-        return (
-            len(path) - 1 <= options.max_steps
-            and all(b in near[a] for a, b in itertools.pairwise(path))
-            and np.bincount(path[1:]).max() <= options.max_visits
-            and (not options.max_distance or grid.path_length(path) <= options.max_distance)
-        )
-
-    closed = [
-        path
-        for path in walks(grid, 5)
-        if len(path) > 1 and path[-1] == grid.base and is_allowed(path)
-    ]
-    rank = ranks(search)
-    for before in (closed[k] for k in rng.integers(len(closed), size=5)):
-        room = np.zeros(options.max_steps + 1, dtype=np.intp)
-        room[: len(before)] = rank[before]
-        steps = improve(search.problem, room, len(before) - 1, 2)
-        improved = search.reach.cells[room[: steps + 1]].tolist()
-        assert is_allowed(improved)
-        (best,) = valued(search, [improved])
-        around_it = [each for each in around(improved, 2) if is_allowed(each)]
-        assert valued(search, [before, *around_it]).max() <= best + 2 * ERROR
-
-
-def around(path, most):
-    """Yield a path with up to `most` cells in a row replaced, valid or not."""
-    end = len(path) - 1
-    for first in range(end):
-        for last in range(first + 1, min(first + most + 1, end) + 1):
-            for count in range(most + 1):
-                for cells in itertools.product(range(9), repeat=count):
-                    yield [*path[: first + 1], *cells, *path[last:]]
 
 
 def test_a_plan_is_the_same_in_a_larger_field():

@@ -144,7 +144,7 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
         assert max(of_best) <= 1 + 1e-9
         if allocation in page:
             assert figures == page[allocation][place:][:2]
-    assert min(share['greedy'] for share in shares) >= 0.93
+    assert min(share['greedy'] for share in shares) >= 0.92
 
 
 @for_each('allocation, planner, agents', product(ALLOCATIONS, PLANNERS, [2, 5]))
