@@ -412,7 +412,7 @@ def main() -> None:
     grid, options = scenario.field(), SearchOptions(max_steps=scenario.planning.max_steps)
     print('| lethality | frozen bound | bound | value | gap |\n|---|---|---|---|---|')
     for belief, model, recorded in frozen():
-        found = plan(grid, belief, model, options.max_steps)
+        found = plan(grid, belief, model, options)
         above = upper_bound(grid, belief, model, options, found.path)
         columns = (recorded, above, found.information, above - found.information)
         print(f'| {model.lethality} |', *(f'{each:.4f} |' for each in columns), flush=True)

@@ -249,7 +249,7 @@ def with_blasts(seed: int) -> list[Observation]:
     survive *= (1 - 0.15) ** (around - world.hazard)
     observations = []
     for _ in range(100):
-        path = plan(GRID, estimator.belief, model, 18, 'relaxed').path
+        path = plan(GRID, estimator.belief, model, SearchOptions('relaxed', 18)).path
         steps = path[1:]
         if (rng.random(steps.size) < survive[steps]).all():
             reading = rng.random(steps.size) < model.reading(world.target[steps])

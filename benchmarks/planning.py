@@ -29,7 +29,7 @@ def belief_of_a_mission(side: int, steps: int, robots: int) -> tuple[Grid, Belie
     world = World.random(grid, rng, 0.15, 0.8, 0.1)
     estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), model)
     for _ in range(robots):
-        planned = plan(grid, estimator.belief, model, steps, 'relaxed')
+        planned = plan(grid, estimator.belief, model, SearchOptions('relaxed', steps))
         estimator.assimilate(world.traverse(planned.path, model, rng))
     return grid, estimator.belief, model
 
@@ -39,7 +39,9 @@ def one_plan(side: int, steps: int, width: int = 1) -> Callable[[], float]:
 
     def run() -> float:
         grid, belief, model = belief_of_a_mission(side, steps, 3)
-        return timed(lambda: plan(grid, belief, model, steps, width=width))
+        return timed(
+            lambda: plan(grid, belief, model, SearchOptions(max_steps=steps, width=width))
+        )
 
     return run
 

@@ -16,7 +16,16 @@ import os
 import time
 
 from cases import in_words, PAGE, write
-from kbnitp_ros.core import Belief, Dynamics, Estimator, Grid, plan, SensorModel, World
+from kbnitp_ros.core import (
+    Belief,
+    Dynamics,
+    Estimator,
+    Grid,
+    plan,
+    SearchOptions,
+    SensorModel,
+    World,
+)
 from kbnitp_ros.figures import LETTERS, save, SERIES, WIDTH
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -38,7 +47,7 @@ def in_library(side: int, steps: int, deployments: int) -> list[tuple[int, float
     estimator = Estimator(Belief.prior(grid, 0.15, 0.205, 0.8), model, dynamics=CHANGING)
     course = []
     for deployment in range(1, deployments + 1):
-        found = plan(grid, estimator.belief, model, steps, 'relaxed')
+        found = plan(grid, estimator.belief, model, SearchOptions('relaxed', steps))
         estimator.assimilate(world.traverse(found.path, model, rng))
         world = world.after_change(CHANGING, grid, grid.may_be_hazardous, rng)
         if deployment % max(1, deployments // 100) == 0:

@@ -34,7 +34,7 @@ SETUP = """
 from functools import cache
 from hashlib import sha256
 import json, os, shutil, subprocess, sys, time
-from kbnitp_ros.core import Belief, Grid, plan, plan_team, run_mission, SearchOptions
+from kbnitp_ros.core import Belief, Grid, plan_team, run_mission, SearchOptions
 from kbnitp_ros.core import SensorModel, Team, World
 import numpy as np
 
@@ -58,7 +58,8 @@ def mission(*arguments, **team):
     return bits.hexdigest()
 
 def search(side, steps):
-    plan(Grid(side, side), belief(side, steps), MODEL, steps)
+    options = SearchOptions(max_steps=steps)
+    plan_team(Grid(side, side), belief(side, steps), MODEL, Team(1), options)
 
 def team(robots):
     plan_team(Grid(9, 9), belief(9, 18), MODEL, Team(robots), SearchOptions())

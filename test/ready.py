@@ -12,7 +12,7 @@ for _module in NODES.values():
     import_module(_module)
 
 _GRID = Grid(3, 3)
-plan(_GRID, Belief.prior(_GRID, 0.5, 0.45, 0.8), SensorModel(0.5), 4)
+plan(_GRID, Belief.prior(_GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
 
 for _module in [*sys.modules.values()]:
     for _type in [*vars(_module).values()]:

@@ -109,7 +109,7 @@ def plan_worths(
 
     def planned(belief: Belief, model: SensorModel, bound: float) -> tuple[float, float]:
         begun = process_time()
-        found = plan(field, belief, model, steps, planner)
+        found = plan(field, belief, model, SearchOptions(planner, steps))
         return found.information / bound, process_time() - begun
 
     # The first plan compiles kernels.

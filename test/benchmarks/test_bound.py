@@ -79,7 +79,7 @@ def test_no_path_has_a_higher_value_than_the_bound(chunk):
         best = values(belief, model, every_path(grid, most_steps, max_visits), loss_cost).max()
         options = {'max_visits': max_visits, 'loss_cost': loss_cost}
         planner = 'relaxed' if seed % 3 else 'beam'
-        found = plan(grid, belief, model, most_steps, planner, **options)
+        found = plan(grid, belief, model, SearchOptions(planner, most_steps, **options))
         search = SearchOptions(max_steps=most_steps, **options)
         above = upper_bound(grid, belief, model, search, found.path)
         assert above >= best - 1e-12 * loss_cost, seed

@@ -50,7 +50,7 @@ def test_a_plan_from_any_base_is_that_of_the_grid_at_this_base(seed):
     grid, belief, model, robot_type = random_problem(seed)
     options = SearchOptions(max_steps=6)
     (found,) = plan_team(grid, belief, model, Team(types=(robot_type,)), options)
-    alone = plan(grid.at(robot_type.base), belief, model, 6)
+    alone = plan(grid.at(robot_type.base), belief, model, SearchOptions(max_steps=6))
     assert found.path.tolist() == alone.path.tolist()
     assert (found.information, found.survival) == (alone.information, alone.survival)
 

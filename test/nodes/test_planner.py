@@ -16,6 +16,7 @@ from kbnitp_ros.core import (
     Observation,
     plan,
     RobotType,
+    SearchOptions,
     SensorModel,
 )
 from kbnitp_ros.messages.beliefs import belief_maps
@@ -73,7 +74,7 @@ class Mission:
         self.field.until(lambda: words in self.field.state('/planner'), words)
 
     def planned(self):
-        return plan(GRID, self.ledger.belief, MODEL, 4).path.tolist()
+        return plan(GRID, self.ledger.belief, MODEL, SearchOptions(max_steps=4)).path.tolist()
 
 
 def test_a_robot_is_sent_when_the_last_one_is_in_the_belief(field):
@@ -111,8 +112,9 @@ def test_paths_are_planned_with_the_robot_types_of_the_belief(field):
     mission.ledger = Ledger(GRID, 4, Estimator(prior, model), {'scout_1': frail})
     mission.show_belief()
     path = mission.until_sent(0)
-    assert path == plan(GRID, prior, frail.model(model), 4).path.tolist()
-    assert path != plan(GRID, prior, MODEL, 4).path.tolist()
+    options = SearchOptions(max_steps=4)
+    assert path == plan(GRID, prior, frail.model(model), options).path.tolist()
+    assert path != plan(GRID, prior, MODEL, options).path.tolist()
 
 
 def test_beliefs_of_other_bases_and_of_too_many_cameras_are_refused(field):

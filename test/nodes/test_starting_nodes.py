@@ -14,7 +14,16 @@ from kbnitp_msgs.msg import DeploymentReport, Progress
 from kbnitp_ros.cli.processes import environment, free_domain
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.configuration import NODES
-from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, Observation, plan, SensorModel
+from kbnitp_ros.core import (
+    Belief,
+    Estimator,
+    Grid,
+    Ledger,
+    Observation,
+    plan,
+    SearchOptions,
+    SensorModel,
+)
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.read import is_finished, read_parameters
 from kbnitp_ros.messages.deployments import read_path, read_report, report_message
@@ -123,7 +132,7 @@ def test_a_signal_amid_a_mission_ends_every_node_well(field, number):
     log = field.folder / 'mission.mcap'
     # First compilations are announced on the console.
     grid = Grid(4, 4)
-    plan(grid, Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(0.5), 6)
+    plan(grid, Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(0.5), SearchOptions(max_steps=6))
     field.start_mission({'grid.width': 4, 'grid.height': 4, 'max_steps': 6}, '/', log)
     field.until(lambda: field.count('/estimator', 'accepted') > 5, 'third deployment')
     nodes = field.processes.started
@@ -258,7 +267,7 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
     known, lost = ledger(), 0
     for number, (path, report) in enumerate(zip(paths, reports), start=1):
         key, cells = read_path(GRID, 'scout_1', path)
-        planned = plan(GRID, known.belief, MODEL, 4)
+        planned = plan(GRID, known.belief, MODEL, SearchOptions(max_steps=4))
         left = deployments_said(field, '/planner')[number - 1]
         numbers = re.fullmatch(
             rf'{key} leaves for \((.*), (.*)\) m and back in {len(cells) - 1} steps: it returns '

@@ -210,7 +210,7 @@ def small_benchmark(tmp_path):
     scenarios.joinpath('benchmark.yaml').write_text(yaml.safe_dump(content))
     grid, model = Grid(4, 4), SensorModel(0.5)
     belief = Belief.prior(grid, 0.15, 0.205, 0.8)
-    path = plan(grid, belief, model, 6).path
+    path = plan(grid, belief, model, SearchOptions(max_steps=6)).path
     np.savez(
         scenarios / 'benchmark_2.npz',
         joint=[belief.joint],
@@ -300,7 +300,7 @@ VIOLATIONS = {
     "e = Estimator(belief, model, 'breaks'); e.assimilate(lost)": (
         f"method 'breaks' {OF} breaks = strangers_of_theirs:Breaks) failed: KeyError"
     ),
-    "e = Estimator(belief, model); plan(grid, belief, model, 4, 'half_way')": (
+    "e = Estimator(belief, model); plan(grid, belief, model, SearchOptions('half_way', 4))": (
         f"planner 'half_way' {OF} half_way = strangers_of_theirs:half_way) returns an "
         'invalid path: path must end at the base 4'
     ),

@@ -55,7 +55,7 @@ T = TypeVar('T')
 CORE = __name__.removesuffix('.field.check')
 
 # Hints on how to make instances of the core's classes.
-MADE_BY = {'Goal': 'Lane(...) or Area(...)'}
+MADE_BY = {'Goal': 'Lane(...) or Area(...)', 'SearchOptions': 'SearchOptions(max_steps=...)'}
 
 
 def typed(call: Callable[P, R]) -> Callable[P, R]:

@@ -72,11 +72,9 @@ def plan(
     grid: Grid,
     belief: Belief,
     model: SensorModel,
-    max_steps: int,
-    planner: str | Callable[..., Any] = 'beam',
+    options: SearchOptions = SearchOptions(),
     *,
     visited: ArrayLike = (),
-    **options: Any,
 ) -> Plan:
     """
     Plan the next deployment: a closed path of high expected information.
@@ -92,8 +90,8 @@ def plan(
         Belief about the field.
     model : SensorModel
         Believed sensor model of the robot.
-    max_steps, planner, **options
-        As in `SearchOptions`.
+    options : SearchOptions
+        The planner, the limits of the path, and the objective.
     visited : array_like of int, shape (cells,), optional
         Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
         default.
@@ -105,20 +103,15 @@ def plan(
 
     Raises
     ------
+    NoPathError
+        If no path with the minimum survival is found.
     ValueError
-        If the planner or the objective is unknown, the planner does not support the objective or
-        the limit of distance, a number is out of range, the distance allows no step, or belief and
-        grid have different numbers of cells.
+        If the planner does not support the objective or the limit of distance, the distance allows
+        no step, or belief and grid have different numbers of cells.
 
     """
-    search = SearchOptions(planner, max_steps, **options)
-    if search.objective == 'information_per_loss':
-        (found,) = plan_team(grid, belief, model, Team(1), search, visited=visited)
-        return found
-    finder = PathFinder(grid, search, np.asarray(visited))
-    check_distance(grid, search)
-    objective = Objective.alone(grid, belief, model, search)
-    return Plan.along(finder.candidates(objective)[0].path, belief, model)
+    (found,) = plan_team(grid, belief, model, Team(), options, visited=visited)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -326,7 +326,7 @@ def test_missions_stop_by_themselves():
     for deployment in mission(minimum_survival=0.6, stop=Stop(losses=1)):
         assert deployment.plan.survival >= 0.6
     with pytest.raises(NoPathError, match='minimum_survival'):
-        plan(GRID, PRIOR, certain, 12, minimum_survival=1.0)
+        plan(GRID, PRIOR, certain, SearchOptions(max_steps=12, minimum_survival=1.0))
 
 
 def test_robots_of_a_round_add_to_each_other():

@@ -107,8 +107,7 @@ def path_length(grid, path):
 
 
 def found_by(grid, belief, model, options):
-    given = {name: value for name, value in vars(options).items() if name != 'max_steps'}
-    found = plan(grid, belief, model, options.max_steps, **given)
+    found = plan(grid, belief, model, options)
     assert path_length(grid, grid.check_path(found.path, options.max_steps)) <= (
         options.max_distance * (1.0 + 1e-8)
     )
@@ -151,7 +150,7 @@ def test_robots_of_a_team_keep_their_own_lengths(seed):
         assert 0.0 < short <= 2.5 + 1e-8
         assert 0.0 < common <= 5.0 + 1e-8
         if allocation == 'independent':
-            alone = plan(grid, belief, SensorModel(0.3), 12, width=4)
+            alone = plan(grid, belief, SensorModel(0.3), SearchOptions(max_steps=12, width=4))
             assert free == path_length(grid, alone.path)
 
 
@@ -215,7 +214,7 @@ BELIEF = Belief.prior(Grid(3, 3), 0.2, 0.4, 0.8)
 @for_each('planner', ['random', 'coverage', 'shortest_unvisited'])
 def test_planners_without_distance_limits_refuse_them(planner):
     with pytest.raises(ValueError, match=f'but the planner {planner} does not keep to it: choose'):
-        plan(Grid(3, 3), BELIEF, SensorModel(0.5), 6, planner, max_distance=4.0)
+        plan(Grid(3, 3), BELIEF, SensorModel(0.5), SearchOptions(planner, 6, max_distance=4.0))
 
 
 def test_a_distance_that_allows_no_step_is_refused_with_the_least():
@@ -225,12 +224,14 @@ def test_a_distance_that_allows_no_step_is_refused_with_the_least():
         (Grid(3, 3, resolution=0.1), '0.2 m'),
     ):
         least = float(needed.split()[0])
-        plan(grid, BELIEF, SensorModel(0.5), 6, max_distance=least)
+        options = SearchOptions(max_steps=6, max_distance=least)
+        plan(grid, BELIEF, SensorModel(0.5), options)
+        options = replace(options, max_distance=0.99 * least)
         for planner in ('beam', 'relaxed'):
             with pytest.raises(ValueError, match=f'no step .* it must be at least {needed}, or 0'):
-                plan(grid, BELIEF, SensorModel(0.5), 6, planner, max_distance=0.99 * least)
+                plan(grid, BELIEF, SensorModel(0.5), replace(options, planner=planner))
     # No number of steps allows it either.
-    plan(Grid(3, 3), BELIEF, SensorModel(0.5), 1, max_distance=0.5)
+    plan(Grid(3, 3), BELIEF, SensorModel(0.5), SearchOptions(max_steps=1, max_distance=0.5))
     with pytest.raises(ValueError, match='max_distance is 1.5 m, which allows no step'):
         plan_team(
             Grid(3, 3),

@@ -229,8 +229,8 @@ def test_a_plan_is_the_same_in_a_larger_field():
     joint = brute_force.random_joint(rng, 169, 84)
     wide = brute_force.random_joint(rng, 2000, large.base)
     wide[inside] = joint
-    near = plan(small, Belief(joint), SensorModel(0.5), 12)
-    far = plan(large, Belief(wide), SensorModel(0.5), 12)
+    near = plan(small, Belief(joint), SensorModel(0.5), SearchOptions(max_steps=12))
+    far = plan(large, Belief(wide), SensorModel(0.5), SearchOptions(max_steps=12))
     assert far.path.tolist() == inside[near.path].tolist()
     assert far.information == near.information
 
@@ -290,7 +290,10 @@ def test_the_best_of_a_wide_search_is_found():
         target = np.where(known, np.where(rng.random(81) < 0.2, 0.9, 0.04), 0.45)
         hazard[0] = 0.0
         belief, model = Belief.from_maps(hazard, target, target), SensorModel(0.3)
-        found, best = (plan(grid, belief, model, 18, width=w).information for w in (16, 128))
+        found, best = (
+            plan(grid, belief, model, SearchOptions(max_steps=18, width=w)).information
+            for w in (16, 128)
+        )
         assert found >= 0.99 * best
 
 

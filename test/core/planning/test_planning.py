@@ -37,7 +37,7 @@ def test_the_most_visits_bind(planner):
     model = SensorModel(0.5, malfunction=0.001, true_positive=0.6, false_positive=0.4)
 
     def looks(**limit):
-        path = plan(Grid(3, 1), belief, model, 8, planner=planner, **limit).path
+        path = plan(Grid(3, 1), belief, model, SearchOptions(planner, 8, **limit)).path
         return (path == 1).sum()
 
     assert [looks(max_visits=n) for n in (1, 2, 3, 5)] == [1, 2, 3, 5]
@@ -49,14 +49,15 @@ def test_the_steps_are_used_up_to_the_last(planner):
     """A promising cell max_steps away and back is reached, with one step less it is not."""
     belief = Belief.from_maps(np.zeros(5), [0, 0, 0, 0, 0.5], [0, 0, 0, 0, 0.5])
     model = SensorModel(0.5, malfunction=0.001)
-    far = plan(Grid(5, 1), belief, model, 8, planner=planner)
+    far = plan(Grid(5, 1), belief, model, SearchOptions(planner, 8))
     assert far.path.tolist() == [0, 1, 2, 3, 4, 3, 2, 1, 0]
-    assert 4 not in plan(Grid(5, 1), belief, model, 7, planner=planner).path
+    assert 4 not in plan(Grid(5, 1), belief, model, SearchOptions(planner, 7)).path
 
 
 def test_without_a_loss_cost_plans_are_unchanged():
     """Paths only: the bits of values depend on the machine."""
-    paths = [plan(*random_problem(seed), 7, loss_cost=0.0).path.tolist() for seed in range(50)]
+    options = SearchOptions(max_steps=7)
+    paths = [plan(*random_problem(seed), options).path.tolist() for seed in range(50)]
     assert sha256(str(paths).encode()).hexdigest()[:16] == '828e8cdf72f3f0ab'
 
 
@@ -69,7 +70,7 @@ def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_less_close(loss_c
         lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
         worth = brute_force.information_of_visits(belief.joint, model, visits) - loss_cost * lost
         for planner, share in shares.items():
-            found = plan(grid, belief, model, 7, planner, loss_cost=loss_cost)
+            found = plan(grid, belief, model, SearchOptions(planner, 7, loss_cost=loss_cost))
             reached = found.information - loss_cost * (1 - found.survival)
             share.append(reached / worth.max())
     assert max(map(max, shares.values())) <= 1 + 1e-9
@@ -85,7 +86,7 @@ def test_with_one_visit_a_cell_no_label_goes_on_from_the_base():
         visits = every_path(grid.base, 7)
         visits = visits[visits.max(axis=1) <= 1]
         best = brute_force.information_of_visits(belief.joint, model, visits).max()
-        found = plan(grid, belief, model, 7, planner='relaxed', max_visits=1)
+        found = plan(grid, belief, model, SearchOptions('relaxed', 7, max_visits=1))
         reached.append(found.information / best)
     assert max(reached) <= 1 + 1e-9
     # Labels that have used up their visit to the base took the places of others: .89 on average.
@@ -94,7 +95,7 @@ def test_with_one_visit_a_cell_no_label_goes_on_from_the_base():
 
 def test_the_most_information_per_expected_loss_is_found():
     """Equation :eq:`per-loss`, by all closed paths of small fields."""
-    reached = []
+    reached, options = [], SearchOptions(max_steps=6, objective='information_per_loss')
     for width, height in ((3, 3), (4, 3)):
         visits = brute_force.all_visit_counts(width, height, 0, 6)
         for seed in range(150 if FULL else 25):
@@ -103,7 +104,7 @@ def test_the_most_information_per_expected_loss_is_found():
             model = SensorModel(rng.uniform(0.1, 1.0), malfunction=rng.uniform(0.001, 0.1))
             information = brute_force.information_of_visits(belief.joint, model, visits)
             lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
-            found = plan(Grid(width, height), belief, model, 6, objective='information_per_loss')
+            found = plan(Grid(width, height), belief, model, options)
             ratio = found.information / (1 - found.survival)
             reached.append(ratio / (information / lost).max())
     assert max(reached) <= 1 + 1e-9
@@ -131,7 +132,7 @@ def test_information_per_loss_of_a_team_is_that_of_all_its_robots():
 def test_information_per_loss_refuses_other_options(arguments, message):
     grid, belief, model = random_problem(0)
     with pytest.raises(ValueError, match=message):
-        plan(grid, belief, model, 6, objective='information_per_loss', **arguments)
+        plan(grid, belief, model, SearchOptions(objective='information_per_loss', **arguments))
     own = Team(1, types=(RobotType(loss_cost=1.0),))
     with pytest.raises(ValueError, match='loss_cost is 1.0'):
         plan_team(grid, belief, model, own, SearchOptions(objective='information_per_loss'))
@@ -141,8 +142,10 @@ def test_information_per_loss_refuses_other_options(arguments, message):
     *product(['beam', 'relaxed'], range(12), ['information']), ('beam', 4, 'behavioral'),
 ])  # fmt: skip
 def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner, objective):
-    options = {'planner': planner, 'objective': objective}
-    plans = [plan(*random_problem(seed), 7, **options, loss_cost=c) for c in (0, 0.2, 0.5, 2, 99)]
+    options = SearchOptions(planner, 7, objective=objective)
+    plans = [
+        plan(*random_problem(seed), replace(options, loss_cost=c)) for c in (0, 0.2, 0.5, 2, 99)
+    ]
     survival = [planned.survival for planned in plans]
     assert (np.diff(survival) >= -1e-12).all()
     assert len(plans[-1].path) == 2  # the shortest path, at the base
@@ -162,7 +165,7 @@ def test_bad_requests_are_refused(arguments, message):
     grid = Grid(3, 3)
     request = {'max_steps': 4, **arguments}
     with pytest.raises(ValueError, match=message):
-        plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), **request)
+        plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), SearchOptions(**request))
 
 
 # Options of the search are stated in the table of parameters and in `SearchOptions` only.

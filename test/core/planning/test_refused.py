@@ -5,7 +5,7 @@ from itertools import pairwise, product
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kbnitp_ros.core import Belief, Grid, ORDINARY, plan, SensorModel
+from kbnitp_ros.core import Belief, Grid, ORDINARY, plan, SearchOptions, SensorModel
 from kbnitp_ros.core.planning.labels import find_reach
 from kbnitp_ros.core.planning.planners import count_visits, random_walk
 from kbnitp_ros.core.planning.regions import keepout_cells, nested_regions, without
@@ -117,15 +117,8 @@ def sent(grid, planner, robots, max_steps, max_visits=3):
     """Return the paths of robots that leave one after another."""
     paths = []
     for _ in range(robots):
-        found = plan(
-            grid,
-            prior(grid),
-            MODEL,
-            max_steps,
-            planner,
-            max_visits=max_visits,
-            visited=count_visits(grid, paths),
-        )
+        options = SearchOptions(planner, max_steps, max_visits=max_visits)
+        found = plan(grid, prior(grid), MODEL, options, visited=count_visits(grid, paths))
         paths.append(grid.check_path(found.path, max_steps))
     return paths
 
@@ -160,7 +153,8 @@ def test_random_walks_enter_no_cell_too_often(max_visits):
 def test_where_only_the_base_is_free_a_robot_stays_there():
     grid = Grid(2, 2, blocked=(1, 2, 3))
     for planner in ('random', *TOURS):
-        assert plan(grid, prior(grid), MODEL, 5, planner, max_visits=1).path.tolist() == [0, 0]
+        found = plan(grid, prior(grid), MODEL, SearchOptions(planner, 5, max_visits=1))
+        assert found.path.tolist() == [0, 0]
 
 
 def test_the_random_planner_draws_the_same_for_the_same_belief_and_visits():
@@ -193,7 +187,7 @@ def test_tours_enter_every_cell_in_reach_before_they_start_over(grid, planner, m
 
 def test_coverage_goes_row_by_row():
     grid = Grid(4, 3)
-    assert plan(grid, prior(grid), MODEL, 20, 'coverage').path.tolist()[:12] == [
+    assert plan(grid, prior(grid), MODEL, SearchOptions('coverage', 20)).path.tolist()[:12] == [
         *(0, 1, 2, 3),
         *(7, 6, 5, 4),
         *(8, 9, 10, 11),
@@ -228,14 +222,14 @@ def test_robots_of_a_round_continue_the_same_tour(planner):
 def test_visits_that_fit_no_cells_are_refused(visited):
     grid = Grid(3, 3)
     with pytest.raises(ValueError, match='visited has shape .*for each of the 9 cells'):
-        plan(grid, prior(grid), MODEL, 4, 'coverage', visited=visited)
+        plan(grid, prior(grid), MODEL, SearchOptions('coverage', 4), visited=visited)
 
 
 @pytest.mark.slow
 def test_walks_beyond_memory_are_refused():
     grid = Grid(1000, 1000)
     with pytest.raises(ValueError, match=r'max_steps = 1000 take about .* GB, and 1.1 GB'):
-        plan(grid, prior(grid), MODEL, 1000, 'random')
+        plan(grid, prior(grid), MODEL, SearchOptions('random', 1000))
 
 
 @for_each('planner', ['coverage', 'shortest_unvisited'])
@@ -243,5 +237,5 @@ def test_a_tour_with_more_steps_than_cells_ends(planner):
     """A cell at its visit limit is not taken for the farthest cell."""
     grid = Grid(3, 2, base=0, blocked=(4,))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    path = plan(grid, belief, SensorModel(0.5), 12, planner, max_visits=1).path
+    path = plan(grid, belief, SensorModel(0.5), SearchOptions(planner, 12, max_visits=1)).path
     assert grid.check_path(path, 12) is not None

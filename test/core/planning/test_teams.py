@@ -165,7 +165,7 @@ def test_plans_of_a_team_are_legal_and_have_their_values(agents, planner, alloca
 
 
 def test_independent_robots_take_the_same_path():
-    alone = plan(GRID, PRIOR, MODEL, 8).path.tolist()
+    alone = plan(GRID, PRIOR, MODEL, SearchOptions(max_steps=8)).path.tolist()
     team = plan_round(GRID, PRIOR, MODEL, 8, 3, 'independent')
     assert [planned.path.tolist() for planned in team] == [alone] * 3
 
