@@ -322,7 +322,7 @@ def upper_bound(
     """Return an upper bound on the value of any path, nats; the search starts at `path`."""
     if options.objective != 'information':
         raise ValueError(f'objective is {options.objective}: only information has a bound')
-    objective = Objective.alone(grid, belief, model, options)
+    objective = Objective.of(belief, model, options)
     loss_cost, value = objective.loss_cost, Candidate.along(path, objective).value
     tolerance = max(MIN_TOLERANCE, TOLERANCE * abs(value))
     slack = ROUNDING + ROUNDING_OF_COST * loss_cost
@@ -397,7 +397,7 @@ def visit_sums(
     w = np.divide(spread, np.exp(log_mean), out=np.zeros_like(spread), where=alive)
     readings = possible_readings(model, max_visits, ())
     nothing_read = np.ones((cells.size, 1))
-    w[:, 1:] += new_information(readings, belief.joint[cells], nothing_read)
+    w += new_information(readings, belief.joint[cells], nothing_read)
     added = np.stack([w, -log_mean, -log_square], axis=-1)
     return np.where(alive[..., None], added, 0.0), alive.sum(axis=1) - 1
 

@@ -46,7 +46,7 @@ def draw_search(seed: int) -> SearchCase:
     )
     options = replace(finder.options, loss_cost=float(rng.choice([0.0, 0.5])))
     finder = replace(finder, options=options)
-    objective = Objective.alone(field.grid, field.prior, field.model, options)
+    objective = Objective.of(field.prior, field.model, options)
     other = draw_walk(rng, field.grid, int(rng.integers(1, 7)))
     after = objective.given(objective.after(other))
     return SearchCase(field.grid, field.prior, field.model, finder, objective, after)
@@ -109,7 +109,7 @@ def stays_where_there_is_nowhere_to_go(planner: Planner, search: SearchCase) -> 
     grid = Grid(3, 1, base=1, blocked=(0, 2))
     belief = Belief.prior(grid, 0.3, 0.4, 0.8)
     finder = replace(search.finder, grid=grid, visited=np.zeros(3, dtype=np.intp))
-    for candidate in planner(finder, Objective.alone(grid, belief, search.model, finder.options)):
+    for candidate in planner(finder, Objective.of(belief, search.model, finder.options)):
         require(set(candidate.path) == {1}, f'The path is {list(candidate.path)}')
 
 

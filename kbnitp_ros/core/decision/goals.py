@@ -90,7 +90,7 @@ class FlightState:
 
     def searched(self, belief: Belief) -> list[Path]:
         """Return closed paths sought for information on a belief."""
-        objective = Objective.alone(self.grid, belief, self.model, self.options)
+        objective = Objective.of(belief, self.model, self.options)
         found = PathFinder(self.grid, self.options).candidates(objective)
         return [each.path for each in found[:SEARCHED]]
 

@@ -140,7 +140,7 @@ def plan_round(
         check_sought(goal, options.of_type(robot_type))
     if goal is None or draws is None:
         return for_information(in_flight=in_flight, visited=visited, keepout=keepout)
-    in_use = without(grid, keepout) if len(keepout) else grid
+    in_use = without(grid, keepout)
     situation = FlightState(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))

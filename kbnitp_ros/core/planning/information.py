@@ -6,21 +6,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from kbnitp_ros.core.field.belief import Belief, binary_entropy
+from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import typed
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import log_predicted_survival, of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.information_kernels import exposed, left_open, outcome_left_open
-from kbnitp_ros.core.planning.objective import (
-    after_deployment,
-    behavioral_entropy,
-    JointOutcomes,
-    new_information,
-    nobody_deployed,
-    Objective,
-    possible_readings,
-)
-from kbnitp_ros.core.planning.options import prelec_beta, SHANNON
+from kbnitp_ros.core.planning.objective import JointOutcomes, Objective
+from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -64,7 +55,7 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
         If the path has no step or leaves the belief's cells.
 
     """
-    return added_information(belief, model, path, nobody_deployed(belief))
+    return Objective.of(belief, model).evaluate(path)[0]
 
 
 @typed
@@ -81,7 +72,7 @@ def team_information(
     Equation :eq:`team-information`.
 
     By the chain rule it is the sum of the information that each path adds to the earlier paths,
-    approximated by `added_information`. For a single path it equals `path_information`.
+    approximated by :eq:`added-information`. For a single path it equals `path_information`.
 
     Parameters
     ----------
@@ -106,61 +97,12 @@ def team_information(
         differ.
 
     """
-    outcomes = nobody_deployed(belief) if outcomes is None else outcomes
-    models = [each.model(model) for each in of_each(len(paths), robot_types)]
     information = 0.0
-    for number, (path, own) in enumerate(zip(paths, models)):
-        if number:
-            outcomes = after_deployment(outcomes, models[number - 1], paths[number - 1])
-        information += added_information(belief, own, path, outcomes)
+    for path, robot_type in zip(paths, of_each(len(paths), robot_types)):
+        objective = Objective.of(belief, robot_type.model(model), outcomes=outcomes)
+        information += objective.evaluate(path)[0]
+        outcomes = objective.after(path)
     return information
-
-
-def added_information(
-    belief: Belief,
-    model: SensorModel,
-    path: ArrayLike,
-    outcomes: JointOutcomes,
-    alpha: float = SHANNON,
-    interest: NDArray[np.float64] | None = None,
-) -> float:
-    """Return the information of a path (:eq:`added-information`, :eq:`behavioral-information`)."""
-    cells = as_path(path)
-    if cells.min() < 0 or cells.max() >= belief.cells:
-        raise ValueError(
-            f'path has cells from {cells.min()} to {cells.max()}: '
-            f'the belief has the cells 0 to {belief.cells - 1}'
-        )
-    return information_and_survival(belief, model, cells, outcomes, alpha, interest)[0]
-
-
-def information_and_survival(
-    belief: Belief,
-    model: SensorModel,
-    path: NDArray[np.intp],
-    outcomes: JointOutcomes,
-    alpha: float = SHANNON,
-    interest: NDArray[np.float64] | None = None,
-) -> tuple[float, NDArray[np.float64]]:
-    """Return the information added, and the chance of a return given each joint outcome."""
-    visits = Visits.of(path)
-    joint, earlier = outcomes.of_cells(visits.cells)
-    hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)
-    log_survival = log_predicted_survival(hazard, visits.counts, model.log_survival)
-    survival = np.exp(log_survival.sum(axis=1))
-    readings = possible_readings(model, int(visits.counts.max()), outcomes.most_readings)
-    exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
-    added = new_information(readings, joint, earlier, alpha)
-    added = added[:, np.arange(visits.cells.size), visits.counts - 1]
-    if interest is not None:
-        added = added * interest[visits.cells]
-    if alpha == SHANNON:
-        outcome, open_outcome = binary_entropy(survival), left_open(*exposures)
-    else:
-        outcome = behavioral_entropy(survival, alpha)
-        open_outcome = outcome_left_open(*exposures, alpha, prelec_beta(alpha))
-    of_each = outcome + survival * added.sum(axis=1) - open_outcome
-    return float((outcomes.probability * of_each).sum()), survival
 
 
 @typed
@@ -170,7 +112,6 @@ def behavioral_information(
     path: ArrayLike,
     alpha: float,
     outcomes: JointOutcomes | None = None,
-    interest: NDArray[np.float64] | None = None,
 ) -> float:
     """
     Return the information of a path with behavioral entropies instead of Shannon's.
@@ -182,8 +123,8 @@ def behavioral_information(
     ----------
     belief, model, path
         As in `path_information`.
-    alpha, interest
-        As in `Objective`.
+    alpha : float
+        As in `SearchOptions`.
     outcomes : JointOutcomes, optional
         Joint outcomes of robots sent before; by default none.
 
@@ -194,8 +135,8 @@ def behavioral_information(
         slightly negative, since the entropies are then convex near certainty.
 
     """
-    outcomes = nobody_deployed(belief) if outcomes is None else outcomes
-    return added_information(belief, model, path, outcomes, alpha, interest)
+    options = SearchOptions(objective='behavioral', alpha=alpha)
+    return Objective.of(belief, model, options, outcomes).evaluate(path)[0]
 
 
 # Decimals of compared values, nats: closer values are ties, so rounding errors never decide.
@@ -213,11 +154,8 @@ class Candidate(NamedTuple):
     @classmethod
     def along(cls, path: NDArray[np.intp], objective: Objective) -> Candidate:
         """Return a path, shape (steps + 1,), with its exact value (:eq:`objective-value`)."""
-        belief, model = objective.belief, objective.model
-        lost = -np.expm1(path_log_survival(belief, model, as_path(path)))
-        alpha = objective.alpha
-        interest = None if alpha == SHANNON else objective.interest
-        information = added_information(belief, model, path, objective.outcomes, alpha, interest)
+        lost = -np.expm1(path_log_survival(objective.belief, objective.model, as_path(path)))
+        information, _ = objective.evaluate(path)
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
 
     def survival(self, objective: Objective) -> float:

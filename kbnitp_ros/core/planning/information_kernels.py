@@ -42,32 +42,33 @@ def new_readings(
         for n in range(1, survival.shape[0]):
             without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
             target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
-            information[cell, n - 1] = 0.0
             if without + target == 0.0:
                 continue
             target /= without + target
             for state in range(earlier.shape[1]):
                 if earlier[cell, state] > 0.0:
                     then, now = readings.after[state, n], readings.after[state, 0]
-                    if alpha == 1.0:
-                        more = reading_information(target, then, readings)
-                        more -= reading_information(target, now, readings)
-                    else:
-                        more = fall(target, then, readings, alpha, beta)
-                        more -= fall(target, now, readings, alpha, beta)
-                    information[cell, n - 1] += earlier[cell, state] * more
+                    more = reading_information(target, then, readings, alpha, beta)
+                    more -= reading_information(target, now, readings, alpha, beta)
+                    information[cell, n] += earlier[cell, state] * more
 
 
 @inlined
-def reading_information(target: float, state: int, readings: Readings) -> float:
-    """Return I(X; Y) of a state's readings for P(X = 1) = `target` (:eq:`reading-information`)."""
-    entropy: float = 0.0
+def reading_information(
+    target: float, state: int, readings: Readings, alpha: float, beta: float
+) -> float:
+    """Return the information of a state's readings about a target with P(X = 1) = `target`."""
+    entropy = 0.0 if alpha == 1.0 else coin(target, 1.0 - target, alpha, beta)
     for outcome in range(readings.outcomes[state]):
-        p = (1.0 - target) * readings.likelihood[state, outcome, 0]
-        p += target * readings.likelihood[state, outcome, 1]
-        if p > 0.0:
+        without = (1.0 - target) * readings.likelihood[state, outcome, 0]
+        there = target * readings.likelihood[state, outcome, 1]
+        p = without + there
+        if p > 0.0 and alpha == 1.0:
             entropy -= p * log(p)
-    entropy -= (1.0 - target) * readings.noise[state, 0] + target * readings.noise[state, 1]
+        elif p > 0.0:
+            entropy -= p * coin(there / p, without / p, alpha, beta)
+    if alpha == 1.0:
+        entropy -= (1.0 - target) * readings.noise[state, 0] + target * readings.noise[state, 1]
     return entropy
 
 
@@ -103,17 +104,6 @@ def exposed(
 
 
 @compiled
-def left_open(chance: NDArray[np.float64], log_survival: NDArray[np.float64]) -> float:
-    """Return E_z[h(P(survive | z))] of a path, nats (:eq:`outcome-entropy`)."""
-    entropy = 0.0
-    for c in range(chance.size):
-        survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
-        if survival > 0.0 and loss > 0.0:
-            entropy -= chance[c] * (survival * log_survival[c] + loss * log(loss))
-    return entropy
-
-
-@compiled
 def coin(p: float, q: float, alpha: float, beta: float) -> float:
     """Return the behavioral entropy of p and q = 1 - p (:eq:`behavioral-entropy`)."""
     entropy = 0.0
@@ -126,25 +116,16 @@ def coin(p: float, q: float, alpha: float, beta: float) -> float:
     return entropy
 
 
-@inlined
-def fall(target: float, state: int, readings: Readings, alpha: float, beta: float) -> float:
-    """Return the entropy that a state's readings are expected to remove."""
-    fallen = coin(target, 1.0 - target, alpha, beta)
-    for outcome in range(readings.outcomes[state]):
-        without = (1.0 - target) * readings.likelihood[state, outcome, 0]
-        there = target * readings.likelihood[state, outcome, 1]
-        p = without + there
-        if p > 0.0:
-            fallen -= p * coin(there / p, without / p, alpha, beta)
-    return fallen
-
-
 @compiled
-def outcome_left_open(
+def left_open(
     chance: NDArray[np.float64], log_survival: NDArray[np.float64], alpha: float, beta: float
 ) -> float:
-    """Return the expected entropy of the outcome given hazards (:eq:`behavioral-information`)."""
+    """Return E_z[h(P(survive | z))] (:eq:`outcome-entropy`, :eq:`behavioral-information`)."""
     entropy = 0.0
     for c in range(chance.size):
-        entropy += chance[c] * coin(exp(log_survival[c]), -expm1(log_survival[c]), alpha, beta)
+        survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
+        if alpha != 1.0:
+            entropy += chance[c] * coin(survival, loss, alpha, beta)
+        elif survival > 0.0 and loss > 0.0:
+            entropy -= chance[c] * (survival * log_survival[c] + loss * log(loss))
     return entropy

@@ -112,22 +112,10 @@ class Ranking(NamedTuple):
     score: Floats
     # Hash of the label's visits, shape (places,).
     mark: NDArray[np.int64]
-    # Length of the label, metres, shape (places,); empty if lengths are not limited.
+    # Length of the label, metres, shape (places,); 0 if lengths are not limited.
     length: Floats
     # 16 * slot of the extended label + column of its cell in `Reach.neighbors`, shape (places,).
     origin: NDArray[np.int64]
-
-
-class Completions(NamedTuple):
-    """The best completion of at most `step` steps from each cell."""
-
-    # By step and cell: the moments times their weights, E[p], P0, the terms of E[p] and of P0, and
-    # the length; shape (sum of within, powers + 5).
-    moments: Floats
-    # Value of the best completion from each cell, in units, shape (cells,).
-    value: Floats
-    # Completion that is short enough for a label, if lengths are limited, shape (powers + 5,).
-    room: Floats
 
 
 @compiled
@@ -205,12 +193,10 @@ def new_labels(cells: int, width: int, gains: Gains) -> Labels:
 
 
 @compiled
-def new_ranking(places: int, is_limited: bool) -> Ranking:
+def new_ranking(places: int) -> Ranking:
     """Return an empty ranking of `places` extensions."""
-    lengths = np.empty(places if is_limited else 0)
-    return Ranking(
-        np.empty(places), np.empty(places, np.int64), lengths, np.empty(places, np.int64)
-    )
+    marks, origins = np.empty(places, np.int64), np.empty(places, np.int64)
+    return Ranking(np.empty(places), marks, np.empty(places), origins)
 
 
 @inlined
@@ -227,7 +213,7 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
     twin = low - 1
     while twin >= 0 and scores[twin] == score:
         if marks[twin] == mark:
-            if lengths.size and length < lengths[twin]:
+            if length < lengths[twin]:
                 lengths[twin], origins[twin] = length, origin
             return
         twin -= 1
@@ -236,26 +222,20 @@ def insert(score: float, mark: int, length: float, origin: int, best: Ranking) -
     for slot in range(scores.size - 1, low, -1):
         scores[slot] = scores[slot - 1]
         marks[slot] = marks[slot - 1]
+        lengths[slot] = lengths[slot - 1]
         origins[slot] = origins[slot - 1]
-    scores[low], marks[low], origins[low] = score, mark, origin
-    if lengths.size:
-        for slot in range(lengths.size - 1, low, -1):
-            lengths[slot] = lengths[slot - 1]
-        lengths[low] = length
+    scores[low], marks[low], lengths[low], origins[low] = score, mark, length, origin
 
 
 @compiled
-def copy_fitting(
-    length: float, rank: int, left: int, reach: Reach, completions: Completions
-) -> bool:
-    """Copy the completion of the most steps, up to `left`, within a length; False if none fits."""
+def fitting(length: float, rank: int, left: int, reach: Reach, completions: Floats) -> int:
+    """Return the row of the completion of the most steps, up to `left`, within a length; or -1."""
     while left >= 0 and rank < reach.within[left]:
-        place = reach.start[left] + rank
-        if completions.moments[place, -1] <= length:
-            completions.room[:] = completions.moments[place]
-            return True
+        row: int = reach.start[left] + rank
+        if completions[row, -1] <= length:
+            return row
         left -= 1
-    return False
+    return -1
 
 
 @inlined
@@ -265,7 +245,7 @@ def find_best(
     step: int,
     rank: int,
     least: float,
-    completions: Completions,
+    completions: Floats,
     by_value: Ranking,
     by_heuristic: Ranking,
 ) -> None:
@@ -284,11 +264,9 @@ def find_best(
     for slot in range(heuristic.size):
         heuristic[slot] = -inf
     is_limited = reach.longest > 0.0
-    length, fits, touches, tangent = 0.0, True, 0.0, inf
+    length, touches, tangent = 0.0, 0.0, inf
     left = reach.within.size - 1 - step
-    completion = completions.room
-    if heuristic.size and not is_limited:
-        completion = completions.moments[reach.start[left] + rank]
+    end = reach.start[left] + rank
     for column in range(9):
         origin = reach.neighbors[rank, column]
         if origin < 0 or origin >= reach.within[step - 1]:
@@ -305,7 +283,7 @@ def find_best(
                 if reach.home[rank] > allowed:
                     continue
                 if heuristic.size:
-                    fits = copy_fitting(allowed, rank, left, reach, completions)
+                    end = fitting(allowed, rank, left, reach, completions)
             lost, lost_square, brought, likeliest = 0.0, 0.0, 0.0, 0.0
             for outcome in range(chance.size):
                 survival = (
@@ -330,7 +308,6 @@ def find_best(
             next_mark = mark[row] + marks[rank]
             mean = factor[row, 0] * gain_factor[rank, before, 0]
             spread = term[row, 0] + gain_term[rank, before, 0]
-
             left_open -= mean * spread
             # A tangent of -p ln p excludes most labels without a logarithm; NaN and inf exclude
             # none.
@@ -343,19 +320,18 @@ def find_best(
                     insert(value, next_mark, length, 16 * slot + column, by_value)
                     touches = lost
                     tangent = -log(lost) - 1.0 if lost > 0.0 else inf
-            if not heuristic.size or not fits:
+            if not heuristic.size or end < 0:
                 continue
             for k in range(powers):
-                left_open_completed += completion[k] * (
+                left_open_completed += completions[end, k] * (
                     factor[row, k] * gain_factor[rank, before, k]
                 )
-            completed_survival = completion[powers + 1]
-            completed_term = completion[powers + 3]
-            brought = completed_survival * (brought + (1.0 - lost) * completed_term)
-            lost = 1.0 - (1.0 - lost) * completed_survival
+            survival = completions[end, powers + 1]
+            brought = survival * (brought + (1.0 - lost) * completions[end, powers + 3])
+            lost = 1.0 - (1.0 - lost) * survival
             value = brought + surprisal(lost) - left_open_completed - loss_cost * lost
-            mean *= completion[powers]
-            spread += completion[powers + 2]
+            mean *= completions[end, powers]
+            spread += completions[end, powers + 2]
             value = floor((value + mean * spread) * units + 0.5)
             if value > heuristic[-1] or (is_limited and value == heuristic[-1]):
                 insert(value, next_mark, length, 16 * slot + column, by_heuristic)
@@ -388,51 +364,42 @@ def merge(
 
 
 @compiled
-def write_completion(
-    labels: Labels, row: int, length: float, problem: LabelProblem, completion: Floats
-) -> None:
-    """Write the reverse of a label, with a last visit to the base, as a completion."""
-    factor, term = labels.products.factor, labels.products.term
-    gain_factor, gain_term = problem.gains.factor, problem.gains.term
-    weight, chance = problem.weight, problem.chance
-    powers = weight.size
-    for k in range(powers):
-        completion[k] = weight[k] * factor[row, k] * gain_factor[0, 0, k]
-    completion[powers] = factor[row, 0] * gain_factor[0, 0, 0]
-    completion[powers + 2] = term[row, 0] + gain_term[0, 0, 0]
-    completion[powers + 4] = length
-    completion[powers + 1], completion[powers + 3] = 0.0, 0.0
-    for outcome in range(chance.size):
-        survival = factor[row, powers + outcome] * gain_factor[0, 0, powers + outcome]
-        completion[powers + 1] += chance[outcome] * survival
-        completion[powers + 3] += chance[outcome] * (
-            term[row, 1 + outcome] + gain_term[0, 0, 1 + outcome]
-        )
-
-
-@compiled
 def write_completions(
     problem: LabelProblem,
     labels: Labels,
     step: int,
     best_value: Floats,
-    completions: Completions,
+    value: Floats,
+    completions: Floats,
 ) -> None:
-    """Write the best completion of at most `step` steps from each cell."""
-    reach, moments, value = problem.reach, completions.moments, completions.value
-    start = reach.start[step]
+    """Write the best completion of at most `step` steps from each cell, and its value."""
+    reach, weight, chance = problem.reach, problem.weight, problem.chance
+    factor, term = labels.products.factor, labels.products.term
+    # Of the last visit, to the base.
+    last_factor, last_term = problem.gains.factor[0, 0], problem.gains.term[0, 0]
+    powers = weight.size
     for rank in range(reach.within[step]):
-        via, length = -1, 0.0
+        to, via = reach.start[step] + rank, -1
         for column in range(9):
             origin = reach.neighbors[rank, column]
             if 0 <= origin < reach.within[step - 1] and best_value[origin] > value[rank]:
                 via, value[rank] = origin, best_value[origin]
-                length = labels.length[origin] + reach.length[column]
-        if via >= 0:
-            write_completion(labels, via, length, problem, moments[start + rank])
-        else:
-            # Copy the best completion, which has fewer steps.
-            moments[start + rank] = moments[reach.start[step - 1] + rank]
+                completions[to, powers + 4] = labels.length[origin] + reach.length[column]
+        if via < 0:
+            # The best completion has fewer steps.
+            completions[to] = completions[reach.start[step - 1] + rank]
+            continue
+        for k in range(powers):
+            completions[to, k] = weight[k] * factor[via, k] * last_factor[k]
+        completions[to, powers] = factor[via, 0] * last_factor[0]
+        completions[to, powers + 1] = 0.0
+        completions[to, powers + 2] = term[via, 0] + last_term[0]
+        completions[to, powers + 3] = 0.0
+        for outcome in range(chance.size):
+            survival = factor[via, powers + outcome] * last_factor[powers + outcome]
+            completions[to, powers + 1] += chance[outcome] * survival
+            readings = term[via, 1 + outcome] + last_term[1 + outcome]
+            completions[to, powers + 3] += chance[outcome] * readings
 
 
 @inlined
@@ -458,9 +425,15 @@ def follow(
 
 @compiled
 def search(
-    problem: LabelProblem, width: int, by_heuristic_rows: int, least: float, moments: Floats
+    problem: LabelProblem, width: int, least: float, completions: Floats
 ) -> tuple[NDArray[np.int32], Floats]:
-    """Extend the best labels of each cell, step by step (:eq:`label-value`, :eq:`heuristic`)."""
+    """
+    Extend the best labels of each cell, step by step (:eq:`label-value`, :eq:`heuristic`).
+
+    A search of width 1 writes the completions, if they have rows; a wider search reads them. A
+    completion has the moments times their weights, E[p], P0, the terms of E[p] and of P0, and the
+    length, shape (powers + 5,); its row is that of its steps and cell.
+    """
     reach, gains = problem.reach, problem.gains
     within, neighbors = reach.within, reach.neighbors
     max_steps, cells, powers = within.size - 1, neighbors.shape[0], problem.weight.size
@@ -469,25 +442,24 @@ def search(
     labels, after = new_labels(within.max(), width, gains), new_labels(within.max(), width, gains)
     # Label of no steps, at the base.
     labels.products.factor[0], labels.products.term[0], labels.kept[0] = 1.0, 0.0, 1
-    is_limited = reach.longest > 0.0
-    by_value = new_ranking(width - by_heuristic_rows, is_limited)
-    by_heuristic = new_ranking(width if by_heuristic_rows else 0, is_limited)
+    by_value = new_ranking(width - width // 2)
+    by_heuristic = new_ranking(width if width > 1 else 0)
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
     # Of the last label traced: slot (-1 for none) and cell at each step, and visits by cell.
     traced, visits = np.full((max_steps + 1, 2), -1), np.zeros(cells, np.int64)
-    best_value = np.zeros(cells)
-    completions = Completions(moments, np.full(cells, -inf), np.zeros(powers + 5))
-    writes_completions = moments.shape[0] > 0 and by_heuristic_rows == 0
+    # Value of the best label and of the best completion of each cell, in units.
+    best_value, completed_value = np.zeros(cells), np.full(cells, -inf)
+    writes_completions = completions.shape[0] > 0 and width == 1
     if writes_completions:
         # Completion of no steps, at the base.
-        moments[0, :powers] = problem.weight
-        moments[0, powers:] = 0.0
-        moments[0, powers] = moments[0, powers + 1] = 1.0
-        completions.value[0] = 0.0
+        completions[0, :powers] = problem.weight
+        completions[0, powers:] = 0.0
+        completions[0, powers] = completions[0, powers + 1] = 1.0
+        completed_value[0] = 0.0
 
     for step in range(1, max_steps + 1):
         if writes_completions:
-            write_completions(problem, labels, step, best_value, completions)
+            write_completions(problem, labels, step, best_value, completed_value, completions)
         for rank in range(within[step]):
             find_best(problem, labels, step, rank, least, completions, by_value, by_heuristic)
             after.kept[rank] = merge(by_value, by_heuristic, found, found_mark)
@@ -580,5 +552,5 @@ def exact_values(
             readings = products.term[0, 1 + outcome] + problem.loss_cost
             value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
         chances, log_survival = exposed(path[1:], hazard, log_safe, log_deadly)
-        values[k] = value - left_open(chances, log_survival)
+        values[k] = value - left_open(chances, log_survival, 1.0, 1.0)
     return values

@@ -7,7 +7,7 @@ from functools import lru_cache
 from math import inf
 
 from kbnitp_ros.core.field.grid import Grid, longest
-from kbnitp_ros.core.field.sensor import log_predicted_survival, powers, times_log
+from kbnitp_ros.core.field.sensor import powers, times_log
 from kbnitp_ros.core.planning.information import Candidate, DECIMALS
 from kbnitp_ros.core.planning.label_kernels import (
     exact_values,
@@ -24,9 +24,7 @@ from kbnitp_ros.core.planning.objective import (
     BEHAVIORAL_EXPONENTS,
     camera_rates,
     EXPONENTS,
-    new_information,
     Objective,
-    possible_readings,
     powers_weights,
 )
 from kbnitp_ros.core.planning.options import SearchOptions, SHANNON
@@ -39,58 +37,35 @@ from numpy.typing import NDArray
 def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
     """Return the reach of paths within `max_steps` and `max_distance`."""
     cells = np.flatnonzero(grid.in_reach(max_steps, max_distance))
-    distance = grid.steps_to_base[cells]
-    order = np.argsort(distance, kind='stable')
-    cells = cells[order]
+    cells = cells[np.argsort(grid.steps_to_base[cells], kind='stable')]
     rank = np.full(grid.cells + 1, -1)
     rank[cells] = np.arange(cells.size)
     step = np.arange(max_steps + 1)
-    within = np.searchsorted(distance[order], np.minimum(step, max_steps - step), 'right')
-    start = np.append(0, np.cumsum(within))
-    neighbors = rank[grid.neighbor_table[cells]]
-    if not max_distance:
-        # Without a limit all lengths are 0.
-        lengths, home = np.zeros(9), np.zeros(cells.size)
-        return Reach(cells, neighbors, within, start, lengths, home, 0.0)
+    distance = grid.steps_to_base[cells]
+    within = np.searchsorted(distance, np.minimum(step, max_steps - step), 'right')
+    home = grid.distance_to_base[cells] if max_distance else np.zeros(cells.size)
     return Reach(
         cells,
-        neighbors,
+        rank[grid.neighbor_table[cells]],
         within,
-        start,
+        np.append(0, np.cumsum(within)),
         grid.step_lengths.copy(),
-        grid.distance_to_base[cells],
+        home,
         longest(max_distance),
     )
 
 
-def visit_gains(objective: Objective, cells: NDArray[np.intp], max_visits: int) -> Gains:
+def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
     """Return the gains of visits in `cells`, shape (n,)."""
-    model, outcomes, alpha = objective.model, objective.outcomes, objective.alpha
-    visits = np.arange(max_visits + 1)
-    belief, hazard = objective.belief, objective.belief.hazard[cells]
-    log_survival = log_predicted_survival(hazard[:, None], visits, model.log_survival)
-    log_survival = log_survival[None].repeat(outcomes.probability.size, 0)
-    readings = possible_readings(model, max_visits, outcomes.most_readings)
-    nothing_read = np.zeros((cells.size, outcomes.states))
-    nothing_read[:, 0] = 1.0
-    read = np.zeros(log_survival.shape)
-    read[..., 1:] = new_information(readings, belief.joint[cells], nothing_read, alpha)
-    here, there = outcomes.find_places(cells)
-    if here.size:
-        joint = outcomes.joint[:, there]
-        log_survival[:, here] = log_predicted_survival(
-            joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None], visits, model.log_survival
-        )
-        _, earlier = outcomes.of_cells(cells[here])
-        read[:, here, 1:] = new_information(readings, joint, earlier, alpha)
-
+    alpha, hazard = objective.alpha, objective.belief.hazard[cells]
+    log_survival, read = objective.of_visits(cells, max_visits)
     alive = log_survival[..., 1:] > -np.inf
     with np.errstate(invalid='ignore'):
         # Once survival is impossible, a visit changes nothing.
         log_ratio = np.where(alive, np.diff(log_survival), 0.0)
     added = np.diff(read) * objective.interest[cells, None]
     survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
-    of_model = _powers(*model.log_survival.tolist(), max_visits, alpha == SHANNON)
+    of_model = _powers(*objective.model.log_survival.tolist(), max_visits, alpha == SHANNON)
     moment, spread = moment_gains(hazard, *of_model)
     if alpha == SHANNON:
         added -= log_ratio
@@ -106,7 +81,7 @@ def visit_gains(objective: Objective, cells: NDArray[np.intp], max_visits: int) 
 @lru_cache(maxsize=64)
 def _powers(
     safe: float, deadly: float, max_visits: int, is_shannon: bool
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return the powers of s_z^n, (2, max_visits + 1, powers), and s_z^n log s_z^n."""
     log_power, _, _ = powers(safe, deadly, max_visits)
     exponents = EXPONENTS if is_shannon else BEHAVIORAL_EXPONENTS
@@ -115,106 +90,93 @@ def _powers(
     return power, times_log(power[..., 0], log_power)
 
 
-# Minimum number of closed paths ranked by exact value; twice `width` if that is more.
+# Minimum number of closed paths ranked by exact value; twice the width if that is more.
 MIN_RANKED = 8
 
 # Maximum bytes of a search.
 MAX_MEMORY = 1 << 30
 
 
-def best_paths(
-    grid: Grid, objective: Objective, options: SearchOptions, width: int
-) -> list[Candidate]:
+def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list[Candidate]:
     """Search for closed paths of high value; return them best first."""
-    labels = LabelSearch(grid, objective, options, width)
-    values, paths, steps = labels.ranked(*labels.closed(max(2 * width, MIN_RANKED)))
+    problem = label_problem(grid, objective, options)
+    reach, width = problem.reach, kept_labels(options)
+    count = max(2 * options.width, MIN_RANKED)
+    completions = np.empty((reach.start[-1] if width > 1 else 0, problem.weight.size + 5))
+    paths, steps = closed_paths(reach, count, *search(problem, 1, -inf, completions))
+    if width > 1:
+        # The bound on continuations of a label does not apply to behavioral entropies.
+        least = -inf
+        if objective.alpha == SHANNON:
+            least = rounded_values(problem, objective, paths[:1], steps[:1])[0]
+            least = least * problem.units - 1.0
+        found = search(problem, width, least, completions)
+        more, more_steps = closed_paths(reach, count, *found)
+        paths = np.concatenate([more, paths[:1]])
+        steps = np.concatenate([more_steps, steps[:1]])
+    # Of paths with equal visits only the first is kept.
+    is_visit = np.arange(1, paths.shape[1]) <= steps[:, None]
+    marks = (problem.marks[paths[:, 1:]] * is_visit).sum(axis=1)
+    first = np.sort(np.unique(marks, return_index=True)[1])
+    paths, steps = paths[first], steps[first]
+    values = rounded_values(problem, objective, paths, steps)
     return [
-        Candidate(value, labels.reach.cells[path[: count + 1]])
-        for value, path, count in zip(values.tolist(), paths, steps)
+        Candidate(float(values[row]), reach.cells[paths[row, : steps[row] + 1]])
+        for row in np.lexsort((steps, -values))
     ]
 
 
-class LabelSearch:
-    """A label search; arguments as in `best_paths`."""
+def kept_labels(options: SearchOptions) -> int:
+    """Return the number of labels of each cell and step that a search keeps."""
+    return max(1, options.width // 4)
 
-    def __init__(
-        self, grid: Grid, objective: Objective, options: SearchOptions, width: int
-    ) -> None:
-        max_steps = options.max_steps
-        max_visits = min(options.max_visits, max_steps)
-        self._objective, self._width = objective, max(1, width // 4)
-        outcomes = objective.outcomes.probability
-        self.reach = find_reach(grid, max_steps, options.max_distance)
-        earlier = objective.outcomes.states
-        # Number of states of readings after one more robot's visits.
-        own = dict(objective.outcomes.most_readings).get(camera_rates(objective.model), 0) + 1
-        further = earlier // own * (own + max_visits)
-        weights = powers_weights(objective.alpha, outcomes)
-        powers = weights.size
-        check_memory(self.reach, options, width, outcomes.size, earlier, further, powers)
-        gains = visit_gains(objective, self.reach.cells, max_visits)
-        self.problem = LabelProblem(
-            self.reach,
-            scattered(self.reach.cells.size, 62 - max_steps.bit_length()),
-            gains,
-            weights,
-            outcomes,
-            objective.loss_cost,
-            10.0**DECIMALS,
-            # Only a search that keeps several labels of a cell drops labels by this bound.
-            unread_after(gains, powers, max_steps) if self._width > 1 else np.zeros(max_steps + 1),
-        )
 
-    def closed(self, count: int) -> tuple[Places, Places]:
-        """Return the best `count` paths and steps; a beam adds the best path of width 1."""
-        problem, rows = self.problem, self.reach.start[-1]
-        completions = np.empty((rows if self._width > 1 else 0, problem.weight.size + 5))
-        paths, steps = self._traced(*search(problem, 1, 0, -inf, completions), count)
-        if self._width == 1:
-            return paths, steps
-        # The bound on continuations of a label does not apply to behavioral entropies.
-        least = -inf
-        if self._objective.alpha == SHANNON:
-            least = self.exact(paths[:1], steps[:1])[0] * problem.units - 1.0
-        found = search(problem, self._width, self._width // 2, least, completions)
-        more, more_steps = self._traced(*found, count)
-        return np.concatenate([more, paths[:1]]), np.concatenate([more_steps, steps[:1]])
+def label_problem(grid: Grid, objective: Objective, options: SearchOptions) -> LabelProblem:
+    """Return the label search for an objective, checked to fit in memory."""
+    max_steps, max_visits = options.max_steps, min(options.max_visits, options.max_steps)
+    width = kept_labels(options)
+    reach, outcomes = find_reach(grid, max_steps, options.max_distance), objective.outcomes
+    # Number of states of readings after one more robot's visits.
+    own = dict(outcomes.most_readings).get(camera_rates(objective.model), 0) + 1
+    further = outcomes.states // own * (own + max_visits)
+    weight = powers_weights(objective.alpha, outcomes.probability)
+    sizes = outcomes.probability.size, outcomes.states, further, weight.size
+    check_memory(reach, options, *sizes)
+    gains = visit_gains(objective, reach.cells, max_visits)
+    return LabelProblem(
+        reach,
+        scattered(reach.cells.size, 62 - max_steps.bit_length()),
+        gains,
+        weight,
+        outcomes.probability,
+        objective.loss_cost,
+        10.0**DECIMALS,
+        # Only a search that keeps several labels of a cell drops labels by this bound.
+        unread_after(gains, weight.size, max_steps) if width > 1 else np.zeros(max_steps + 1),
+    )
 
-    def _traced(
-        self, origins: NDArray[np.int32], values: Floats, count: int
-    ) -> tuple[Places, Places]:
-        """Return the paths and steps of the best `count` labels that end at the base."""
-        best = np.argsort(-values, axis=None, kind='stable')[:count]
-        steps, slots = np.divmod(best[values.flat[best] > -inf], values.shape[1])
-        paths = np.zeros((steps.size, self.reach.within.size), dtype=np.intp)
-        trace_closed(self.reach, origins, steps, slots, paths)
-        return paths, steps
 
-    def ranked(self, paths: Places, steps: Places) -> tuple[Floats, Places, Places]:
-        """Return values, paths and steps, best first, with one path for equal visits."""
-        is_visit = np.arange(paths.shape[1]) <= steps[:, None]
-        is_visit[:, 0] = False
-        marks = (self.problem.marks[paths] * is_visit).sum(axis=1).tolist()
-        first = sorted({mark: row for row, mark in reversed([*enumerate(marks)])}.values())
-        paths, steps = paths[first], steps[first]
-        values = self.exact(paths, steps)
-        order = np.lexsort((steps, -values))
-        return values[order], paths[order], steps[order]
+def closed_paths(
+    reach: Reach, count: int, origins: NDArray[np.int32], values: Floats
+) -> tuple[Places, Places]:
+    """Return the best `count` closed paths of ranks, a row each, and their numbers of steps."""
+    best = np.argsort(-values, axis=None, kind='stable')[:count]
+    steps, slots = np.divmod(best[values.flat[best] > -inf], values.shape[1])
+    paths = np.zeros((steps.size, reach.within.size), dtype=np.intp)
+    trace_closed(reach, origins, steps, slots, paths)
+    return paths, steps
 
-    def exact(self, paths: Places, steps: Places) -> Floats:
-        """Return the exact values of closed paths, rounded."""
-        objective, cells = self._objective, self.reach.cells
-        if objective.alpha != SHANNON:
-            each = (cells[path[: count + 1]] for path, count in zip(paths, steps))
-            return np.array([Candidate.along(path, objective).value for path in each])
-        values = exact_values(
-            self.problem,
-            paths,
-            steps,
-            objective.belief.hazard[cells],
-            *objective.model.log_survival,
-        )
-        return values.round(DECIMALS)
+
+def rounded_values(
+    problem: LabelProblem, objective: Objective, paths: Places, steps: Places
+) -> Floats:
+    """Return the exact values of closed paths of ranks, rounded."""
+    cells = problem.reach.cells
+    if objective.alpha != SHANNON:
+        each = (cells[path[: count + 1]] for path, count in zip(paths, steps))
+        return np.array([Candidate.along(path, objective).value for path in each])
+    hazard, log_survival = objective.belief.hazard[cells], objective.model.log_survival
+    return exact_values(problem, paths, steps, hazard, *log_survival).round(DECIMALS)
 
 
 def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
@@ -226,27 +188,24 @@ def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
     read, risk = read.max(axis=-1).ravel(), risk.min(axis=-1).ravel()
     read, risk = read[read > 0.0], risk[read > 0.0].clip(min=1e-300)
     order = np.argsort(-read / risk)
-    survived = np.exp(-np.append(0.0, risk[order].cumsum()[:-1]))[: read.size]
+    survived = np.exp(-np.append(0.0, risk[order].cumsum()))
+    survived[-1] = 0.0
     by_ratio = read[order].cumsum()
     by_size = np.append(0.0, np.sort(read)[::-1].cumsum())
-    left = np.minimum(np.arange(max_steps, -1, -1), read.size)
-    bounds = [(np.minimum(by_ratio, most) * survived).max(initial=0.0) for most in by_size[left]]
-    return np.array(bounds)
+    most = by_size[np.minimum(np.arange(max_steps, -1, -1), read.size)]
+    # Both factors of min(by_ratio, most) * survived are monotonic.
+    before = np.maximum.accumulate(np.append(0.0, by_ratio * survived[:-1]))
+    place = by_ratio.searchsorted(most)
+    bounds: Floats = np.maximum(before[place], most * survived[place])
+    return bounds
 
 
 def check_memory(
-    reach: Reach,
-    options: SearchOptions,
-    width: int,
-    outcomes: int,
-    earlier: int,
-    further: int,
-    powers: int,
+    reach: Reach, options: SearchOptions, outcomes: int, earlier: int, further: int, powers: int
 ) -> None:
     """Check that a search fits in memory."""
-    number = 8
+    number, rows = 8, kept_labels(options)
     max_steps, max_visits = options.max_steps, options.max_visits
-    visits, rows = min(max_visits, max_steps), max(1, width // 4)
     labels, cells = int(reach.start[-1]), reach.cells.size
     factors_and_terms = powers + 1 + 2 * outcomes
     estimate = (
@@ -255,16 +214,16 @@ def check_memory(
         # The labels of two steps, with their hashes and the visits to neighbours.
         + 2 * int(reach.within.max()) * rows * (number * (factors_and_terms + 2) + 4 * 9)
         # The gains and the likelihoods of readings during their computation.
-        + 3 * number * cells * visits * factors_and_terms
+        + 3 * number * cells * min(max_visits, max_steps) * factors_and_terms
         + 10 * number * further**2
         # The joint outcomes of robots sent before.
         + 2 * number * outcomes * cells * (earlier + 4)
     )
     if estimate > MAX_MEMORY:
         raise ValueError(
-            f'planning with max_steps = {max_steps}, a beam width of {width} and max_visits = '
-            f'{max_visits} takes about {estimate / 1e9:.1f} GB, and {MAX_MEMORY / 1e9:.1f} GB '
-            'are allowed: lower one of them'
+            f'planning with max_steps = {max_steps}, a beam width of {options.width} and '
+            f'max_visits = {max_visits} takes about {estimate / 1e9:.1f} GB, and '
+            f'{MAX_MEMORY / 1e9:.1f} GB are allowed: lower one of them'
         )
 
 

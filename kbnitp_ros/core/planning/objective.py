@@ -7,12 +7,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import lgamma, prod
 
-from kbnitp_ros.core.field.belief import Belief, surprisal
-from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.belief import Belief, binary_entropy, surprisal
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import log_predicted_survival, SensorModel, times_log
 from kbnitp_ros.core.inference.filter import condition, Evidence, known_effects
-from kbnitp_ros.core.planning.information_kernels import coin, new_readings, Readings
+from kbnitp_ros.core.planning.information_kernels import (
+    coin,
+    exposed,
+    left_open,
+    new_readings,
+    Readings,
+)
 from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,8 +111,8 @@ def new_information(
     earlier: NDArray[np.float64],
     alpha: float = SHANNON,
 ) -> NDArray[np.float64]:
-    """Return the information of readings in 1, 2, ... visits, given earlier readings."""
-    found = np.empty((*joint.shape[:-2], len(readings.survival) - 1))
+    """Return the information of readings in 0, 1, 2, ... visits, given earlier readings."""
+    found = np.zeros((*joint.shape[:-2], len(readings.survival)))
     new_readings(
         readings,
         np.ascontiguousarray(joint).reshape(-1, 2, 2),
@@ -188,13 +193,10 @@ class JointOutcomes:
         return here, there[here]
 
 
-# Arguments of `JointOutcomes`: one certain outcome, and no cells.
-NOBODY = np.ones(1), np.empty(0, dtype=np.intp), np.empty((1, 0, 2, 2)), np.empty((1, 0))
-
-
 def nobody_deployed(belief: Belief) -> JointOutcomes:
     """Return the single joint outcome of no robots."""
-    return JointOutcomes(belief, *NOBODY)
+    no_cells, nothing_read = np.empty(0, dtype=np.intp), np.empty((1, 0))
+    return JointOutcomes(belief, np.ones(1), no_cells, np.empty((1, 0, 2, 2)), nothing_read)
 
 
 def after_deployment(
@@ -242,13 +244,11 @@ def after_deployment(
 
 def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
     """Sum the probabilities of `most` or more readings by a camera into one count."""
-    if most is None:
-        return readings
     for axis in range(2, readings.ndim):
-        beyond = np.moveaxis(readings, axis, -1)
-        if beyond.shape[-1] > most + 1:
-            last = beyond[..., most:].sum(axis=-1, keepdims=True)
-            readings = np.moveaxis(np.concatenate([beyond[..., :most], last], -1), -1, axis)
+        if most is not None and readings.shape[axis] > most + 1:
+            counted, beyond = np.split(readings, [most], axis)
+            last = beyond.sum(axis=axis, keepdims=True)
+            readings = np.concatenate([counted, last], axis)
     return readings
 
 
@@ -274,14 +274,11 @@ BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float64]:
     """Return the behavioral entropy of a coin (:eq:`behavioral-entropy`)."""
     p = np.asarray(probability, dtype=np.float64)
+    if alpha == SHANNON:
+        return binary_entropy(p)
     beta = prelec_beta(alpha)
     entropy = [coin(each, 1.0 - each, alpha, beta) for each in p.ravel().tolist()]
     return np.array(entropy, dtype=np.float64).reshape(p.shape)
-
-
-def count_powers(alpha: float, outcomes: int) -> int:
-    """Return the number of powers in a label, for a number of joint outcomes."""
-    return WEIGHTS.size if alpha == SHANNON else BEHAVIORAL_EXPONENTS.size * (1 + outcomes)
 
 
 def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -314,30 +311,83 @@ class Objective:
     belief: Belief
     # The believed sensor model of the robot.
     model: SensorModel
-    # The cost of a loss of the robot, nats, at least 0.
-    loss_cost: float
-    # Weight of the information of readings in each cell, in [0, 1], shape (cells,).
-    interest: NDArray[np.float64]
     # Joint outcomes of earlier robots: in flight, or planned earlier in the round.
     outcomes: JointOutcomes
-    # Alpha of the Prelec weight: 1 for Shannon's entropy; otherwise `behavioral_information` is
-    # used.
-    alpha: float = SHANNON
+    # Weight of the information of readings in each cell, in [0, 1], shape (cells,).
+    interest: NDArray[np.float64]
+    # The cost of a loss of the robot, nats, at least 0.
+    loss_cost: float
+    # Alpha of the Prelec weight: 1 for Shannon's entropy, other values for behavioral entropies.
+    alpha: float
 
     @classmethod
-    def alone(
-        cls, grid: Grid, belief: Belief, model: SensorModel, options: SearchOptions
+    def of(
+        cls,
+        belief: Belief,
+        model: SensorModel,
+        options: SearchOptions | None = None,
+        outcomes: JointOutcomes | None = None,
     ) -> Objective:
-        """Return the objective of a single robot, with no robot sent before."""
-        if belief.cells != grid.cells:
-            raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
-        interest, nobody = np.ones(belief.cells), nobody_deployed(belief)
-        return cls(belief, model, options.loss_cost, interest, nobody, options.alpha)
+        """Return the objective of a robot; by default information, and no robot sent before."""
+        loss_cost, alpha = (options.loss_cost, options.alpha) if options else (0.0, SHANNON)
+        outcomes, interest = outcomes or nobody_deployed(belief), np.ones(belief.cells)
+        return cls(belief, model, outcomes, interest, loss_cost, alpha)
 
-    def after(self, path: NDArray[np.intp]) -> JointOutcomes:
+    def after(self, path: ArrayLike) -> JointOutcomes:
         """Return the joint outcomes after this robot is sent along `path`."""
         return after_deployment(self.outcomes, self.model, path)
 
     def given(self, outcomes: JointOutcomes) -> Objective:
         """Return the objective given the joint outcomes of robots sent before."""
         return replace(self, outcomes=outcomes)
+
+    def of_visits(
+        self, cells: NDArray[np.intp], most: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return log survival and readings' information by outcome, cell and number of visits."""
+        outcomes, visits = self.outcomes, np.arange(most + 1)
+        readings = possible_readings(self.model, most, outcomes.most_readings)
+
+        def given(
+            joint: NDArray[np.float64], earlier: NDArray[np.float64]
+        ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            hazard = joint[..., 1, :].sum(axis=-1).clip(max=1.0)[..., None]
+            log_survival = log_predicted_survival(hazard, visits, self.model.log_survival)
+            return log_survival, new_information(readings, joint, earlier, self.alpha)
+
+        nothing_read = np.zeros((cells.size, outcomes.states))
+        nothing_read[:, 0] = 1.0
+        log_survival, read = (
+            each[None].repeat(outcomes.probability.size, 0)
+            for each in given(self.belief.joint[cells], nothing_read)
+        )
+        if outcomes.cells.size:
+            here, there = outcomes.find_places(cells)
+            _, earlier = outcomes.of_cells(cells[here])
+            log_survival[:, here], read[:, here] = given(outcomes.joint[:, there], earlier)
+        return log_survival, read
+
+    def evaluate(self, path: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+        """
+        Return a path's information, nats, and the chance of a return given each joint outcome.
+
+        Equations :eq:`added-information` and :eq:`behavioral-information`.
+        """
+        belief, model, alpha = self.belief, self.model, self.alpha
+        cells = as_path(path)
+        if cells.min() < 0 or cells.max() >= belief.cells:
+            raise ValueError(
+                f'path has cells from {cells.min()} to {cells.max()}: '
+                f'the belief has the cells 0 to {belief.cells - 1}'
+            )
+        visits = Visits.of(cells)
+        log_survival, read = (
+            each[:, np.arange(visits.cells.size), visits.counts]
+            for each in self.of_visits(visits.cells, int(visits.counts.max()))
+        )
+        survival = np.exp(np.ascontiguousarray(log_survival).sum(axis=1))
+        exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+        brought = (read * self.interest[visits.cells]).sum(axis=1)
+        of_each = behavioral_entropy(survival, alpha) + survival * brought
+        of_each -= left_open(*exposures, alpha, prelec_beta(alpha))
+        return float((self.outcomes.probability * of_each).sum()), survival

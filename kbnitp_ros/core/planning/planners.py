@@ -3,28 +3,27 @@
 The planners, which search for the path of the next deployment.
 
 A planner takes a `PathFinder` and an `Objective` and returns closed paths, the best first. A new
-planner needs one file and one line here, or an entry point of another package; a label search also
-needs a line in `LABELS`.
+planner needs one file and one line here, or an entry point of another package.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from math import ceil
 
 from kbnitp_ros.core.field.check import in_short, typed_fields, Value
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.core.planning.information import Candidate
 from kbnitp_ros.core.planning.label_kernels import Reach
-from kbnitp_ros.core.planning.labels import best_paths, check_memory, find_reach
+from kbnitp_ros.core.planning.labels import best_paths, check_memory, find_reach, MAX_MEMORY
 from kbnitp_ros.core.planning.objective import (
-    check_cameras,
-    count_powers,
     MAX_OUTCOMES,
     most_counted,
     Objective,
+    powers_weights,
 )
 from kbnitp_ros.core.planning.options import PLANNERS, SearchOptions
 import numpy as np
@@ -35,6 +34,13 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
     """Return a closed path through the least visited cells, by `order` or nearest first."""
     grid, visited = finder.grid, finder.visited
     max_steps, max_visits = finder.options.max_steps, finder.options.max_visits
+
+    def steps_from(cell: int, entered: NDArray[np.intp], *, home: bool) -> NDArray[np.intp]:
+        """Return the steps through cells that may be entered once more; the base only at last."""
+        is_open = grid.free & (entered < max_visits)
+        is_open[grid.base] = home
+        return grid.steps_from(cell, is_open)
+
     wanted: NDArray[np.bool_] = grid.in_reach(max_steps)
     wanted[grid.base] = False
     if wanted.any():
@@ -42,18 +48,15 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
     path, home = [grid.base], [grid.base]
     entered: NDArray[np.intp] = np.zeros(grid.cells, dtype=np.intp)
     while wanted.any():
-        steps = grid.steps_from(path[-1], is_open(grid, entered, max_visits))
-        candidates = np.flatnonzero(
-            wanted
-            & (steps < grid.cells)
-            & (len(path) - 1 + steps + grid.steps_to_base <= max_steps)
-        )
+        steps = steps_from(path[-1], entered, home=False)
+        in_time = len(path) - 1 + steps + grid.steps_to_base <= max_steps
+        candidates = np.flatnonzero(wanted & (steps < grid.cells) & in_time)
         if not candidates.size:
             break
         target = int(candidates[np.argmin((steps if order is None else order)[candidates])])
         leg = way(grid, steps, target)
         after = entered + np.bincount(leg, minlength=grid.cells)
-        back = grid.steps_from(target, is_open(grid, after, max_visits, home=True))
+        back = steps_from(target, after, home=True)
         wanted[target] = False
         home_again = back[grid.base]
         if home_again < grid.cells and len(path) - 1 + len(leg) + home_again <= max_steps:
@@ -62,15 +65,6 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
             wanted[leg] = False
             home = way(grid, back, grid.base)
     return np.array(path + home, dtype=np.intp)
-
-
-def is_open(
-    grid: Grid, entered: NDArray[np.intp], max_visits: int, *, home: bool = False
-) -> NDArray[np.bool_]:
-    """Return a mask of cells that may be entered once more; the base only on the way home."""
-    result: NDArray[np.bool_] = grid.free & (entered < max_visits)
-    result[grid.base] = home
-    return result
 
 
 def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
@@ -84,9 +78,6 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
 
 # Maximum number of attempts at a random walk of each number of steps.
 ATTEMPTS = 100
-
-# Maximum bytes for counting the walks home.
-MAX_MEMORY = 1 << 30
 
 
 def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -198,6 +189,11 @@ class PathFinder(Value):
             )
         object.__setattr__(self, 'visited', given.astype(np.intp))
 
+    def of_type(self, robot_type: RobotType) -> PathFinder:
+        """Return the finder with the base and the options of a robot type."""
+        grid, options = self.grid.at(robot_type.base), self.options.of_type(robot_type)
+        return replace(self, grid=grid, options=options)
+
     def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
         """Return the finder with the visits of these paths added, each of shape (steps + 1,)."""
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
@@ -210,13 +206,12 @@ class PathFinder(Value):
             if planner not in PLANNERS.own:
                 candidates = self._checked(candidates)
         if least := self.options.minimum_survival:
-            survived = [each for each in candidates if each.survival(objective) >= least]
-            if not survived:
-                raise NoPathError(
-                    f'no path was found that a robot survives with minimum_survival = {least}: '
-                    'lower it, or max_steps'
-                )
-            return survived
+            candidates = [each for each in candidates if each.survival(objective) >= least]
+        if not candidates:
+            raise NoPathError(
+                f'no path was found that a robot survives with minimum_survival = {least}: '
+                'lower it, or max_steps'
+            )
         return candidates
 
     def check_path(self, path: ArrayLike) -> NDArray[np.intp]:
@@ -249,27 +244,25 @@ class PathFinder(Value):
         except ValueError as error:
             raise PLANNERS.fault(planner, f'returns an invalid path: {error}') from error
 
-    def check_memory(self, robots: int, cameras: int = 1) -> None:
-        """Check that a search fits in the allowed memory."""
-        check_cameras(cameras)
+    def check_memory(self, robots: int, cameras: int) -> None:
+        """Check that a search for one of several robots fits in the allowed memory."""
         options = self.options
+        if options.planner not in ('relaxed', 'beam', 'random'):
+            return
+        reach = find_reach(self.grid, options.max_steps, options.max_distance)
         if options.planner == 'random':
-            check_walk_memory(find_reach(self.grid, options.max_steps, options.max_distance))
-        if width := LABELS.get(options.planner):
-            before = robots - 1
-            # Limited, to avoid huge powers of two.
-            outcomes = 2 ** min(before, MAX_OUTCOMES.bit_length() - 1)
-            visits = min(options.max_visits, options.max_steps)
-            counts = 1 + min(before * visits, most_counted(cameras) or before * visits)
-            check_memory(
-                find_reach(self.grid, options.max_steps, options.max_distance),
-                options,
-                width(options),
-                outcomes,
-                earlier=counts**cameras,
-                further=counts ** (cameras - 1) * (counts + visits),
-                powers=count_powers(options.alpha, outcomes),
-            )
+            check_walk_memory(reach)
+            return
+        if options.planner == 'relaxed':
+            options = replace(options, width=1)
+        # Limited, to avoid huge powers of two.
+        outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
+        visits = min(options.max_visits, options.max_steps)
+        counts = (robots - 1) * visits
+        counts = 1 + min(counts, most_counted(cameras) or counts)
+        further = counts ** (cameras - 1) * (counts + visits)
+        powers = powers_weights(options.alpha, np.ones(outcomes)).size
+        check_memory(reach, options, outcomes, counts**cameras, further, powers)
 
 
 def check_distance(grid: Grid, options: SearchOptions) -> None:
@@ -296,17 +289,17 @@ def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.in
 
 def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Search with the best label of each cell and step (arXiv:2305.06929, calculateBNPath)."""
-    return best_paths(finder.grid, objective, finder.options, 1)
+    return best_paths(finder.grid, objective, replace(finder.options, width=1))
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Search with the best `width` / 4 labels of each cell and step."""
-    return best_paths(finder.grid, objective, finder.options, finder.options.width)
+    return best_paths(finder.grid, objective, finder.options)
 
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk; equal beliefs and earlier visits give equal walks."""
-    reach = find_reach(finder.grid, finder.options.max_steps, finder.options.max_distance)
+    reach = find_reach(finder.grid, finder.options.max_steps)
     check_walk_memory(reach)
     known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
     rng = np.random.default_rng(np.frombuffer(known, dtype='<u4'))
@@ -339,10 +332,3 @@ PLANNERS.fill(
 
 # Planners that seek no information.
 BASELINES = ('random', 'coverage', 'shortest_unvisited')
-
-
-# Width of the planners that are label searches.
-LABELS: dict[object, Callable[[SearchOptions], int]] = {
-    'relaxed': lambda _: 1,
-    'beam': lambda options: options.width,
-}

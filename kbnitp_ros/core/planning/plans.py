@@ -12,10 +12,7 @@ from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.information import (
-    information_and_survival,
-    team_information,
-)
+from kbnitp_ros.core.planning.information import team_information
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     camera_rates,
@@ -62,8 +59,7 @@ class Plan(Value):
     @classmethod
     def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
         """Return the plan of `path`, shape (steps + 1,)."""
-        nobody = nobody_deployed(belief)
-        information, survival = information_and_survival(belief, model, path, nobody)
+        information, survival = Objective.of(belief, model).evaluate(path)
         return cls(path, information, float(survival[0]))
 
 
@@ -125,18 +121,16 @@ class TeamMember:
 
     @classmethod
     def of(
-        cls, robot_type: RobotType, finder: PathFinder, belief: Belief, model: SensorModel
+        cls,
+        robot_type: RobotType,
+        finder: PathFinder,
+        belief: Belief,
+        model: SensorModel,
+        outcomes: JointOutcomes | None = None,
     ) -> TeamMember:
-        """Return a robot of a type, with no robot sent before, given the common model."""
-        grid, options = finder.grid.at(robot_type.base), finder.options.of_type(robot_type)
-        own = finder
-        if grid is not finder.grid or options is not finder.options:
-            own = replace(finder, grid=grid, options=options)
-        return cls(own, Objective.alone(grid, belief, robot_type.model(model), options))
-
-    def given(self, outcomes: JointOutcomes) -> TeamMember:
-        """Return the robot given the joint outcomes of robots sent before."""
-        return replace(self, objective=self.objective.given(outcomes))
+        """Return a robot of a type, given the finder and the model of the common type."""
+        own = finder.of_type(robot_type)
+        return cls(own, Objective.of(belief, robot_type.model(model), own.options, outcomes))
 
 
 def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
@@ -309,7 +303,9 @@ def plan_team(
 
     """
     ALLOCATIONS.find(team.allocation)
-    in_use = without(grid, keepout) if len(keepout) else grid
+    if belief.cells != grid.cells:
+        raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
+    in_use = without(grid, keepout)
     team_size(in_use, team.agents)
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
     check_cameras(len({camera_rates(robot_type.model(model)) for robot_type in types}))
@@ -321,14 +317,11 @@ def plan_team(
         cells = grid.at(robot_type.base).check_path(path)
         outcomes = after_deployment(outcomes, robot_type.model(model), cells)
 
-    def find(options: SearchOptions) -> list[Plan]:
-        own = finder if options is finder.options else replace(finder, options=options)
+    def find(finder: PathFinder) -> list[Plan]:
         members = {
-            robot_type: TeamMember.of(robot_type, own, belief, model)
+            robot_type: TeamMember.of(robot_type, finder, belief, model, outcomes)
             for robot_type in dict.fromkeys(team.types)
         }
-        if in_flight:
-            members = {each: member.given(outcomes) for each, member in members.items()}
         paths = allocated(team.allocation, [members[each] for each in team.types])
         return [
             Plan.along(path, belief, robot_type.model(model))
@@ -336,34 +329,33 @@ def plan_team(
         ]
 
     if options.objective != 'information_per_loss':
-        return find(options)
+        return find(finder)
 
-    def information(plans: Sequence[Plan]) -> float:
+    def at_cost(loss_cost: float) -> tuple[list[Plan], float, float]:
+        """Return the plans at a loss cost, their information and the expected losses."""
+        search = replace(options, objective='information', loss_cost=loss_cost)
+        plans = find(replace(finder, options=search))
         paths = [each.path for each in plans]
-        return team_information(belief, model, paths, outcomes, team.types)
+        information = team_information(belief, model, paths, outcomes, team.types)
+        return plans, information, sum(1.0 - each.survival for each in plans)
 
-    return most_per_loss(options, find, information)
+    return most_per_loss(at_cost)
 
 
 # Maximum number of searches at successive loss costs; usually three or four change the plans.
 MAX_SEARCHES = 10
 
 
-def most_per_loss(
-    options: SearchOptions,
-    find: Callable[[SearchOptions], list[Plan]],
-    information: Callable[[Sequence[Plan]], float],
-) -> list[Plan]:
+def most_per_loss(at_cost: Callable[[float], tuple[list[Plan], float, float]]) -> list[Plan]:
     """Return the plans with the most information per expected loss (:eq:`per-loss`)."""
-    best, cost = find(replace(options, objective='information')), 0.0
+    best, information, lost = at_cost(0.0)
     for _ in range(MAX_SEARCHES):
-        lost = sum(1.0 - plan.survival for plan in best)
         if lost <= 0.0:
             break
         # Dinkelbach: at this cost the best plans have value 0, and only better plans exceed 0.
-        cost = information(best) / lost
-        plans = find(replace(options, objective='information', loss_cost=cost))
-        if information(plans) <= cost * sum(1.0 - plan.survival for plan in plans):
+        cost = information / lost
+        plans, information, lost = at_cost(cost)
+        if information <= cost * lost:
             break
         best = plans
     return best
@@ -372,13 +364,11 @@ def most_per_loss(
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
     """Check that the search for a team fits in the allowed memory."""
     # Robot types that set no rates of the camera share the common camera.
-    cameras = {(each.true_positive, each.false_positive) for each in types}
-    for base, options in dict.fromkeys(
-        (each.base, finder.options.of_type(each)) for each in types
-    ):
-        own = replace(finder, grid=finder.grid.at(base), options=options)
-        check_distance(own.grid, options)
-        own.check_memory(len(types), len(cameras))
+    cameras = len({(each.true_positive, each.false_positive) for each in types})
+    check_cameras(cameras)
+    for own in map(finder.of_type, dict.fromkeys(types)):
+        check_distance(own.grid, own.options)
+        own.check_memory(len(types), cameras)
 
 
 def team_size(grid: Grid, agents: int) -> int:

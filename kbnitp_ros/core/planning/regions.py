@@ -32,7 +32,8 @@ def nested_regions(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
 
 def without(grid: Grid, cells: Iterable[int]) -> Grid:
     """Return the grid with these cells blocked."""
-    return replace(grid, blocked=tuple({*grid.blocked, *map(int, cells)}))
+    blocked = {*grid.blocked, *map(int, cells)}
+    return grid if blocked == grid.blocked else replace(grid, blocked=blocked)
 
 
 def keepout_cells(

@@ -121,7 +121,7 @@ def test_paths_keep_to_the_length(seed):
     assert found_by(grid, belief, model, options)[1] == pytest.approx(best, abs=1e-8)
     for width, planner in ((1, 'relaxed'), (2, 'beam'), (5, 'beam'), (16, 'beam')):
         own = replace(options, width=width, planner=planner)
-        candidates = PathFinder(grid, own).candidates(Objective.alone(grid, belief, model, own))
+        candidates = PathFinder(grid, own).candidates(Objective.of(belief, model, own))
         assert candidates
         for candidate in candidates:
             assert path_length(grid, candidate.path) <= options.max_distance * (1.0 + 1e-8)

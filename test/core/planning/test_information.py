@@ -18,11 +18,11 @@ from kbnitp_ros.core import (
     SearchOptions,
     SensorModel,
 )
-from kbnitp_ros.core.planning.information import added_information
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     behavioral_entropy,
     nobody_deployed,
+    Objective,
 )
 from kbnitp_ros.core.planning.options import ALPHAS as RANGE
 from laws import for_each
@@ -102,7 +102,7 @@ def test_at_alpha_1_robots_in_flight_count_as_for_the_information(seed):
     model = SensorModel(**brute_force.random_sensors(rng))
     before, path = (brute_force.random_path(rng, 3, 3, 0, 5) for _ in range(2))
     outcomes = after_deployment(nobody_deployed(belief), model, before)
-    expected = added_information(belief, model, path, outcomes)
+    expected, _ = Objective.of(belief, model, outcomes=outcomes).evaluate(path)
     found = behavioral_information(belief, model, path, 1.0, outcomes)
     assert found == pytest.approx(expected, rel=0, abs=1e-9)
 

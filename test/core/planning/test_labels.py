@@ -13,6 +13,7 @@ from extent import FULL
 from kbnitp_ros.core import (
     Belief,
     Grid,
+    ORDINARY,
     path_information,
     PathFinder,
     plan,
@@ -29,6 +30,7 @@ from kbnitp_ros.core.planning.objective import (
     Objective,
     WEIGHTS,
 )
+from kbnitp_ros.core.planning.plans import check_team
 from laws import for_each
 import numpy as np
 import pytest
@@ -52,7 +54,7 @@ for seed, lethality in enumerate({lethalities}):
     rng = np.random.default_rng(seed)
     belief, model = Belief(brute_force.random_joint(rng, 12, 5)), SensorModel(lethality)
     for planner, width in (('relaxed', 1), ('beam', 4)):
-        found = plan(grid, belief, model, 5, planner, width=width)
+        found = plan(grid, belief, model, SearchOptions(planner, 5, width))
         print(found.path.tolist(), found.information.hex(), found.survival.hex())
         print(upper_bound(grid, belief, model, SearchOptions(planner, 5), found.path).hex())
 for allocation in ('greedy', 'voronoi'):
@@ -103,17 +105,19 @@ def test_labels_have_the_values_of_their_paths(seed):
     belief = Belief(brute_force.random_joint(rng, 12, 5))
     model = SensorModel(**brute_force.random_sensors(rng))
     options = SearchOptions('relaxed', max_steps=8, max_visits=8)
-    search = labels.LabelSearch(grid, Objective.alone(grid, belief, model, options), options, 1)
-    rank = np.argsort(search.reach.cells)
-    products = new_products(1, search.problem.gains)
+    objective = Objective.of(belief, model, options)
+    problem = labels.label_problem(grid, objective, options)
+    rank = np.argsort(problem.reach.cells)
+    products = new_products(1, problem.gains)
     visits = np.empty(12, dtype=np.int64)
     for _ in range(10):
         path = brute_force.random_path(rng, 4, 3, 5, int(rng.integers(1, 9)))
         information = path_information(belief, model, path)
         ranks, steps = rank[np.array(path)][None], np.array([len(path) - 1])
-        assert search.exact(ranks, steps)[0] == pytest.approx(information, abs=2e-9)
-        take(rank[path], search.problem.gains, visits, products)
-        value = label_value(products, 0, search.problem._replace(units=1e15)) / 1e15
+        (exact,) = labels.rounded_values(problem, objective, ranks, steps)
+        assert exact == pytest.approx(information, abs=2e-9)
+        take(rank[path], problem.gains, visits, products)
+        value = label_value(products, 0, problem._replace(units=1e15)) / 1e15
         missed = missed_by_moments(belief, model, path)
         assert abs(missed) <= ERROR
         assert value == pytest.approx(information + missed, abs=1e-11)
@@ -134,33 +138,34 @@ def missed_by_moments(belief, model, path):
 
 
 def small_problem(seed, max_steps, width, **options):
-    """Draw a field of 3x3 cells and return a search in it, sometimes with robots in flight."""
+    """Draw a field of 3x3 cells and a search in it, sometimes with robots in flight."""
     rng = np.random.default_rng(seed)
     grid = Grid(3, 3, base=seed % 9, connectivity=(4, 8)[seed // 2 % 2])
     belief = Belief(brute_force.random_joint(rng, 9, grid.base))
     model = SensorModel(**brute_force.random_sensors(rng))
     options = SearchOptions(max_steps=max_steps, width=width, **options)
-    objective = Objective.alone(grid, belief, model, options)
+    objective = Objective.of(belief, model, options)
     if seed % 3 == 0:
         path = brute_force.random_path(rng, 3, 3, grid.base, 4)
         outcomes = after_deployment(nobody_deployed(belief), model, path)
         objective = replace(objective, outcomes=outcomes)
-    return rng, grid, options, labels.LabelSearch(grid, objective, options, width)
+    return grid, objective, labels.label_problem(grid, objective, options)
 
 
-def ranks(search):
+def ranks(problem):
     """Return the rank of each cell, 0 out of reach."""
     rank = np.zeros(9, dtype=np.intp)
-    rank[search.reach.cells] = np.arange(search.reach.cells.size)
+    rank[problem.reach.cells] = np.arange(problem.reach.cells.size)
     return rank
 
 
-def valued(search, paths):
-    rank = ranks(search)
-    rows = np.zeros((len(paths), search.reach.within.size), dtype=np.intp)
+def valued(problem, objective, paths):
+    rank = ranks(problem)
+    rows = np.zeros((len(paths), problem.reach.within.size), dtype=np.intp)
     for row, path in zip(rows, paths):
         row[: len(path)] = rank[path]
-    return search.exact(rows, np.array([len(path) - 1 for path in paths]))
+    steps = np.array([len(path) - 1 for path in paths])
+    return labels.rounded_values(problem, objective, rows, steps)
 
 
 def walks(grid, steps):
@@ -178,15 +183,15 @@ def walks(grid, steps):
 def test_no_path_exceeds_the_bound_of_its_first_cells(seed):
     """So dropping hopeless labels drops no best path."""
     loss_cost = (0.0, 0.1, 3.0)[seed // 3 % 3]
-    _, grid, _, search = small_problem(seed, 5, 8, loss_cost=loss_cost, max_visits=2)
+    grid, objective, problem = small_problem(seed, 5, 8, loss_cost=loss_cost, max_visits=2)
     paths = [path for path in walks(grid, 5) if len(path) > 1 and np.bincount(path[1:]).max() <= 2]
     closed = [path for path in paths if path[-1] == grid.base]
     best = {}
-    for path, value in zip(closed, valued(search, closed)):
+    for path, value in zip(closed, valued(problem, objective, closed)):
         for steps in range(1, len(path)):
             begun = tuple(path[: steps + 1])
             best[begun] = max(value, best.get(begun, value))
-    problem, rank = search.problem, ranks(search)
+    rank = ranks(problem)
     products, visits = new_products(1, problem.gains), np.empty(9, dtype=np.int64)
     powers = problem.weight.size
     survival, term = products.factor[0, powers:], products.term[0, 1:]
@@ -205,11 +210,12 @@ def test_the_bound_is_reached_where_only_readings_inform():
     belief = Belief.prior(grid, 0.0, 0.5, 0.5)
     model = SensorModel(0.5, malfunction=0.0)
     options = SearchOptions(max_steps=5, max_visits=2, width=8)
-    search = labels.LabelSearch(grid, Objective.alone(grid, belief, model, options), options, 8)
-    problem, rank = search.problem, ranks(search)
+    objective = Objective.of(belief, model, options)
+    problem = labels.label_problem(grid, objective, options)
+    rank = ranks(problem)
     products, visits = new_products(1, problem.gains), np.empty(9, dtype=np.int64)
     powers = problem.weight.size
-    (value,) = valued(search, [[4, 0, 1, 2, 5, 4]])
+    (value,) = valued(problem, objective, [[4, 0, 1, 2, 5, 4]])
     for begun in ([4, 0], [4, 0, 1], [4, 0, 1, 2]):
         take(rank[begun], problem.gains, visits, products)
         brought = problem.chance @ products.term[0, 1:]
@@ -253,7 +259,7 @@ def test_searches_beyond_memory_are_refused_with_an_estimate(
     finder = PathFinder(Grid(side, side), SearchOptions(planner, max_steps, width, max_visits))
     told = rf'max_steps = {max_steps}.*width.*max_visits.* GB.*lower'
     with nullcontext() if is_allowed else pytest.raises(ValueError, match=told):
-        finder.check_memory(robots)
+        check_team(finder, [ORDINARY] * robots)
 
 
 @for_each('allocation', ['independent', 'voronoi', 'greedy'])
@@ -265,13 +271,13 @@ def test_a_search_never_exceeds_the_first_estimate(monkeypatch, allocation):
     asked = []
     check = labels.check_memory
 
-    def spy(reach, options, width, outcomes, earlier, further, powers):
-        asked.append((options.max_steps, width, outcomes, earlier, further, powers))
-        check(reach, options, width, outcomes, earlier, further, powers)
+    def spy(reach, options, *sizes):
+        asked.append((options.max_steps, options.width, *sizes))
+        check(reach, options, *sizes)
 
     monkeypatch.setattr(labels, 'check_memory', spy)
     monkeypatch.setattr(planners, 'check_memory', spy)
-    finder.check_memory(robots)
+    check_team(finder, [ORDINARY] * robots)
     plan_round(grid, belief, model, 10, robots, allocation, width=4)
     most, *later = asked
     assert later
