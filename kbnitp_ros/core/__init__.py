@@ -30,7 +30,6 @@ from kbnitp_ros.core.mission import continue_mission, Deployment, Learning, run_
 
 # Planning: where to go next.
 from kbnitp_ros.core.planning.information import (
-    behavioral_information,
     Candidate,
     path_information,
     team_information,
@@ -76,7 +75,6 @@ __all__ = [
     'Truth',
     'Unknowns',
     'World',
-    'behavioral_information',
     'brier_score',
     'continue_mission',
     'forecast',

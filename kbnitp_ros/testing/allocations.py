@@ -49,7 +49,10 @@ def draw_round(seed: int) -> RoundCase:
     robots = tuple(each[n] for n in rng.integers(0, 3, int(rng.integers(2, 5))))
     other = draw_walk(rng, field.grid, int(rng.integers(1, 7)))
     outcomes = robots[0].objective.after(other)
-    later = {robot: replace(robot, objective=robot.objective.given(outcomes)) for robot in robots}
+    later = {
+        robot: replace(robot, objective=replace(robot.objective, outcomes=outcomes))
+        for robot in robots
+    }
     after = tuple(later[robot] for robot in robots)
     return RoundCase(field.grid, field.prior, field.model, robots, after)
 

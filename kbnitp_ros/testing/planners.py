@@ -48,7 +48,7 @@ def draw_search(seed: int) -> SearchCase:
     finder = replace(finder, options=options)
     objective = Objective.of(field.prior, field.model, options)
     other = draw_walk(rng, field.grid, int(rng.integers(1, 7)))
-    after = objective.given(objective.after(other))
+    after = replace(objective, outcomes=objective.after(other))
     return SearchCase(field.grid, field.prior, field.model, finder, objective, after)
 
 

@@ -8,23 +8,17 @@ from typing import NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import typed
-from kbnitp_ros.core.field.observation import as_path, Visits
-from kbnitp_ros.core.field.sensor import log_predicted_survival, of_each, RobotType, SensorModel
+from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
+from kbnitp_ros.core.planning.information_kernels import Places
 from kbnitp_ros.core.planning.objective import JointOutcomes, Objective
-from kbnitp_ros.core.planning.options import SearchOptions
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-
-def path_log_survival(belief: Belief, model: SensorModel, path: NDArray[np.intp]) -> float:
-    """Return the log probability of a return under the belief (:eq:`path-survival`)."""
-    visits = Visits.of(path)
-    hazard = belief.hazard[visits.cells]
-    return float(log_predicted_survival(hazard, visits.counts, model.log_survival).sum())
+from kbnitp_ros.core.planning.options import SearchOptions, SHANNON
+from numpy.typing import ArrayLike
 
 
 @typed
-def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> float:
+def path_information(
+    belief: Belief, model: SensorModel, path: ArrayLike, alpha: float = SHANNON
+) -> float:
     """
     Return the mutual information between the field and the outcome of one deployment.
 
@@ -35,6 +29,9 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
 
         h(P0) - E_z[h(P(survive | z))] + P0 * sum_i I(X_i; Y_i^(n_i) | survived n_i visits)
 
+    With another alpha than 1, behavioral entropies take the place of Shannon's in the entropies of
+    the outcome and of the targets (:eq:`behavioral-information`).
+
     Parameters
     ----------
     belief : Belief
@@ -43,19 +40,23 @@ def path_information(belief: Belief, model: SensorModel, path: ArrayLike) -> flo
         Believed sensor model of the robot.
     path : array_like of int, shape (steps + 1,)
         The cells in order.
+    alpha : float
+        As in `SearchOptions`.
 
     Returns
     -------
     float
-        Nats, at least 0 except for rounding.
+        Nats. At least 0 except for rounding if alpha is at most 1; else it may be slightly
+        negative, since the entropies are then convex near certainty.
 
     Raises
     ------
     ValueError
-        If the path has no step or leaves the belief's cells.
+        If the path has no step or leaves the belief's cells, or alpha is out of range.
 
     """
-    return Objective.of(belief, model).evaluate(path)[0]
+    options = None if alpha == SHANNON else SearchOptions(objective='behavioral', alpha=alpha)
+    return Objective.of(belief, model, options).evaluate(path)[0]
 
 
 @typed
@@ -105,40 +106,6 @@ def team_information(
     return information
 
 
-@typed
-def behavioral_information(
-    belief: Belief,
-    model: SensorModel,
-    path: ArrayLike,
-    alpha: float,
-    outcomes: JointOutcomes | None = None,
-) -> float:
-    """
-    Return the information of a path with behavioral entropies instead of Shannon's.
-
-    Equation :eq:`behavioral-information`: the information that a return or loss gives about the
-    hazards, plus the expected entropy of targets that readings of a returned robot remove.
-
-    Parameters
-    ----------
-    belief, model, path
-        As in `path_information`.
-    alpha : float
-        As in `SearchOptions`.
-    outcomes : JointOutcomes, optional
-        Joint outcomes of robots sent before; by default none.
-
-    Returns
-    -------
-    float
-        Nats; if alpha is at most 1, at least 0 except for rounding. With alpha above 1 it may be
-        slightly negative, since the entropies are then convex near certainty.
-
-    """
-    options = SearchOptions(objective='behavioral', alpha=alpha)
-    return Objective.of(belief, model, options, outcomes).evaluate(path)[0]
-
-
 # Decimals of compared values, nats: closer values are ties, so rounding errors never decide.
 DECIMALS = 9
 
@@ -149,15 +116,11 @@ class Candidate(NamedTuple):
     # The objective value, nats, rounded.
     value: float
     # Cells, the base first and last, shape (steps + 1,).
-    path: NDArray[np.intp]
+    path: Places
 
     @classmethod
-    def along(cls, path: NDArray[np.intp], objective: Objective) -> Candidate:
+    def along(cls, path: Places, objective: Objective) -> Candidate:
         """Return a path, shape (steps + 1,), with its exact value (:eq:`objective-value`)."""
-        lost = -np.expm1(path_log_survival(objective.belief, objective.model, as_path(path)))
         information, _ = objective.evaluate(path)
+        lost = 1.0 - objective.survival(path)
         return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
-
-    def survival(self, objective: Objective) -> float:
-        """Return the chance that a robot returns, under the belief of the objective."""
-        return float(np.exp(path_log_survival(objective.belief, objective.model, self.path)))

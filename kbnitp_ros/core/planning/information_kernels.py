@@ -10,31 +10,34 @@ from kbnitp_ros.core.field.compiled import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
 
 class Readings(NamedTuple):
     """Readings of a cell; a state is the number of readings by each camera so far."""
 
     # P(n visits survived | Z = z), indexed [n, z], shape (most visits + 1, 2).
-    survival: NDArray[np.float64]
+    survival: Floats
     # State after n more readings by the robot, shape (earlier states, most visits + 1).
-    after: NDArray[np.intp]
+    after: Places
     # Number of outcomes of each state, shape (states,).
-    outcomes: NDArray[np.intp]
+    outcomes: Places
     # P(outcome | X = x), indexed [state, outcome, x], 0 beyond the outcomes of a state; shape
     # (states, most outcomes, 2).
-    likelihood: NDArray[np.float64]
+    likelihood: Floats
     # Entropy of the outcome, nats, indexed [state, x], shape (states, 2).
-    noise: NDArray[np.float64]
+    noise: Floats
 
 
 @compiled
 def new_readings(
     readings: Readings,
-    joint: NDArray[np.float64],
-    earlier: NDArray[np.float64],
+    joint: Floats,
+    earlier: Floats,
     alpha: float,
     beta: float,
-    information: NDArray[np.float64],
+    information: Floats,
 ) -> None:
     """Compute readings' information (:eq:`reading-information`, :eq:`behavioral-information`)."""
     survival = readings.survival
@@ -74,8 +77,8 @@ def reading_information(
 
 @compiled
 def exposed(
-    steps: NDArray[np.intp], hazard: NDArray[np.float64], log_safe: float, log_deadly: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    steps: Places, hazard: Floats, log_safe: float, log_deadly: float
+) -> tuple[Floats, Floats]:
     """Return P(c exposures) and the log survival of c exposures, by c (:eq:`exposures`)."""
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
@@ -117,9 +120,7 @@ def coin(p: float, q: float, alpha: float, beta: float) -> float:
 
 
 @compiled
-def left_open(
-    chance: NDArray[np.float64], log_survival: NDArray[np.float64], alpha: float, beta: float
-) -> float:
+def left_open(chance: Floats, log_survival: Floats, alpha: float, beta: float) -> float:
     """Return E_z[h(P(survive | z))] (:eq:`outcome-entropy`, :eq:`behavioral-information`)."""
     entropy = 0.0
     for c in range(chance.size):

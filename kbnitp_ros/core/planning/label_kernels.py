@@ -22,12 +22,9 @@ from math import floor, inf, log
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.compiled import compiled, inlined
-from kbnitp_ros.core.planning.information_kernels import exposed, left_open
+from kbnitp_ros.core.planning.information_kernels import exposed, Floats, left_open, Places
 import numpy as np
 from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 
 class Reach(NamedTuple):
@@ -346,20 +343,17 @@ def merge(
 ) -> int:
     """Merge two rankings without duplicates: write origins and hashes, return their number."""
     kept = 0
-    for slot in range(by_value.score.size):
-        if by_value.score[slot] > -inf:
-            found[kept], found_mark[kept] = by_value.origin[slot], by_value.mark[slot]
-            kept += 1
-    by_value_only = kept
-    for slot in range(by_heuristic.score.size):
-        if by_heuristic.score[slot] == -inf or kept == found.size:
-            break
-        is_new = True
-        for other in range(by_value_only):
-            is_new = is_new and found_mark[other] != by_heuristic.mark[slot]
-        if is_new:
-            found[kept], found_mark[kept] = by_heuristic.origin[slot], by_heuristic.mark[slot]
-            kept += 1
+    for ranking in (by_value, by_heuristic):
+        before = kept
+        for slot in range(ranking.score.size):
+            if ranking.score[slot] == -inf or kept == found.size:
+                break
+            is_new = True
+            for other in range(before):
+                is_new = is_new and found_mark[other] != ranking.mark[slot]
+            if is_new:
+                found[kept], found_mark[kept] = ranking.origin[slot], ranking.mark[slot]
+                kept += 1
     return kept
 
 
@@ -482,28 +476,6 @@ def search(
             if writes_completions:
                 least = max(least, values[step, slot] - 1.0)
     return origins, values
-
-
-@compiled
-def moment_gains(hazard: Floats, power: Floats, p_log_p: Floats) -> tuple[Floats, Floats]:
-    """Return factors of moments, and terms of the first (:eq:`moment-power`, :eq:`moment-log`)."""
-    max_visits = power.shape[1] - 1
-    moments = np.empty((hazard.size, max_visits, power.shape[2]))
-    spreads = np.empty((hazard.size, max_visits))
-    for cell in range(hazard.size):
-        deadly, safe, before = hazard[cell], 1.0 - hazard[cell], 0.0
-        for n in range(max_visits + 1):
-            mean = safe * power[0, n, 0] + deadly * power[1, n, 0]
-            spread = safe * p_log_p[0, n] + deadly * p_log_p[1, n]
-            spread = spread / mean if mean > 0.0 else 0.0
-            if n > 0:
-                spreads[cell, n - 1] = spread - before
-            before = spread
-            for k in range(power.shape[2] if n > 0 else 0):
-                earlier = safe * power[0, n - 1, k] + deadly * power[1, n - 1, k]
-                moment = safe * power[0, n, k] + deadly * power[1, n, k]
-                moments[cell, n - 1, k] = moment / earlier if earlier > 0.0 else 0.0
-    return moments, spreads
 
 
 @compiled

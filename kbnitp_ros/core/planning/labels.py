@@ -9,20 +9,17 @@ from math import inf
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import powers, times_log
 from kbnitp_ros.core.planning.information import Candidate, DECIMALS
+from kbnitp_ros.core.planning.information_kernels import Floats, Places
 from kbnitp_ros.core.planning.label_kernels import (
     exact_values,
-    Floats,
     Gains,
     LabelProblem,
-    moment_gains,
-    Places,
     Reach,
     search,
     trace_closed,
 )
 from kbnitp_ros.core.planning.objective import (
     BEHAVIORAL_EXPONENTS,
-    camera_rates,
     EXPONENTS,
     Objective,
     powers_weights,
@@ -56,8 +53,8 @@ def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
 
 
 def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
-    """Return the gains of visits in `cells`, shape (n,)."""
-    alpha, hazard = objective.alpha, objective.belief.hazard[cells]
+    """Return the gains of visits in `cells`, (n,) (:eq:`moment-power`, :eq:`moment-log`)."""
+    alpha, deadly = objective.alpha, objective.belief.hazard[cells, None]
     log_survival, read = objective.of_visits(cells, max_visits)
     alive = log_survival[..., 1:] > -np.inf
     with np.errstate(invalid='ignore'):
@@ -65,17 +62,24 @@ def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
         log_ratio = np.where(alive, np.diff(log_survival), 0.0)
     added = np.diff(read) * objective.interest[cells, None]
     survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
-    of_model = _powers(*objective.model.log_survival.tolist(), max_visits, alpha == SHANNON)
-    moment, spread = moment_gains(hazard, *of_model)
+    power, p_log_p = _powers(*objective.model.log_survival.tolist(), max_visits, alpha == SHANNON)
+    moment = (1.0 - deadly[..., None]) * power[0] + deadly[..., None] * power[1]
+    factor = [quotient(moment[:, 1:], moment[:, :-1]), survival]
     if alpha == SHANNON:
         added -= log_ratio
-        factor = [moment, survival]
+        spread = quotient((1.0 - deadly) * p_log_p[0] + deadly * p_log_p[1], moment[..., 0])
+        spread = np.diff(spread)[..., None]
     else:
-        spread = np.zeros_like(spread)
         powers = survival[..., None] ** BEHAVIORAL_EXPONENTS
-        factor = [moment, powers.reshape(*survival.shape[:2], -1), survival]
-    term = [spread[..., None], added.transpose(1, 2, 0)]
+        factor.insert(1, powers.reshape(*survival.shape[:2], -1))
+        spread = np.zeros((cells.size, max_visits, 1))
+    term = [spread, added.transpose(1, 2, 0)]
     return Gains(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
+
+
+def quotient(one: Floats, other: Floats) -> Floats:
+    """Return the quotient of two arrays, 0 where the divisor is 0."""
+    return np.divide(one, other, out=np.zeros_like(one), where=other > 0.0)
 
 
 @lru_cache(maxsize=64)
@@ -92,9 +96,6 @@ def _powers(
 
 # Minimum number of closed paths ranked by exact value; twice the width if that is more.
 MIN_RANKED = 8
-
-# Maximum bytes of a search.
-MAX_MEMORY = 1 << 30
 
 
 def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list[Candidate]:
@@ -132,27 +133,22 @@ def kept_labels(options: SearchOptions) -> int:
 
 
 def label_problem(grid: Grid, objective: Objective, options: SearchOptions) -> LabelProblem:
-    """Return the label search for an objective, checked to fit in memory."""
-    max_steps, max_visits = options.max_steps, min(options.max_visits, options.max_steps)
-    width = kept_labels(options)
-    reach, outcomes = find_reach(grid, max_steps, options.max_distance), objective.outcomes
-    # Number of states of readings after one more robot's visits.
-    own = dict(outcomes.most_readings).get(camera_rates(objective.model), 0) + 1
-    further = outcomes.states // own * (own + max_visits)
-    weight = powers_weights(objective.alpha, outcomes.probability)
-    sizes = outcomes.probability.size, outcomes.states, further, weight.size
-    check_memory(reach, options, *sizes)
-    gains = visit_gains(objective, reach.cells, max_visits)
+    """Return the label search for an objective."""
+    max_steps, chance = options.max_steps, objective.outcomes.probability
+    reach = find_reach(grid, max_steps, options.max_distance)
+    weight = powers_weights(objective.alpha, chance)
+    gains = visit_gains(objective, reach.cells, min(options.max_visits, max_steps))
+    is_beam = kept_labels(options) > 1
     return LabelProblem(
         reach,
         scattered(reach.cells.size, 62 - max_steps.bit_length()),
         gains,
         weight,
-        outcomes.probability,
+        chance,
         objective.loss_cost,
         10.0**DECIMALS,
         # Only a search that keeps several labels of a cell drops labels by this bound.
-        unread_after(gains, weight.size, max_steps) if width > 1 else np.zeros(max_steps + 1),
+        unread_after(gains, weight.size, max_steps) if is_beam else np.zeros(max_steps + 1),
     )
 
 
@@ -198,33 +194,6 @@ def unread_after(gains: Gains, powers: int, max_steps: int) -> Floats:
     place = by_ratio.searchsorted(most)
     bounds: Floats = np.maximum(before[place], most * survived[place])
     return bounds
-
-
-def check_memory(
-    reach: Reach, options: SearchOptions, outcomes: int, earlier: int, further: int, powers: int
-) -> None:
-    """Check that a search fits in memory."""
-    number, rows = 8, kept_labels(options)
-    max_steps, max_visits = options.max_steps, options.max_visits
-    labels, cells = int(reach.start[-1]), reach.cells.size
-    factors_and_terms = powers + 1 + 2 * outcomes
-    estimate = (
-        # The origin of each label, and the completions if labels are kept by a heuristic.
-        labels * (4 * rows + (number * (powers + 5) if rows > 1 else 0))
-        # The labels of two steps, with their hashes and the visits to neighbours.
-        + 2 * int(reach.within.max()) * rows * (number * (factors_and_terms + 2) + 4 * 9)
-        # The gains and the likelihoods of readings during their computation.
-        + 3 * number * cells * min(max_visits, max_steps) * factors_and_terms
-        + 10 * number * further**2
-        # The joint outcomes of robots sent before.
-        + 2 * number * outcomes * cells * (earlier + 4)
-    )
-    if estimate > MAX_MEMORY:
-        raise ValueError(
-            f'planning with max_steps = {max_steps}, a beam width of {options.width} and '
-            f'max_visits = {max_visits} takes about {estimate / 1e9:.1f} GB, and '
-            f'{MAX_MEMORY / 1e9:.1f} GB are allowed: lower one of them'
-        )
 
 
 @lru_cache(maxsize=8)

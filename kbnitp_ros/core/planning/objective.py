@@ -14,13 +14,15 @@ from kbnitp_ros.core.inference.filter import condition, Evidence, known_effects
 from kbnitp_ros.core.planning.information_kernels import (
     coin,
     exposed,
+    Floats,
     left_open,
     new_readings,
+    Places,
     Readings,
 )
 from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 # Powers of :eq:`entropy-powers`; the first exponent is 1, for the predicted survival of a path.
 EXPONENTS = np.array([1.0, 2.026, 3.832, 9.407, 28.14, 101.5, 482.6, 4111.0])
@@ -107,10 +109,10 @@ def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Reading
 
 def new_information(
     readings: Readings,
-    joint: NDArray[np.float64],
-    earlier: NDArray[np.float64],
+    joint: Floats,
+    earlier: Floats,
     alpha: float = SHANNON,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the information of readings in 0, 1, 2, ... visits, given earlier readings."""
     found = np.zeros((*joint.shape[:-2], len(readings.survival)))
     new_readings(
@@ -124,7 +126,7 @@ def new_information(
     return found
 
 
-def positives(camera: Camera, most: int) -> NDArray[np.float64]:
+def positives(camera: Camera, most: int) -> Floats:
     """Return P(k of m readings positive | X = x), indexed [m, k, x] (:eq:`reading-counts`)."""
     m, k = np.ogrid[: most + 1, : most + 1]
     log_factorial = np.array([lgamma(count + 1.0) for count in range(most + 1)])
@@ -132,7 +134,7 @@ def positives(camera: Camera, most: int) -> NDArray[np.float64]:
     read_not, read = SensorModel(0.0, 0.0, 0.0, *camera).log_reading
     log_likelihood = times_log(k[..., None], read)
     log_likelihood = log_likelihood + times_log(np.maximum(m - k, 0)[..., None], read_not)
-    likelihood: NDArray[np.float64] = np.exp(orderings[..., None] + log_likelihood)
+    likelihood: Floats = np.exp(orderings[..., None] + log_likelihood)
     return likelihood * (k <= m)[..., None]
 
 
@@ -151,15 +153,15 @@ class JointOutcomes:
     # The belief before the robots were sent, still valid in cells that they do not visit.
     belief: Belief
     # Probability of each outcome, shape (outcomes,).
-    probability: NDArray[np.float64]
+    probability: Floats
     # The cells that the robots visit, ascending, shape (n,).
-    cells: NDArray[np.intp]
+    cells: Places
     # P(Z = z, X = x) of these cells given the outcome, without the readings; shape (outcomes, n,
     # 2, 2).
-    joint: NDArray[np.float64]
+    joint: Floats
     # Probability of each number of readings by each camera: axes outcomes, cells, and one for each
     # camera, from 0 readings up; 0 or 1 except in merged outcomes.
-    readings: NDArray[np.float64]
+    readings: Floats
     # The cameras of the robots.
     cameras: tuple[Camera, ...] = ()
 
@@ -173,7 +175,7 @@ class JointOutcomes:
         """Return the number of combinations of the cameras' numbers of readings."""
         return prod(self.readings.shape[2:])
 
-    def of_cells(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def of_cells(self, cells: Places) -> tuple[Floats, Floats]:
         """Return the joints and the numbers of readings of any cells, given each outcome."""
         outcomes = self.probability.size
         joint = self.belief.joint[cells][None].repeat(outcomes, 0)
@@ -186,7 +188,7 @@ class JointOutcomes:
         readings[:, here] = self.readings[:, there].reshape(outcomes, there.size, self.states)
         return joint, readings
 
-    def find_places(self, cells: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def find_places(self, cells: Places) -> tuple[Places, Places]:
         """Return the indices in `cells` and in `self.cells` of their common cells, each (k,)."""
         there = np.searchsorted(self.cells, cells)
         here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
@@ -242,7 +244,7 @@ def after_deployment(
     return _merged(JointOutcomes(outcomes.belief, probability, cells, joint, readings, cameras))
 
 
-def _counted(readings: NDArray[np.float64], most: int | None) -> NDArray[np.float64]:
+def _counted(readings: Floats, most: int | None) -> Floats:
     """Sum the probabilities of `most` or more readings by a camera into one count."""
     for axis in range(2, readings.ndim):
         if most is not None and readings.shape[axis] > most + 1:
@@ -271,7 +273,7 @@ def _merged(outcomes: JointOutcomes) -> JointOutcomes:
 BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
 
 
-def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float64]:
+def behavioral_entropy(probability: ArrayLike, alpha: float) -> Floats:
     """Return the behavioral entropy of a coin (:eq:`behavioral-entropy`)."""
     p = np.asarray(probability, dtype=np.float64)
     if alpha == SHANNON:
@@ -281,7 +283,7 @@ def behavioral_entropy(probability: ArrayLike, alpha: float) -> NDArray[np.float
     return np.array(entropy, dtype=np.float64).reshape(p.shape)
 
 
-def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.float64]:
+def powers_weights(alpha: float, chance: Floats) -> Floats:
     """Return the weights of a label's powers in the entropy of the outcome."""
     if alpha == SHANNON:
         return WEIGHTS
@@ -290,7 +292,7 @@ def powers_weights(alpha: float, chance: NDArray[np.float64]) -> NDArray[np.floa
 
 
 @lru_cache(maxsize=16)
-def fit_weights(alpha: float) -> NDArray[np.float64]:
+def fit_weights(alpha: float) -> Floats:
     """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
     # The first weights fit h(p), the second h(p) + (1 - p) ln(1 - p), since the label search adds
     # the surprisal of a loss itself.
@@ -314,7 +316,7 @@ class Objective:
     # Joint outcomes of earlier robots: in flight, or planned earlier in the round.
     outcomes: JointOutcomes
     # Weight of the information of readings in each cell, in [0, 1], shape (cells,).
-    interest: NDArray[np.float64]
+    interest: Floats
     # The cost of a loss of the robot, nats, at least 0.
     loss_cost: float
     # Alpha of the Prelec weight: 1 for Shannon's entropy, other values for behavioral entropies.
@@ -337,20 +339,19 @@ class Objective:
         """Return the joint outcomes after this robot is sent along `path`."""
         return after_deployment(self.outcomes, self.model, path)
 
-    def given(self, outcomes: JointOutcomes) -> Objective:
-        """Return the objective given the joint outcomes of robots sent before."""
-        return replace(self, outcomes=outcomes)
+    def survival(self, path: ArrayLike) -> float:
+        """Return the chance of a return under the belief (:eq:`path-survival`)."""
+        visits = Visits.of(as_path(path))
+        hazard = self.belief.hazard[visits.cells]
+        log_survival = log_predicted_survival(hazard, visits.counts, self.model.log_survival)
+        return float(np.exp(log_survival.sum()))
 
-    def of_visits(
-        self, cells: NDArray[np.intp], most: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def of_visits(self, cells: Places, most: int) -> tuple[Floats, Floats]:
         """Return log survival and readings' information by outcome, cell and number of visits."""
         outcomes, visits = self.outcomes, np.arange(most + 1)
         readings = possible_readings(self.model, most, outcomes.most_readings)
 
-        def given(
-            joint: NDArray[np.float64], earlier: NDArray[np.float64]
-        ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        def given(joint: Floats, earlier: Floats) -> tuple[Floats, Floats]:
             hazard = joint[..., 1, :].sum(axis=-1).clip(max=1.0)[..., None]
             log_survival = log_predicted_survival(hazard, visits, self.model.log_survival)
             return log_survival, new_information(readings, joint, earlier, self.alpha)
@@ -367,7 +368,7 @@ class Objective:
             log_survival[:, here], read[:, here] = given(outcomes.joint[:, there], earlier)
         return log_survival, read
 
-    def evaluate(self, path: ArrayLike) -> tuple[float, NDArray[np.float64]]:
+    def evaluate(self, path: ArrayLike) -> tuple[float, Floats]:
         """
         Return a path's information, nats, and the chance of a return given each joint outcome.
 

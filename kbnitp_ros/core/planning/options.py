@@ -55,8 +55,8 @@ class SearchOptions:
     max_visits : int
         Maximum visits of a path to a cell, at least 1.
     objective : str
-        'information'; 'behavioral', for `behavioral_information`; or 'information_per_loss', for
-        the ratio of information to the expected number of lost robots.
+        'information'; 'behavioral', for behavioral entropies in place of Shannon's; or
+        'information_per_loss', for the ratio of information to the expected number of lost robots.
     alpha : float
         Parameter of the Prelec weight of the behavioral objective, from 0.2 to 5; 1 gives
         Shannon's information.

@@ -17,8 +17,9 @@ from kbnitp_ros.core.field.check import in_short, typed_fields, Value
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.core.planning.information import Candidate
+from kbnitp_ros.core.planning.information_kernels import Floats, Places
 from kbnitp_ros.core.planning.label_kernels import Reach
-from kbnitp_ros.core.planning.labels import best_paths, check_memory, find_reach, MAX_MEMORY
+from kbnitp_ros.core.planning.labels import best_paths, find_reach, kept_labels
 from kbnitp_ros.core.planning.objective import (
     MAX_OUTCOMES,
     most_counted,
@@ -30,12 +31,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+def tour(finder: PathFinder, order: Places | None = None) -> Places:
     """Return a closed path through the least visited cells, by `order` or nearest first."""
     grid, visited = finder.grid, finder.visited
     max_steps, max_visits = finder.options.max_steps, finder.options.max_visits
 
-    def steps_from(cell: int, entered: NDArray[np.intp], *, home: bool) -> NDArray[np.intp]:
+    def steps_from(cell: int, entered: Places, *, home: bool) -> Places:
         """Return the steps through cells that may be entered once more; the base only at last."""
         is_open = grid.free & (entered < max_visits)
         is_open[grid.base] = home
@@ -46,7 +47,7 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
     if wanted.any():
         wanted &= visited == visited[wanted].min()
     path, home = [grid.base], [grid.base]
-    entered: NDArray[np.intp] = np.zeros(grid.cells, dtype=np.intp)
+    entered: Places = np.zeros(grid.cells, dtype=np.intp)
     while wanted.any():
         steps = steps_from(path[-1], entered, home=False)
         in_time = len(path) - 1 + steps + grid.steps_to_base <= max_steps
@@ -67,7 +68,7 @@ def tour(finder: PathFinder, order: NDArray[np.intp] | None = None) -> NDArray[n
     return np.array(path + home, dtype=np.intp)
 
 
-def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
+def way(grid: Grid, steps: Places, target: int) -> list[int]:
     """Return a shortest path to `target`, without its start, given the steps from the start."""
     cells = [target]
     while steps[cells[-1]] > 1:
@@ -80,9 +81,13 @@ def way(grid: Grid, steps: NDArray[np.intp], target: int) -> list[int]:
 ATTEMPTS = 100
 
 
-def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> Places:
     """Draw a closed walk of the maximum number of steps; of fewer if all attempts fail."""
-    ways = ways_home(reach)
+    # The number of walks home by steps and cell, relative to the largest (:eq:`walks`).
+    ways = [np.where(np.arange(reach.cells.size) == 0, 1.0, 0.0)]
+    for _ in range(reach.within.size - 2):
+        onward = np.where(reach.neighbors >= 0, ways[-1][reach.neighbors], 0.0).sum(axis=1)
+        ways.append(onward / onward.max())
     for steps in range(reach.within.size - 1, 1, -1):
         for _ in range(ATTEMPTS):
             walk = one_walk(reach.neighbors, ways[:steps], max_visits, rng)
@@ -91,21 +96,8 @@ def random_walk(reach: Reach, max_visits: int, rng: np.random.Generator) -> NDAr
     return reach.cells[[0, 0]]
 
 
-def ways_home(reach: Reach) -> list[NDArray[np.float64]]:
-    """Return the number of walks home by steps and cell, relative to the largest (:eq:`walks`)."""
-    ways: list[NDArray[np.float64]] = [np.zeros(reach.cells.size)]
-    ways[0][0] = 1.0
-    for _ in range(reach.within.size - 2):
-        onward = np.where(reach.neighbors >= 0, ways[-1][reach.neighbors], 0.0).sum(axis=1)
-        ways.append(onward / onward.max())
-    return ways
-
-
 def one_walk(
-    neighbors: NDArray[np.intp],
-    ways: list[NDArray[np.float64]],
-    max_visits: int,
-    rng: np.random.Generator,
+    neighbors: Places, ways: list[Floats], max_visits: int, rng: np.random.Generator
 ) -> list[int]:
     """Draw a walk, as ranks, weighted by the number of `ways` home; a dead end ends it early."""
     walk, entered = [0], np.zeros(len(neighbors), dtype=np.intp)
@@ -121,15 +113,8 @@ def one_walk(
     return walk
 
 
-def check_walk_memory(reach: Reach) -> None:
-    """Check that the counts of walks home fit in memory."""
-    estimate = 8 * reach.within.size * reach.cells.size
-    if estimate > MAX_MEMORY:
-        raise ValueError(
-            f'random walks of max_steps = {reach.within.size - 1} take about {estimate / 1e9:.1f} '
-            f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: lower max_steps'
-        )
-
+# Maximum bytes of a search.
+MAX_MEMORY = 1 << 30
 
 # The result of a planner.
 A_LIST = 'a list of Candidate.along(path, objective)'
@@ -164,7 +149,7 @@ class PathFinder(Value):
 
     grid: Grid
     options: SearchOptions
-    visited: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    visited: Places = field(default_factory=lambda: np.empty(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
         planner, objective = self.options.planner, self.options.objective
@@ -194,7 +179,7 @@ class PathFinder(Value):
         grid, options = self.grid.at(robot_type.base), self.options.of_type(robot_type)
         return replace(self, grid=grid, options=options)
 
-    def after(self, paths: Sequence[NDArray[np.intp]]) -> PathFinder:
+    def after(self, paths: Sequence[Places]) -> PathFinder:
         """Return the finder with the visits of these paths added, each of shape (steps + 1,)."""
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
 
@@ -206,7 +191,7 @@ class PathFinder(Value):
             if planner not in PLANNERS.own:
                 candidates = self._checked(candidates)
         if least := self.options.minimum_survival:
-            candidates = [each for each in candidates if each.survival(objective) >= least]
+            candidates = [each for each in candidates if objective.survival(each.path) >= least]
         if not candidates:
             raise NoPathError(
                 f'no path was found that a robot survives with minimum_survival = {least}: '
@@ -214,7 +199,7 @@ class PathFinder(Value):
             )
         return candidates
 
-    def check_path(self, path: ArrayLike) -> NDArray[np.intp]:
+    def check_path(self, path: ArrayLike) -> Places:
         """Return a path as an array of cells, shape (steps + 1,), checked against the limits."""
         options = self.options
         cells = self.grid.check_path(path, options.max_steps, options.max_distance)
@@ -245,24 +230,48 @@ class PathFinder(Value):
             raise PLANNERS.fault(planner, f'returns an invalid path: {error}') from error
 
     def check_memory(self, robots: int, cameras: int) -> None:
-        """Check that a search for one of several robots fits in the allowed memory."""
-        options = self.options
+        """Check that a search for one of several robots fits in memory."""
+        options, number = self.options, 8
+        max_steps, max_visits = options.max_steps, options.max_visits
         if options.planner not in ('relaxed', 'beam', 'random'):
             return
-        reach = find_reach(self.grid, options.max_steps, options.max_distance)
+        reach = find_reach(self.grid, max_steps, options.max_distance)
+        labels, cells = int(reach.start[-1]), reach.cells.size
         if options.planner == 'random':
-            check_walk_memory(reach)
-            return
-        if options.planner == 'relaxed':
-            options = replace(options, width=1)
-        # Limited, to avoid huge powers of two.
-        outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
-        visits = min(options.max_visits, options.max_steps)
-        counts = (robots - 1) * visits
-        counts = 1 + min(counts, most_counted(cameras) or counts)
-        further = counts ** (cameras - 1) * (counts + visits)
-        powers = powers_weights(options.alpha, np.ones(outcomes)).size
-        check_memory(reach, options, outcomes, counts**cameras, further, powers)
+            what, lower = f'random walks of max_steps = {max_steps} take', 'max_steps'
+            estimate = number * reach.within.size * cells
+        else:
+            options = replace(options, width=1) if options.planner == 'relaxed' else options
+            what, lower = (
+                (
+                    f'planning with max_steps = {max_steps}, a beam width of {options.width} and '
+                    f'max_visits = {max_visits} takes'
+                ),
+                'one of them',
+            )
+            rows, visits = kept_labels(options), min(max_visits, max_steps)
+            # Limited, to avoid huge powers of two.
+            outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
+            counts = (robots - 1) * visits
+            counts = 1 + min(counts, most_counted(cameras) or counts)
+            powers = powers_weights(options.alpha, np.ones(outcomes)).size
+            factors_and_terms = powers + 1 + 2 * outcomes
+            estimate = (
+                # The origin of each label, and the completions if labels are kept by a heuristic.
+                labels * (4 * rows + (number * (powers + 5) if rows > 1 else 0))
+                # The labels of two steps, with their hashes and the visits to neighbours.
+                + 2 * int(reach.within.max()) * rows * (number * (factors_and_terms + 2) + 4 * 9)
+                # The gains and the likelihoods of readings during their computation.
+                + 3 * number * cells * visits * factors_and_terms
+                + 10 * number * (counts ** (cameras - 1) * (counts + visits)) ** 2
+                # The joint outcomes of robots sent before.
+                + 2 * number * outcomes * cells * (counts**cameras + 4)
+            )
+        if estimate > MAX_MEMORY:
+            raise ValueError(
+                f'{what} about {estimate / 1e9:.1f} GB, and {MAX_MEMORY / 1e9:.1f} GB are '
+                f'allowed: lower {lower}'
+            )
 
 
 def check_distance(grid: Grid, options: SearchOptions) -> None:
@@ -281,7 +290,7 @@ def check_distance(grid: Grid, options: SearchOptions) -> None:
         )
 
 
-def count_visits(grid: Grid, paths: Sequence[NDArray[np.intp]]) -> NDArray[np.intp]:
+def count_visits(grid: Grid, paths: Sequence[Places]) -> Places:
     """Count the visits to each cell, (cells,), by paths, each of shape (steps + 1,)."""
     entered = [path[1:] for path in paths] or [np.empty(0, dtype=np.intp)]
     return np.bincount(np.concatenate(entered), minlength=grid.cells)
@@ -300,7 +309,6 @@ def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk; equal beliefs and earlier visits give equal walks."""
     reach = find_reach(finder.grid, finder.options.max_steps)
-    check_walk_memory(reach)
     known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
     rng = np.random.default_rng(np.frombuffer(known, dtype='<u4'))
     return [Candidate.along(random_walk(reach, finder.options.max_visits, rng), objective)]

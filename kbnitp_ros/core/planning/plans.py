@@ -13,6 +13,7 @@ from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.information import team_information
+from kbnitp_ros.core.planning.information_kernels import Places
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     camera_rates,
@@ -26,7 +27,7 @@ from kbnitp_ros.core.planning.planners import check_distance, PathFinder
 from kbnitp_ros.core.planning.regions import divide, without
 from kbnitp_ros.plugins import Registry, takes
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +49,7 @@ class Plan(Value):
 
     """
 
-    path: NDArray[np.intp]
+    path: Places
     information: float
     survival: float
     gain: float | None = None
@@ -57,7 +58,7 @@ class Plan(Value):
         object.__setattr__(self, 'path', read_only(self.path))
 
     @classmethod
-    def along(cls, path: NDArray[np.intp], belief: Belief, model: SensorModel) -> Plan:
+    def along(cls, path: Places, belief: Belief, model: SensorModel) -> Plan:
         """Return the plan of `path`, shape (steps + 1,)."""
         information, survival = Objective.of(belief, model).evaluate(path)
         return cls(path, information, float(survival[0]))
@@ -80,17 +81,8 @@ def plan(
 
     Parameters
     ----------
-    grid : Grid
-        The field.
-    belief : Belief
-        Belief about the field.
-    model : SensorModel
-        Believed sensor model of the robot.
-    options : SearchOptions
-        The planner, the limits of the path, and the objective.
-    visited : array_like of int, shape (cells,), optional
-        Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
-        default.
+    grid, belief, model, options, visited
+        As for `plan_team`.
 
     Returns
     -------
@@ -99,11 +91,8 @@ def plan(
 
     Raises
     ------
-    NoPathError
-        If no path with the minimum survival is found.
-    ValueError
-        If the planner does not support the objective or the limit of distance, the distance allows
-        no step, or belief and grid have different numbers of cells.
+    NoPathError, ValueError
+        As in `plan_team`.
 
     """
     (found,) = plan_team(grid, belief, model, Team(), options, visited=visited)
@@ -133,23 +122,23 @@ class TeamMember:
         return cls(own, Objective.of(belief, robot_type.model(model), own.options, outcomes))
 
 
-def independent(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+def independent(robots: Sequence[TeamMember]) -> list[Places]:
     """Return the path that each robot would take alone, the same for robots of equal type."""
     nobody = nobody_deployed(robots[0].objective.belief)
     paths = {
-        robot: robot.finder.candidates(robot.objective.given(nobody))[0].path
+        robot: robot.finder.candidates(replace(robot.objective, outcomes=nobody))[0].path
         for robot in dict.fromkeys(robots)
     }
     return [paths[robot] for robot in robots]
 
 
-def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+def greedy(robots: Sequence[TeamMember]) -> list[Places]:
     """Return paths, each planned given the joint outcomes of the paths before it."""
     first, *others = robots
     objective = first.objective
     paths = [first.finder.candidates(objective)[0].path]
     for robot in others:
-        objective = robot.objective.given(objective.after(paths[-1]))
+        objective = replace(robot.objective, outcomes=objective.after(paths[-1]))
         paths.append(robot.finder.after(paths).candidates(objective)[0].path)
     return paths
 
@@ -158,7 +147,7 @@ def greedy(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
 ELSEWHERE = 0.1
 
 
-def divided(robots: Sequence[TeamMember]) -> NDArray[np.intp]:
+def divided(robots: Sequence[TeamMember]) -> Places:
     """Divide the field into regions of about equal entropy; return each cell's robot or -1."""
     belief = robots[0].objective.belief
     in_reach = {
@@ -173,7 +162,7 @@ def divided(robots: Sequence[TeamMember]) -> NDArray[np.intp]:
     return divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
 
 
-def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
+def voronoi(robots: Sequence[TeamMember]) -> list[Places]:
     """Return paths, each planned for information in its robot's region."""
     owner, paths = divided(robots), []
     for number, robot in enumerate(robots):
@@ -183,7 +172,7 @@ def voronoi(robots: Sequence[TeamMember]) -> list[NDArray[np.intp]]:
     return paths
 
 
-Allocation = Callable[[Sequence[TeamMember]], list[NDArray[np.intp]]]
+Allocation = Callable[[Sequence[TeamMember]], list[Places]]
 
 
 ALLOCATIONS: Registry[Allocation] = Registry(
@@ -197,9 +186,7 @@ ALLOCATIONS: Registry[Allocation] = Registry(
 )
 
 
-def allocated(
-    allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
-) -> list[NDArray[np.intp]]:
+def allocated(allocation: str | Callable[..., Any], robots: Sequence[TeamMember]) -> list[Places]:
     """Return a path for each robot, checked against the rules of allocations."""
     with ALLOCATIONS.blamed(allocation):
         paths = ALLOCATIONS.find(allocation)(robots)
@@ -267,15 +254,17 @@ def plan_team(
     *,
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
-    keepout: Sequence[int] | NDArray[np.intp] = (),
+    keepout: Sequence[int] | Places = (),
 ) -> list[Plan]:
     """
     Plan a round: a closed path for each of several robots that leave together.
 
     Parameters
     ----------
-    grid, belief, visited
-        As for `plan`.
+    grid : Grid
+        The field.
+    belief : Belief
+        Belief about the field.
     model : SensorModel
         Believed sensor model of the common robot type.
     team : Team
@@ -285,6 +274,9 @@ def plan_team(
     in_flight : sequence of (array_like of int, RobotType)
         The path, shape (steps + 1,), and the type of each robot in flight. All allocations but
         'independent' plan for the information added to the outcomes of these robots.
+    visited : array_like of int, shape (cells,), optional
+        Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
+        default.
     keepout : sequence of int
         Cells that no robot may enter, in addition to blocked cells.
 
@@ -296,10 +288,14 @@ def plan_team(
 
     Raises
     ------
+    NoPathError
+        If no path with the minimum survival is found.
     ValueError
-        As in `plan`; also if the allocation is unknown, there are more robots than free cells, a
-        path in flight is invalid, a base is not one of the grid's, or the robots have too many
-        different cameras.
+        If belief and grid have different numbers of cells, the planner does not support the
+        objective or the limit of distance, the distance allows no step, the allocation is unknown,
+        there are more robots than free cells, a path in flight is invalid, a base is not one of
+        the grid's, the robots have too many different cameras, or the search needs too much
+        memory.
 
     """
     ALLOCATIONS.find(team.allocation)
@@ -307,11 +303,11 @@ def plan_team(
         raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
     in_use = without(grid, keepout)
     team_size(in_use, team.agents)
+    finder = PathFinder(grid, options, np.asarray(visited))
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
-    check_cameras(len({camera_rates(robot_type.model(model)) for robot_type in types}))
-    finder = PathFinder(in_use, options, np.asarray(visited))
-    for robot_type in dict.fromkeys(team.types):
-        check_distance(grid.at(robot_type.base), options.of_type(robot_type))
+    cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
+    check_searches(finder, team.types, len(in_flight) + team.agents, len(cameras))
+    finder = replace(finder, grid=in_use)
     outcomes = nobody_deployed(belief)
     for path, robot_type in in_flight:
         cells = grid.at(robot_type.base).check_path(path)
@@ -364,11 +360,18 @@ def most_per_loss(at_cost: Callable[[float], tuple[list[Plan], float, float]]) -
 def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
     """Check that the search for a team fits in the allowed memory."""
     # Robot types that set no rates of the camera share the common camera.
-    cameras = len({(each.true_positive, each.false_positive) for each in types})
+    cameras = {(each.true_positive, each.false_positive) for each in types}
+    check_searches(finder, types, len(types), len(cameras))
+
+
+def check_searches(
+    finder: PathFinder, types: Sequence[RobotType], robots: int, cameras: int
+) -> None:
+    """Check the searches for robots of these types, among all robots planned for or in flight."""
     check_cameras(cameras)
     for own in map(finder.of_type, dict.fromkeys(types)):
         check_distance(own.grid, own.options)
-        own.check_memory(len(types), cameras)
+        own.check_memory(robots, cameras)
 
 
 def team_size(grid: Grid, agents: int) -> int:

@@ -7,24 +7,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.planning.information_kernels import Floats, Places
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def nested_regions(grid: Grid, path: ArrayLike) -> list[NDArray[np.intp]]:
+def nested_regions(grid: Grid, path: ArrayLike) -> list[Places]:
     """Return regions around the far end of a path, the largest first."""
-    cells = np.unique(np.asarray(path, dtype=np.intp))
+    cells = np.unique(path)
     steps = grid.at(int(np.asarray(path)[0])).steps_to_base
     farthest = cells[[np.argmax(steps[cells])]]
 
-    def far(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-        kept: NDArray[np.intp] = cells[2 * steps[cells] > steps[farthest]]
+    def far(cells: Places) -> Places:
+        kept: Places = cells[2 * steps[cells] > steps[farthest]]
         return kept[~np.isin(kept, list(grid.bases))]
 
-    def around(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-        neighbors: list[NDArray[np.intp]] = [grid.neighbors(cell) for cell in cells]
-        together: NDArray[np.intp] = np.unique(np.concatenate([cells, *neighbors]))
-        return together
+    def around(cells: Places) -> Places:
+        together: Places = np.unique(grid.neighbor_table[cells])
+        return together[together >= 0]
 
     half = far(cells)
     return [far(around(half)), half, far(around(farthest)), far(farthest)]
@@ -42,31 +42,28 @@ def keepout_cells(
     bases: Sequence[int | None],
     rounds: Sequence[Sequence[ArrayLike]],
     max_distance: float = 0.0,
-) -> NDArray[np.intp]:
+) -> Places:
     """Return the cells that the next round must avoid, given the operator's refused rounds."""
 
-    def left(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the number of cells in reach of each base and, last, of at least one base."""
+    def left(cells: Places) -> tuple[int, int]:
+        """Return the least number of cells in reach of a base, and the number of any base."""
         open_grid = without(grid, cells)
         in_reach = [
             open_grid.at(base).in_reach(max_steps, max_distance) for base in dict.fromkeys(bases)
         ]
-        in_reach.append(np.any(in_reach, axis=0))
-        sizes: NDArray[np.intp] = np.sum(in_reach, axis=1)
-        return sizes
+        return min(each.sum() for each in in_reach), np.any(in_reach, axis=0).sum()
 
-    in_reach = left(np.empty(0, dtype=np.intp))[-1]
-    kept: NDArray[np.intp] = np.empty(0, dtype=np.intp)
+    kept: Places = np.empty(0, dtype=np.intp)
+    _, in_reach = left(kept)
     for paths in rounds:
         sizes = [
             np.unique(np.concatenate(each))
             for each in zip(*(nested_regions(grid, path) for path in paths))
         ]
         for cells in (*(np.union1d(kept, size) for size in sizes), *sizes, kept[:0]):
-            *of_each, of_all = left(cells).tolist()
+            of_one, of_any = left(cells)
             # A base is always in reach of itself.
-            is_enough = of_all > len(bases) and min(of_each) > 1
-            if is_enough and 2 * of_all > in_reach - cells.size:
+            if of_any > len(bases) and of_one > 1 and 2 * of_any > in_reach - cells.size:
                 break
         kept = cells
     return kept
@@ -82,10 +79,10 @@ TURN = 0.05
 
 def divide(
     grids: Sequence[Grid],
-    cells: NDArray[np.intp],
-    entropy: NDArray[np.float64],
+    cells: Places,
+    entropy: Floats,
     reach: NDArray[np.bool_],
-) -> NDArray[np.intp]:
+) -> Places:
     """Return each cell's region, or -1; regions have about equal entropy (:eq:`power-diagram`)."""
     width, parts = grids[0].width, reach.shape[1]
     row, col = np.divmod(cells, width)
@@ -119,7 +116,7 @@ def divide(
 
 
 def _sector_centres(
-    place: NDArray[np.complex128], mass: NDArray[np.float64], parts: int
+    place: NDArray[np.complex128], mass: Floats, parts: int
 ) -> NDArray[np.complex128]:
     """Divide the plane around 0 into sectors of about equal mass; return centres, 0 if empty."""
     order = np.argsort(np.angle(place), kind='stable')
@@ -132,7 +129,7 @@ def _sector_centres(
     return centres
 
 
-def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.float64]) -> float:
+def _weight_for(share: float, margin: Floats, mass: Floats) -> float:
     """Return the weight with which a site's region has about `share` of the mass."""
     share -= float(mass[margin == -np.inf].sum())
     is_open = np.isfinite(margin)
@@ -146,11 +143,9 @@ def _weight_for(share: float, margin: NDArray[np.float64], mass: NDArray[np.floa
     return float((edges[taken] + edges[taken + 1]) / 2.0)
 
 
-def _regions(
-    power: NDArray[np.float64], mass: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], float]:
+def _regions(power: Floats, mass: Floats) -> tuple[Places, float]:
     """Return the region of each place, and the fullest region's relative excess over the mean."""
-    owner: NDArray[np.intp] = power.argmin(axis=1)
+    owner: Places = power.argmin(axis=1)
     held = np.bincount(owner, mass, power.shape[1]).astype(np.float64)
     mean = held.mean()
     return owner, float(held.max() / mean - 1.0) if mean > 0.0 else 0.0

@@ -9,7 +9,6 @@ from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import (
-    behavioral_information,
     Belief,
     Grid,
     path_information,
@@ -81,7 +80,7 @@ def case_of_alpha(seed):
 def test_the_value_is_the_expected_fall_of_the_entropies(seed, alpha):
     joint, model, path = case_of_alpha(seed)
     expected = brute_force.behavioral_information(joint, model, path, alpha)
-    found = behavioral_information(Belief(joint), model, path, alpha)
+    found = path_information(Belief(joint), model, path, alpha)
     assert found == pytest.approx(expected, rel=0, abs=1e-9)
 
 
@@ -91,7 +90,7 @@ def test_at_alpha_1_it_is_the_information(seed):
     belief = Belief(joint)
     information = path_information(belief, model, path)
     for alpha in (1.0, 1.0 - 1e-9, 1.0 + 1e-9):
-        found = behavioral_information(belief, model, path, alpha)
+        found = path_information(belief, model, path, alpha)
         assert found == pytest.approx(information, rel=0, abs=1e-7 if alpha != 1.0 else 1e-12)
 
 
@@ -103,7 +102,8 @@ def test_at_alpha_1_robots_in_flight_count_as_for_the_information(seed):
     before, path = (brute_force.random_path(rng, 3, 3, 0, 5) for _ in range(2))
     outcomes = after_deployment(nobody_deployed(belief), model, before)
     expected, _ = Objective.of(belief, model, outcomes=outcomes).evaluate(path)
-    found = behavioral_information(belief, model, path, 1.0, outcomes)
+    options = SearchOptions(objective='behavioral', alpha=1.0)
+    found, _ = Objective.of(belief, model, options, outcomes).evaluate(path)
     assert found == pytest.approx(expected, rel=0, abs=1e-9)
 
 
@@ -117,7 +117,7 @@ def test_the_entropy_is_concave_up_to_alpha_1_only(alpha):
 @settings(max_examples=1000 if FULL else 100, deadline=None)
 def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
     joint, model, path = case_of_alpha(seed)
-    assert behavioral_information(Belief(joint), model, path, alpha) > -1e-9
+    assert path_information(Belief(joint), model, path, alpha) > -1e-9
 
 
 @cache
@@ -132,7 +132,7 @@ def best_of_all(seed, alpha):
     belief = Belief(brute_force.random_joint(rng, 9, 0))
     model = SensorModel(float(rng.choice([0.1, 0.5, 0.9])))
     paths = every_path()
-    return belief, model, max(behavioral_information(belief, model, p, alpha) for p in paths)
+    return belief, model, max(path_information(belief, model, p, alpha) for p in paths)
 
 
 @pytest.mark.slow
@@ -143,7 +143,7 @@ def test_the_search_comes_close_to_the_best_of_all_paths(alpha, planner, record_
     for seed in range(20 if FULL else 1):
         belief, model, best = best_of_all(seed, alpha)
         found = plan(Grid(3, 3), belief, model, options)
-        worth = behavioral_information(belief, model, found.path, alpha)
+        worth = path_information(belief, model, found.path, alpha)
         assert worth <= best + 1e-9
         least = min(least, worth / best)
     record_property('least', least)
