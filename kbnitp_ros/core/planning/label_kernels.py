@@ -78,20 +78,13 @@ class LabelProblem(NamedTuple):
     unread: Floats
 
 
-class Products(NamedTuple):
-    """Products and sums of labels."""
+class Labels(NamedTuple):
+    """The labels of one step. Each cell has `width` rows; its first `kept` rows are in use."""
 
     # Moments, then survivals by outcome: products of `Gains.factor`, (rows, powers + outcomes).
     factor: Floats
     # Sums of `Gains.term`, shape (rows, 1 + outcomes).
     term: Floats
-
-
-class Labels(NamedTuple):
-    """The labels of one step. Each cell has `width` rows; its first `kept` rows are in use."""
-
-    # Products and sums of the label in each row.
-    products: Products
     # Sum of the cells' hashes over a label's visits, shape (rows,).
     mark: NDArray[np.int64]
     # Length of each label, metres, as in `Reach.length`, shape (rows,).
@@ -141,9 +134,9 @@ def hoped_value(
 
 
 @compiled
-def label_value(products: Products, row: int, problem: LabelProblem) -> float:
+def label_value(labels: Labels, row: int, problem: LabelProblem) -> float:
     """Return the value of a label (:eq:`label-value`, :eq:`entropy-powers`, :eq:`moment-log`)."""
-    factor, term = products.factor, products.term
+    factor, term = labels.factor, labels.term
     weight, chance = problem.weight, problem.chance
     left_open = -factor[row, 0] * term[row, 0]
     for k in range(weight.size):
@@ -161,19 +154,13 @@ def label_value(products: Products, row: int, problem: LabelProblem) -> float:
 
 @inlined
 def visit(
-    products: Products, row: int, gains: Gains, rank: int, before: int, to: Products, to_row: int
+    labels: Labels, row: int, gains: Gains, rank: int, before: int, to: Labels, to_row: int
 ) -> None:
     """Write a label extended by a visit to a cell (:eq:`moment-power`, :eq:`moment-log`)."""
-    for k in range(products.factor.shape[1]):
-        to.factor[to_row, k] = products.factor[row, k] * gains.factor[rank, before, k]
-    for k in range(products.term.shape[1]):
-        to.term[to_row, k] = products.term[row, k] + gains.term[rank, before, k]
-
-
-@compiled
-def new_products(rows: int, gains: Gains) -> Products:
-    """Return empty arrays for the factors and terms of `rows` labels."""
-    return Products(np.empty((rows, gains.factor.shape[2])), np.empty((rows, gains.term.shape[2])))
+    for k in range(to.factor.shape[1]):
+        to.factor[to_row, k] = labels.factor[row, k] * gains.factor[rank, before, k]
+    for k in range(to.term.shape[1]):
+        to.term[to_row, k] = labels.term[row, k] + gains.term[rank, before, k]
 
 
 @compiled
@@ -181,7 +168,8 @@ def new_labels(cells: int, width: int, gains: Gains) -> Labels:
     """Return empty arrays for the labels of one step."""
     rows = cells * width
     return Labels(
-        new_products(rows, gains),
+        np.empty((rows, gains.factor.shape[2])),
+        np.empty((rows, gains.term.shape[2])),
         np.zeros(rows, np.int64),
         np.zeros(rows),
         np.zeros((rows, 9), np.int32),
@@ -251,7 +239,7 @@ def find_best(
     gain_factor, gain_term = gains.factor, gains.term
     weight, chance = problem.weight, problem.chance
     loss_cost, units, unread = problem.loss_cost, problem.units, problem.unread[step]
-    factor, term = labels.products.factor, labels.products.term
+    factor, term = labels.factor, labels.term
     mark, seen, kept = labels.mark, labels.seen, labels.kept
     score, heuristic = by_value.score, by_heuristic.score
     powers, max_visits = weight.size, gain_factor.shape[1]
@@ -368,7 +356,7 @@ def write_completions(
 ) -> None:
     """Write the best completion of at most `step` steps from each cell, and its value."""
     reach, weight, chance = problem.reach, problem.weight, problem.chance
-    factor, term = labels.products.factor, labels.products.term
+    factor, term = labels.factor, labels.term
     # Of the last visit, to the base.
     last_factor, last_term = problem.gains.factor[0, 0], problem.gains.term[0, 0]
     powers = weight.size
@@ -435,7 +423,7 @@ def search(
     values = np.full((max_steps + 1, width), -inf)
     labels, after = new_labels(within.max(), width, gains), new_labels(within.max(), width, gains)
     # Label of no steps, at the base.
-    labels.products.factor[0], labels.products.term[0], labels.kept[0] = 1.0, 0.0, 1
+    labels.factor[0], labels.term[0], labels.kept[0] = 1.0, 0.0, 1
     by_value = new_ranking(width - width // 2)
     by_heuristic = new_ranking(width if width > 1 else 0)
     found, found_mark = np.empty(width, np.int64), np.empty(width, np.int64)
@@ -462,7 +450,7 @@ def search(
                 column = found[slot] & 15
                 row, to = neighbors[rank, column] * width + (found[slot] >> 4), rank * width + slot
                 before = labels.seen[row, 8 - column]
-                visit(labels.products, row, gains, rank, before, after.products, to)
+                visit(labels, row, gains, rank, before, after, to)
                 after.mark[to] = found_mark[slot]
                 after.length[to] = labels.length[row] + reach.length[column]
                 origins[reach.start[step] + rank, slot] = found[slot]
@@ -472,7 +460,7 @@ def search(
                         after.seen[to, column] = visits[neighbors[rank, column]]
         labels, after = after, labels
         for slot in range(labels.kept[0]):
-            values[step, slot] = label_value(labels.products, slot, problem)
+            values[step, slot] = label_value(labels, slot, problem)
             if writes_completions:
                 least = max(least, values[step, slot] - 1.0)
     return origins, values
@@ -493,7 +481,7 @@ def trace_closed(
 
 
 @compiled
-def take(path: Places, gains: Gains, visits: Places, to: Products) -> None:
+def take(path: Places, gains: Gains, visits: Places, to: Labels) -> None:
     """Write the label of a path of ranks from the base into row 0."""
     visits[:] = 0
     to.factor[0], to.term[0] = 1.0, 0.0
@@ -514,14 +502,14 @@ def exact_values(
     """Return the exact values of closed paths, nats (:eq:`objective-value`)."""
     chance, powers = problem.chance, problem.weight.size
     values = np.empty(steps.size)
-    products, visits = new_products(1, problem.gains), np.empty(hazard.size, np.int64)
+    label, visits = new_labels(1, 1, problem.gains), np.empty(hazard.size, np.int64)
     for k in range(steps.size):
         path = paths[k, : steps[k] + 1]
-        take(path, problem.gains, visits, products)
+        take(path, problem.gains, visits, label)
         value = -problem.loss_cost
         for outcome in range(chance.size):
-            survival = products.factor[0, powers + outcome]
-            readings = products.term[0, 1 + outcome] + problem.loss_cost
+            survival = label.factor[0, powers + outcome]
+            readings = label.term[0, 1 + outcome] + problem.loss_cost
             value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
         chances, log_survival = exposed(path[1:], hazard, log_safe, log_deadly)
         values[k] = value - left_open(chances, log_survival, 1.0, 1.0)

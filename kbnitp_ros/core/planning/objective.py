@@ -81,7 +81,6 @@ def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Reading
     """Return the possible readings in up to `visits` visits, after up to `earlier` readings."""
     own = camera_rates(model)
     most = dict(earlier)
-    before = tuple(count + 1 for count in most.values())
     most[own] = most.get(own, 0) + visits
     tables = [positives(camera, count) for camera, count in most.items()]
     counts = np.indices([count + 1 for count in most.values()]).reshape(len(most), -1).T
@@ -94,9 +93,7 @@ def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Reading
             row = (row[:, None] * table[count, : count + 1]).reshape(-1, 2)
         likelihood[state, : len(row)] = row
     places = np.arange(len(counts)).reshape([count + 1 for count in most.values()])
-    start = places[tuple(slice(size) for size in before)]
-    if own not in dict(earlier):
-        start = start[..., 0]
+    start = places[tuple(slice(dict(earlier).get(camera, 0) + 1) for camera in most)]
     further = places.strides[list(most).index(own)] // places.itemsize
     return Readings(
         survival=np.exp(times_log(np.arange(visits + 1)[:, None], model.log_survival)),
@@ -181,18 +178,13 @@ class JointOutcomes:
         joint = self.belief.joint[cells][None].repeat(outcomes, 0)
         readings = np.zeros((outcomes, cells.size, self.states))
         readings[:, :, 0] = 1.0
-        if not self.cells.size:
-            return joint, readings
-        here, there = self.find_places(cells)
-        joint[:, here] = self.joint[:, there]
-        readings[:, here] = self.readings[:, there].reshape(outcomes, there.size, self.states)
+        if self.cells.size:
+            there = np.searchsorted(self.cells, cells)
+            here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
+            there = there[here]
+            joint[:, here] = self.joint[:, there]
+            readings[:, here] = self.readings[:, there].reshape(outcomes, there.size, self.states)
         return joint, readings
-
-    def find_places(self, cells: Places) -> tuple[Places, Places]:
-        """Return the indices in `cells` and in `self.cells` of their common cells, each (k,)."""
-        there = np.searchsorted(self.cells, cells)
-        here = np.flatnonzero(np.append(self.cells, -1)[there] == cells)
-        return here, there[here]
 
 
 def nobody_deployed(belief: Belief) -> JointOutcomes:
@@ -348,25 +340,11 @@ class Objective:
 
     def of_visits(self, cells: Places, most: int) -> tuple[Floats, Floats]:
         """Return log survival and readings' information by outcome, cell and number of visits."""
-        outcomes, visits = self.outcomes, np.arange(most + 1)
-        readings = possible_readings(self.model, most, outcomes.most_readings)
-
-        def given(joint: Floats, earlier: Floats) -> tuple[Floats, Floats]:
-            hazard = joint[..., 1, :].sum(axis=-1).clip(max=1.0)[..., None]
-            log_survival = log_predicted_survival(hazard, visits, self.model.log_survival)
-            return log_survival, new_information(readings, joint, earlier, self.alpha)
-
-        nothing_read = np.zeros((cells.size, outcomes.states))
-        nothing_read[:, 0] = 1.0
-        log_survival, read = (
-            each[None].repeat(outcomes.probability.size, 0)
-            for each in given(self.belief.joint[cells], nothing_read)
-        )
-        if outcomes.cells.size:
-            here, there = outcomes.find_places(cells)
-            _, earlier = outcomes.of_cells(cells[here])
-            log_survival[:, here], read[:, here] = given(outcomes.joint[:, there], earlier)
-        return log_survival, read
+        readings = possible_readings(self.model, most, self.outcomes.most_readings)
+        joint, earlier = self.outcomes.of_cells(cells)
+        hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None]
+        log_survival = log_predicted_survival(hazard, np.arange(most + 1), self.model.log_survival)
+        return log_survival, new_information(readings, joint, earlier, self.alpha)
 
     def evaluate(self, path: ArrayLike) -> tuple[float, Floats]:
         """

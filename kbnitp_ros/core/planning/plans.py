@@ -150,16 +150,12 @@ ELSEWHERE = 0.1
 def divided(robots: Sequence[TeamMember]) -> Places:
     """Divide the field into regions of about equal entropy; return each cell's robot or -1."""
     belief = robots[0].objective.belief
-    in_reach = {
-        robot: robot.finder.grid.in_reach(
-            robot.finder.options.max_steps, robot.finder.options.max_distance
-        )
-        for robot in dict.fromkeys(robots)
-    }
-    reach = np.stack([in_reach[robot] for robot in robots], axis=1)
+    searches = [(robot.finder.grid, robot.finder.options) for robot in robots]
+    in_reach = [grid.in_reach(each.max_steps, each.max_distance) for grid, each in searches]
+    reach = np.stack(in_reach, axis=1)
     cells = np.flatnonzero(reach.any(axis=1))
     entropy = surprisal(belief.joint[cells]).sum(axis=(1, 2))
-    return divide([robot.finder.grid for robot in robots], cells, entropy, reach[cells])
+    return divide([grid for grid, _ in searches], cells, entropy, reach[cells])
 
 
 def voronoi(robots: Sequence[TeamMember]) -> list[Places]:
@@ -306,7 +302,7 @@ def plan_team(
     finder = PathFinder(grid, options, np.asarray(visited))
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
     cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
-    check_searches(finder, team.types, len(in_flight) + team.agents, len(cameras))
+    check_team(finder, team.types, len(in_flight), len(cameras))
     finder = replace(finder, grid=in_use)
     outcomes = nobody_deployed(belief)
     for path, robot_type in in_flight:
@@ -357,21 +353,16 @@ def most_per_loss(at_cost: Callable[[float], tuple[list[Plan], float, float]]) -
     return best
 
 
-def check_team(finder: PathFinder, types: Sequence[RobotType]) -> None:
+def check_team(
+    finder: PathFinder, types: Sequence[RobotType], in_flight: int = 0, cameras: int = 0
+) -> None:
     """Check that the search for a team fits in the allowed memory."""
     # Robot types that set no rates of the camera share the common camera.
-    cameras = {(each.true_positive, each.false_positive) for each in types}
-    check_searches(finder, types, len(types), len(cameras))
-
-
-def check_searches(
-    finder: PathFinder, types: Sequence[RobotType], robots: int, cameras: int
-) -> None:
-    """Check the searches for robots of these types, among all robots planned for or in flight."""
+    cameras = cameras or len({(each.true_positive, each.false_positive) for each in types})
     check_cameras(cameras)
     for own in map(finder.of_type, dict.fromkeys(types)):
         check_distance(own.grid, own.options)
-        own.check_memory(robots, cameras)
+        own.check_memory(in_flight + len(types), cameras)
 
 
 def team_size(grid: Grid, agents: int) -> int:

@@ -20,8 +20,8 @@ from kbnitp_ros.core import (
     SearchOptions,
     SensorModel,
 )
-from kbnitp_ros.core.planning import labels, planners
-from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_products, take
+from kbnitp_ros.core.planning import labels
+from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_labels, take
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     ERROR,
@@ -34,7 +34,6 @@ from kbnitp_ros.core.planning.plans import check_team
 from laws import for_each
 import numpy as np
 import pytest
-from rounds import plan_round
 
 # Plans without numba take seconds.
 LETHALITIES = (0.0, 0.5, 1.0) if FULL else (0.5,)
@@ -108,7 +107,7 @@ def test_labels_have_the_values_of_their_paths(seed):
     objective = Objective.of(belief, model, options)
     problem = labels.label_problem(grid, objective, options)
     rank = np.argsort(problem.reach.cells)
-    products = new_products(1, problem.gains)
+    products = new_labels(1, 1, problem.gains)
     visits = np.empty(12, dtype=np.int64)
     for _ in range(10):
         path = brute_force.random_path(rng, 4, 3, 5, int(rng.integers(1, 9)))
@@ -192,7 +191,7 @@ def test_no_path_exceeds_the_bound_of_its_first_cells(seed):
             begun = tuple(path[: steps + 1])
             best[begun] = max(value, best.get(begun, value))
     rank = ranks(problem)
-    products, visits = new_products(1, problem.gains), np.empty(9, dtype=np.int64)
+    products, visits = new_labels(1, 1, problem.gains), np.empty(9, dtype=np.int64)
     powers = problem.weight.size
     survival, term = products.factor[0, powers:], products.term[0, 1:]
     for begun, value in best.items():
@@ -213,7 +212,7 @@ def test_the_bound_is_reached_where_only_readings_inform():
     objective = Objective.of(belief, model, options)
     problem = labels.label_problem(grid, objective, options)
     rank = ranks(problem)
-    products, visits = new_products(1, problem.gains), np.empty(9, dtype=np.int64)
+    products, visits = new_labels(1, 1, problem.gains), np.empty(9, dtype=np.int64)
     powers = problem.weight.size
     (value,) = valued(problem, objective, [[4, 0, 1, 2, 5, 4]])
     for begun in ([4, 0], [4, 0, 1], [4, 0, 1, 2]):
@@ -260,28 +259,6 @@ def test_searches_beyond_memory_are_refused_with_an_estimate(
     told = rf'max_steps = {max_steps}.*width.*max_visits.* GB.*lower'
     with nullcontext() if is_allowed else pytest.raises(ValueError, match=told):
         check_team(finder, [ORDINARY] * robots)
-
-
-@for_each('allocation', ['independent', 'voronoi', 'greedy'])
-def test_a_search_never_exceeds_the_first_estimate(monkeypatch, allocation):
-    """Also after any fates of earlier robots: a mission that has begun is not refused later."""
-    grid, model, robots = Grid(5, 5), SensorModel(0.5), 7
-    belief = Belief.prior(grid, 0.3, 0.4, 0.8)
-    finder = PathFinder(grid, SearchOptions('beam', 10, 4, 3))
-    asked = []
-    check = labels.check_memory
-
-    def spy(reach, options, *sizes):
-        asked.append((options.max_steps, options.width, *sizes))
-        check(reach, options, *sizes)
-
-    monkeypatch.setattr(labels, 'check_memory', spy)
-    monkeypatch.setattr(planners, 'check_memory', spy)
-    check_team(finder, [ORDINARY] * robots)
-    plan_round(grid, belief, model, 10, robots, allocation, width=4)
-    most, *later = asked
-    assert later
-    assert all(np.all(np.array(sizes) <= most) for sizes in later)
 
 
 @pytest.mark.slow
