@@ -98,20 +98,21 @@ def _powers(
 MIN_RANKED = 8
 
 
-def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list[Candidate]:
+def best_paths(
+    grid: Grid, objective: Objective, options: SearchOptions, width: int
+) -> list[Candidate]:
     """Search for closed paths of high value; return them best first."""
-    problem = label_problem(grid, objective, options)
-    reach, width = problem.reach, kept_labels(options)
-    count = max(2 * options.width, MIN_RANKED)
-    completions = np.empty((reach.start[-1] if width > 1 else 0, problem.weight.size + 5))
+    problem, kept = label_problem(grid, objective, options, width), kept_labels(width)
+    reach, count = problem.reach, max(2 * width, MIN_RANKED)
+    completions = np.empty((reach.start[-1] if kept > 1 else 0, problem.weight.size + 5))
     paths, steps = closed_paths(reach, count, *search(problem, 1, -inf, completions))
-    if width > 1:
+    if kept > 1:
         # The bound on continuations of a label does not apply to behavioral entropies.
         least = -inf
         if objective.alpha == SHANNON:
             least = rounded_values(problem, objective, paths[:1], steps[:1])[0]
             least = least * problem.units - 1.0
-        found = search(problem, width, least, completions)
+        found = search(problem, kept, least, completions)
         more, more_steps = closed_paths(reach, count, *found)
         paths = np.concatenate([more, paths[:1]])
         steps = np.concatenate([more_steps, steps[:1]])
@@ -127,18 +128,19 @@ def best_paths(grid: Grid, objective: Objective, options: SearchOptions) -> list
     ]
 
 
-def kept_labels(options: SearchOptions) -> int:
+def kept_labels(width: int) -> int:
     """Return the number of labels of each cell and step that a search keeps."""
-    return max(1, options.width // 4)
+    return max(1, width // 4)
 
 
-def label_problem(grid: Grid, objective: Objective, options: SearchOptions) -> LabelProblem:
+def label_problem(
+    grid: Grid, objective: Objective, options: SearchOptions, width: int
+) -> LabelProblem:
     """Return the label search for an objective."""
     max_steps, chance = options.max_steps, objective.outcomes.probability
     reach = find_reach(grid, max_steps, options.max_distance)
     weight = powers_weights(objective.alpha, chance)
     gains = visit_gains(objective, reach.cells, min(options.max_visits, max_steps))
-    is_beam = kept_labels(options) > 1
     return LabelProblem(
         reach,
         scattered(reach.cells.size, 62 - max_steps.bit_length()),
@@ -148,7 +150,9 @@ def label_problem(grid: Grid, objective: Objective, options: SearchOptions) -> L
         objective.loss_cost,
         10.0**DECIMALS,
         # Only a search that keeps several labels of a cell drops labels by this bound.
-        unread_after(gains, weight.size, max_steps) if is_beam else np.zeros(max_steps + 1),
+        unread_after(gains, weight.size, max_steps)
+        if kept_labels(width) > 1
+        else np.zeros(max_steps + 1),
     )
 
 

@@ -176,6 +176,8 @@ class PathFinder(Value):
 
     def of_type(self, robot_type: RobotType) -> PathFinder:
         """Return the finder with the base and the options of a robot type."""
+        if not robot_type.own:
+            return self
         grid, options = self.grid.at(robot_type.base), self.options.of_type(robot_type)
         return replace(self, grid=grid, options=options)
 
@@ -241,15 +243,15 @@ class PathFinder(Value):
             what, lower = f'random walks of max_steps = {max_steps} take', 'max_steps'
             estimate = number * reach.within.size * cells
         else:
-            options = replace(options, width=1) if options.planner == 'relaxed' else options
+            width = 1 if options.planner == 'relaxed' else options.width
             what, lower = (
                 (
-                    f'planning with max_steps = {max_steps}, a beam width of {options.width} and '
+                    f'planning with max_steps = {max_steps}, a beam width of {width} and '
                     f'max_visits = {max_visits} takes'
                 ),
                 'one of them',
             )
-            rows, visits = kept_labels(options), min(max_visits, max_steps)
+            rows, visits = kept_labels(width), min(max_visits, max_steps)
             # Limited, to avoid huge powers of two.
             outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
             counts = (robots - 1) * visits
@@ -298,12 +300,12 @@ def count_visits(grid: Grid, paths: Sequence[Places]) -> Places:
 
 def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Search with the best label of each cell and step (arXiv:2305.06929, calculateBNPath)."""
-    return best_paths(finder.grid, objective, replace(finder.options, width=1))
+    return best_paths(finder.grid, objective, finder.options, 1)
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Search with the best `width` / 4 labels of each cell and step."""
-    return best_paths(finder.grid, objective, finder.options)
+    return best_paths(finder.grid, objective, finder.options, finder.options.width)
 
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:

@@ -299,11 +299,10 @@ def plan_team(
         raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
     in_use = without(grid, keepout)
     team_size(in_use, team.agents)
-    finder = PathFinder(grid, options, np.asarray(visited))
+    finder = PathFinder(in_use, options, np.asarray(visited))
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
     cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
     check_team(finder, team.types, len(in_flight), len(cameras))
-    finder = replace(finder, grid=in_use)
     outcomes = nobody_deployed(belief)
     for path, robot_type in in_flight:
         cells = grid.at(robot_type.base).check_path(path)
