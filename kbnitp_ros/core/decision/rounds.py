@@ -15,8 +15,8 @@ from kbnitp_ros.core.field.check import cost, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.planning.options import SearchOptions
-from kbnitp_ros.core.planning.planners import NoPathError
-from kbnitp_ros.core.planning.plans import Plan, plan_team, Team
+from kbnitp_ros.core.planning.planners import NoPathError, PathFinder
+from kbnitp_ros.core.planning.plans import check_team, Plan, plan_team, Team
 from kbnitp_ros.core.planning.regions import without
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,6 +141,7 @@ def plan_round(
     if goal is None or draws is None:
         return for_information(in_flight=in_flight, visited=visited, keepout=keepout)
     in_use = without(grid, keepout)
+    check_team(PathFinder(in_use, options), team.types)
     situation = FlightState(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))

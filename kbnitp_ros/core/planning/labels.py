@@ -141,6 +141,10 @@ def label_problem(
     reach = find_reach(grid, max_steps, options.max_distance)
     weight = powers_weights(objective.alpha, chance)
     gains = visit_gains(objective, reach.cells, min(options.max_visits, max_steps))
+    # Only a search that keeps several labels of a cell drops labels by this bound.
+    unread: Floats = np.zeros(max_steps + 1)
+    if kept_labels(width) > 1:
+        unread = unread_after(gains, weight.size, max_steps)
     return LabelProblem(
         reach,
         scattered(reach.cells.size, 62 - max_steps.bit_length()),
@@ -149,10 +153,7 @@ def label_problem(
         chance,
         objective.loss_cost,
         10.0**DECIMALS,
-        # Only a search that keeps several labels of a cell drops labels by this bound.
-        unread_after(gains, weight.size, max_steps)
-        if kept_labels(width) > 1
-        else np.zeros(max_steps + 1),
+        unread,
     )
 
 

@@ -234,23 +234,17 @@ class PathFinder(Value):
     def check_memory(self, robots: int, cameras: int) -> None:
         """Check that a search for one of several robots fits in memory."""
         options, number = self.options, 8
-        max_steps, max_visits = options.max_steps, options.max_visits
-        if options.planner not in ('relaxed', 'beam', 'random'):
+        width = {'relaxed': 1, 'beam': options.width}.get(str(options.planner), 0)
+        if not width and options.planner != 'random':
             return
+        max_steps, max_visits = options.max_steps, options.max_visits
         reach = find_reach(self.grid, max_steps, options.max_distance)
         labels, cells = int(reach.start[-1]), reach.cells.size
-        if options.planner == 'random':
-            what, lower = f'random walks of max_steps = {max_steps} take', 'max_steps'
-            estimate = number * reach.within.size * cells
-        else:
-            width = 1 if options.planner == 'relaxed' else options.width
-            what, lower = (
-                (
-                    f'planning with max_steps = {max_steps}, a beam width of {width} and '
-                    f'max_visits = {max_visits} takes'
-                ),
-                'one of them',
-            )
+        what, lower = f'random walks of max_steps = {max_steps} take', 'max_steps'
+        estimate = number * reach.within.size * cells
+        if width:
+            what = f'planning with max_steps = {max_steps}, a beam width of {width} and '
+            what, lower = f'{what}max_visits = {max_visits} takes', 'one of them'
             rows, visits = kept_labels(width), min(max_visits, max_steps)
             # Limited, to avoid huge powers of two.
             outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
