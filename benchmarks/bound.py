@@ -25,8 +25,7 @@ from typing import Any, NamedTuple
 from kbnitp_ros.core import Belief, Candidate, Grid, plan, SearchOptions, SensorModel
 from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.field.sensor import log_predicted_survival, times_log
-from kbnitp_ros.core.planning.information_kernels import Floats, Places
-from kbnitp_ros.core.planning.label_kernels import surprisal
+from kbnitp_ros.core.planning.label_kernels import Floats, Places, surprisal
 from kbnitp_ros.core.planning.labels import find_reach
 from kbnitp_ros.core.planning.objective import new_information, Objective, possible_readings
 import numpy as np

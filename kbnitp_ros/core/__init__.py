@@ -29,11 +29,7 @@ from kbnitp_ros.core.inference.record import DeploymentKey, Report
 from kbnitp_ros.core.mission import continue_mission, Deployment, Learning, run_mission, Truth
 
 # Planning: where to go next.
-from kbnitp_ros.core.planning.information import (
-    Candidate,
-    path_information,
-    team_information,
-)
+from kbnitp_ros.core.planning.objective import Candidate, path_information, team_information
 from kbnitp_ros.core.planning.options import OBJECTIVES, PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.planners import NoPathError, PathFinder
 from kbnitp_ros.core.planning.plans import ALLOCATIONS, Plan, plan, plan_team, Team

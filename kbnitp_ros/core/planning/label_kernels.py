@@ -22,9 +22,11 @@ from math import floor, inf, log
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.compiled import compiled, inlined
-from kbnitp_ros.core.planning.information_kernels import exposed, Floats, left_open, Places
 import numpy as np
 from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
 
 
 class Reach(NamedTuple):
@@ -478,39 +480,3 @@ def trace_closed(
             origin = origins[reach.start[step] + cell, slot]
             cell, slot = reach.neighbors[cell, origin & 15], origin >> 4
         paths[k, 0] = cell
-
-
-@compiled
-def take(path: Places, gains: Gains, visits: Places, to: Labels) -> None:
-    """Write the label of a path of ranks from the base into row 0."""
-    visits[:] = 0
-    to.factor[0], to.term[0] = 1.0, 0.0
-    for cell in path[1:]:
-        visit(to, 0, gains, cell, visits[cell], to, 0)
-        visits[cell] += 1
-
-
-@compiled
-def exact_values(
-    problem: LabelProblem,
-    paths: Places,
-    steps: Places,
-    hazard: Floats,
-    log_safe: float,
-    log_deadly: float,
-) -> Floats:
-    """Return the exact values of closed paths, nats (:eq:`objective-value`)."""
-    chance, powers = problem.chance, problem.weight.size
-    values = np.empty(steps.size)
-    label, visits = new_labels(1, 1, problem.gains), np.empty(hazard.size, np.int64)
-    for k in range(steps.size):
-        path = paths[k, : steps[k] + 1]
-        take(path, problem.gains, visits, label)
-        value = -problem.loss_cost
-        for outcome in range(chance.size):
-            survival = label.factor[0, powers + outcome]
-            readings = label.term[0, 1 + outcome] + problem.loss_cost
-            value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
-        chances, log_survival = exposed(path[1:], hazard, log_safe, log_deadly)
-        values[k] = value - left_open(chances, log_survival, 1.0, 1.0)
-    return values

@@ -8,18 +8,20 @@ from math import inf
 
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import powers, times_log
-from kbnitp_ros.core.planning.information import Candidate, DECIMALS
-from kbnitp_ros.core.planning.information_kernels import Floats, Places
+from kbnitp_ros.core.planning.information_kernels import exact_values
 from kbnitp_ros.core.planning.label_kernels import (
-    exact_values,
+    Floats,
     Gains,
     LabelProblem,
+    Places,
     Reach,
     search,
     trace_closed,
 )
 from kbnitp_ros.core.planning.objective import (
     BEHAVIORAL_EXPONENTS,
+    Candidate,
+    DECIMALS,
     EXPONENTS,
     Objective,
     powers_weights,

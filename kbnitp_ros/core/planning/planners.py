@@ -16,11 +16,10 @@ from math import ceil
 from kbnitp_ros.core.field.check import in_short, typed_fields, Value
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import RobotType
-from kbnitp_ros.core.planning.information import Candidate
-from kbnitp_ros.core.planning.information_kernels import Floats, Places
-from kbnitp_ros.core.planning.label_kernels import Reach
+from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
 from kbnitp_ros.core.planning.labels import best_paths, find_reach, kept_labels
 from kbnitp_ros.core.planning.objective import (
+    Candidate,
     MAX_OUTCOMES,
     most_counted,
     Objective,

@@ -12,8 +12,7 @@ from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.information import team_information
-from kbnitp_ros.core.planning.information_kernels import Places
+from kbnitp_ros.core.planning.label_kernels import Places
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     camera_rates,
@@ -21,6 +20,7 @@ from kbnitp_ros.core.planning.objective import (
     JointOutcomes,
     nobody_deployed,
     Objective,
+    team_information,
 )
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import check_distance, PathFinder

@@ -21,7 +21,8 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.core.planning import labels
-from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_labels, take
+from kbnitp_ros.core.planning.information_kernels import take
+from kbnitp_ros.core.planning.label_kernels import hoped_value, label_value, new_labels
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     ERROR,
