@@ -233,9 +233,11 @@ NO_PROBABILITIES = [
     (lambda: SearchOptions(18), ValueError, 'planner is 18: known are relaxed, beam'),
     (lambda: SearchOptions(max_steps=[3]), TypeError, 'max_steps is .3.: it must be a number'),
     (lambda: core.PathFinder(GRID, 'beam'), TypeError, "options is 'beam': it must be SearchOpt"),
-    (lambda: core.plan((4, 4), PRIOR, MODEL, 8), TypeError, r'grid is \(4, 4\): it must be Grid'),
+    (lambda: core.plan((4, 4), PRIOR, MODEL), TypeError, r'grid is \(4, 4\): it must be Grid'),
+    (lambda: core.plan(GRID, PRIOR, MODEL, 8), TypeError,
+     r'options is 8: it must be SearchOptions\(max_steps=...\)'),
     (lambda: core.path_information(PRIOR, 0.5, [0, 1, 0]), TypeError, 'model is 0.5: it must be'),
-    (lambda: core.path_information(PRIOR, MODEL, core.plan(GRID, PRIOR, MODEL, 4)), ValueError,
+    (lambda: core.path_information(PRIOR, MODEL, core.plan(GRID, PRIOR, MODEL)), ValueError,
      r'path is Plan\(.*: it must list at least two cells'),
     # Goals and stops.
     (lambda: goal(Lane(24, 1.0)), ValueError, 'confidence is 1.0'),

@@ -118,7 +118,7 @@ MAPS = [np.full(16, 0.2), np.full(16, 0.4), np.full(16, 0.7)]
     (Bins, [np.array([0.0, 1.0]), np.array([0.5]), np.zeros(1)]),
     (lambda path, read: update(PRIOR, MODEL, Observation(path, True, read)), [PATH, READ]),
     (fold, [PATH]),
-    (lambda visited: core.plan(GRID, PRIOR, MODEL, 4, visited=visited), [np.zeros(16, int)]),
+    (lambda visited: core.plan(GRID, PRIOR, MODEL, visited=visited), [np.zeros(16, int)]),
 ])  # fmt: skip
 def test_arrays_of_the_caller_stay_as_they_are(use, arrays):
     given = [array.copy() for array in arrays]
