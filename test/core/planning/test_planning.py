@@ -62,7 +62,7 @@ def test_without_a_loss_cost_plans_are_unchanged():
 
 
 @for_each('loss_cost', [0.0, 0.1, 0.5, 2.0], every=2)
-def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_less_close(loss_cost):
+def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_half_as_close(loss_cost):
     shares = {'beam': [], 'relaxed': []}
     for seed in range(12 if loss_cost else 50):
         grid, belief, model = random_problem(seed)
