@@ -75,6 +75,11 @@ def check_cells(belief: Belief, observation: Observation) -> None:
         )
 
 
+def unchanged(joint: Floats) -> Floats:
+    """Return the joints of hazards that stay as they are."""
+    return joint
+
+
 def hazard_change(
     prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
 ) -> Callable[[Floats], Floats]:
@@ -93,7 +98,7 @@ def hazard_change(
             )
         neighbors = neighbors_to_move_to(prior.grid, possible)
         return partial(joint_after_moves, neighbors=neighbors, move=move)
-    return lambda joint: joint
+    return unchanged
 
 
 @dataclass(frozen=True, eq=False)
