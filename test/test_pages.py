@@ -359,7 +359,7 @@ def test_each_line_and_equation_of_the_paper_has_a_function_and_a_test():
         path, function = test.split('::')
         assert f'\ndef {function}(' in ROOT.joinpath(path).read_text(), test
     lines, equations = (
-        [label[len(head) :] for label in table if label.startswith(head)]
+        [label.removeprefix(head) for label in table if label.startswith(head)]
         for head in ('Algorithm 1, ', 'eq. ')
     )
     assert numbers_in(lines) == [*range(1, 13)]

@@ -234,7 +234,7 @@ class Filters:
             has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
             if robot_type not in effects:
-                effects[robot_type] = self._effects_of(robot_type, numbers)
+                effects[robot_type] = self._step_effects(robot_type, numbers)
             joint = joints[cells]
             how = self._on_loss if evidence.is_lost else condition
             joints[cells], log_chance = how(joint, evidence, effects[robot_type])
@@ -255,7 +255,7 @@ class Filters:
             rates['appear'] = appearance(rates['vanish'], density)
         return numbers, hazard_change(self._prior, self._dynamics, rates), {}
 
-    def _effects_of(self, robot_type: RobotType, numbers: Floats) -> Effects:
+    def _step_effects(self, robot_type: RobotType, numbers: Floats) -> Effects:
         """Return the effects of a step; numbers that the robot type sets replace learnt ones."""
         model = robot_type.model(self._known)
         own = {name: np.full(len(numbers), getattr(model, name)) for name in RATES}
