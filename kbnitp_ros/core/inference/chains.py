@@ -105,6 +105,10 @@ class Chains:
         self._hazardous = state.hazardous[:, shown]
         self._undecided = {name: each[shown] for name, each in hypotheses.undecided.items()}
         self._is_drawn = self._undecided['hazard_density'] & state.is_held[shown]
+        self._drawn = np.flatnonzero(self._is_drawn)
+        # Buffers, since new arrays of all chains take longer than what is computed.
+        self._uniform = np.empty((CHAINS, self._drawn.size))
+        self._work = np.empty((3, CHAINS, shown.size))
         self._survived, self._positive, self._negative = evidence.counts[:, :, shown] * 1.0
         self._read = np.flatnonzero((self._positive + self._negative).any(axis=0))
         # The prior maps as log odds and as chances, by value, each (values, cells).
@@ -160,19 +164,20 @@ class Chains:
 
     def sweep(self, has_numbers: bool = True) -> None:
         """Draw hazards and unknown numbers once, and add up conditional probabilities."""
-        odds, targets = self._given_returns()
-        odds = np.array(np.broadcast_to(odds, self._hazardous.shape))
-        drawn_with, drawn = odds.copy(), np.flatnonzero(self._is_drawn)
-        uniform = self._rng.random((CHAINS, drawn.size))
-        gibbs.draw_hazards(self._field, drawn, odds, uniform, drawn_with)
+        given, targets = self._given_returns()
+        hazard, safe, odds = self._work
+        hazard[:] = odds[:] = given
+        uniform = self._rng.random(out=self._uniform)
+        gibbs.draw_hazards(self._field, self._drawn, odds, uniform, hazard)
         if self._field.losses.blocks.size:
             uniform = self._rng.random((CHAINS, SWAPS, 4))
             gibbs.swap_hazards(self._field, self._is_drawn, odds, uniform)
-        safe = 1.0 / (1.0 + drawn_with)
-        for of_hazard, of_target, joints in zip((safe, drawn_with * safe), targets, self._joints):
+        np.divide(1.0, np.add(1.0, hazard, out=safe), out=safe)
+        hazard *= safe
+        for of_hazard, of_target, joints in zip((safe, hazard), targets, self._joints):
             for chance, joint in zip(of_target, joints):
-                groups = (of_hazard * chance).reshape(GROUPS, CHAINS // GROUPS, -1)
-                joint += groups.mean(axis=1)
+                product = np.multiply(of_hazard, chance, out=odds)
+                joint += product.reshape(GROUPS, CHAINS // GROUPS, -1).mean(axis=1)
         self.sweeps += 1
         if has_numbers:
             self._draw_survival()
@@ -246,9 +251,11 @@ class Chains:
             absent, present = self._of_map(name, self._absent), self._of_map(name, self._present)
             present = present * ratio
             total = absent + present
-            log_odds = log_odds + sign * np.log(total)
-            targets.append((absent / total, present / total))
-        return np.exp(log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD)), targets
+            present /= total
+            targets.append((absent / total, present))
+            log_odds = log_odds + np.multiply(sign, np.log(total, out=total), out=total)
+        log_odds.clip(-CERTAIN_HAZARD, CERTAIN_HAZARD, out=log_odds)
+        return np.exp(log_odds, out=log_odds), targets
 
     def _of_map(self, name: str, of_values: Mapping[str, Floats]) -> Floats:
         """Select each chain's row of a prior map, (1 or chains, cells)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief
@@ -127,6 +128,16 @@ class Loss:
     steps: Places
     lost_at: Floats
 
+    @cached_property
+    def blocks(self) -> tuple[Places, Places, Floats, Places]:
+        """Return the cells, their visits in each block, and each block's `lost_at` and length."""
+        start = np.append(0, np.flatnonzero(np.diff(self.lost_at)) + 1)
+        lengths = np.diff(start, append=self.steps.size)
+        cells, of_step = np.unique(self.steps, return_inverse=True)
+        place = of_step * start.size + np.repeat(np.arange(start.size), lengths)
+        visits = np.bincount(place, minlength=cells.size * start.size)
+        return cells, visits, self.lost_at[start], lengths
+
 
 @dataclass(frozen=True, eq=False)
 class Tally:
@@ -196,19 +207,15 @@ class Tally:
         columns: list[tuple[NDArray[Any], ...]] = [(np.empty(0),) * 10]
         visited = counted = 0
         for loss in self.losses:
-            start = np.append(0, np.flatnonzero(np.diff(loss.lost_at)) + 1)
-            own, of_step = np.unique(loss.steps, return_inverse=True)
-            lengths = np.diff(start, append=loss.steps.size)
-            place = of_step * start.size + np.repeat(np.arange(start.size), lengths)
-            counts = np.bincount(place, minlength=own.size * start.size)
+            own, counts, weights, lengths = loss.blocks
             first = np.full(own.size, counted)
-            of_type = np.full(start.size, loss.robot_type * most)
-            rows = visited + start.size * np.arange(own.size)
-            of_loss = np.array([own.size]), np.array([start.size])
-            of_entries = np.searchsorted(cells, own), first, first + start.size, rows
-            of_blocks = loss.lost_at[start], of_type + lengths, of_type
+            of_type = np.full(weights.size, loss.robot_type * most)
+            rows = visited + weights.size * np.arange(own.size)
+            of_loss = np.array([own.size]), np.array([weights.size])
+            of_entries = np.searchsorted(cells, own), first, first + weights.size, rows
+            of_blocks = weights, of_type + lengths, of_type
             columns.append((*of_loss, *of_entries, counts, *of_blocks))
-            visited, counted = visited + counts.size, counted + start.size
+            visited, counted = visited + counts.size, counted + weights.size
         parts = [np.concatenate(each) for each in zip(*columns)]
         *whole, weight, steps, unexposed = parts
         sizes, blocks, cell, *entries, visits = [each.astype(np.int32) for each in whole]

@@ -80,29 +80,36 @@ def hazards_around(neighbors: NDArray[np.intp], hazardous: NDArray[np.int8], cel
 
 
 @inlined
+def survival(losses: Losses, chain: Chain, block: int, exposures: int) -> float:
+    """Return the chance to survive a block with a number of exposures."""
+    endured = chain.endured[losses.steps[block]]
+    return float(endured * chain.spared[losses.unexposed[block] + exposures])
+
+
+@inlined
 def conditional(
     losses: Losses, neighbors: NDArray[np.intp], chain: Chain, cell: int, odds: float
 ) -> float:
     """Return the odds of a hazard given all others (:eq:`hazard-conditional`)."""
     here, with_hazard, without = chain.hazardous[cell], 1.0, 1.0
     for entry in range(losses.first_entry[cell], losses.first_entry[cell + 1]):
-        visits = losses.row[entry]
-        # The likelihood of the loss (:eq:`loss-probability`) and the chance to reach a block, each
-        # with the hazard and without.
-        likelihood, likelihood_without, reached, reached_without = 0.0, 0.0, 1.0, 1.0
-        for block in range(losses.first_block[entry], losses.end_block[entry]):
-            counted, weight = losses.visits[visits], losses.weight[block]
-            row = losses.unexposed[block] + chain.exposures[block] - here * counted
-            endured = chain.endured[losses.steps[block]]
-            survived, without_it = (
-                endured * chain.spared[row + counted],
-                endured * chain.spared[row],
-            )
-            likelihood += weight * reached * (1.0 - survived)
-            likelihood_without += weight * reached_without * (1.0 - without_it)
-            reached *= survived
-            reached_without *= without_it
+        block, visits = losses.first_block[entry], losses.row[entry]
+        others = chain.exposures[block] - here * losses.visits[visits]
+        # The chance to reach the next block, and the likelihood of the loss so far
+        # (:eq:`loss-probability`), each with the hazard and without.
+        reached = survival(losses, chain, block, others + losses.visits[visits])
+        reached_without = survival(losses, chain, block, others)
+        likelihood = losses.weight[block] * (1.0 - reached)
+        likelihood_without = losses.weight[block] * (1.0 - reached_without)
+        for further in range(block + 1, losses.end_block[entry]):
             visits += 1
+            others = chain.exposures[further] - here * losses.visits[visits]
+            survived = survival(losses, chain, further, others + losses.visits[visits])
+            likelihood += losses.weight[further] * reached * (1.0 - survived)
+            reached *= survived
+            survived = survival(losses, chain, further, others)
+            likelihood_without += losses.weight[further] * reached_without * (1.0 - survived)
+            reached_without *= survived
         with_hazard *= max(likelihood, LEAST)
         without *= max(likelihood_without, LEAST)
         if without < SMALL:
