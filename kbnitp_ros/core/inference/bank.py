@@ -93,7 +93,6 @@ class Filters:
         priors = {**unknowns.priors, **dynamics.unknown_rates}
         self.names, self._priors = tuple(priors), tuple(priors.values())
         self._maps = prior_maps(belief, model, self.names)
-        self.predicted: tuple[Floats, ...] = ()
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
         self._evidence: tuple[Evidence, ...] = ()
@@ -115,8 +114,8 @@ class Filters:
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 
-    def take(self, evidence: Evidence, is_predicted: bool = False) -> None:
-        """Weight the particles by one more deployment; resample if few keep most of the weight."""
+    def take(self, evidence: Evidence, is_predicted: bool = False) -> Floats:
+        """Weight the particles by a deployment, and resample if need be; return predictions."""
         deployment = [evidence], bool(self._evidence), is_predicted
         joints, log_chances = self._fold(self._joints, self.numbers, *deployment)
         predicted = log_chances[:, 0]
@@ -128,7 +127,6 @@ class Filters:
             predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
         if predicted[0] == -np.inf:
             raise ValueError(IMPOSSIBLE)
-        self.predicted = (*self.predicted, predicted)
         self.log_evidence += float(predicted[0])
         self._evidence, self._joints = (*self._evidence, evidence), joints
         if self.names:
@@ -138,6 +136,7 @@ class Filters:
             if self._effective() < 0.5 * self._count or len(self.numbers) > self._count:
                 self._resample(rng)
                 self.__dict__.pop('weights', None)
+        return predicted
 
     def _drawn_anew(
         self, deployment: tuple[list[Evidence], bool, bool], rng: np.random.Generator
@@ -344,11 +343,9 @@ class Bank:
             if kind not in ruled_out:
                 filters[kind] = each = copy(each)
                 try:
-                    each.take(evidence, is_predicted)
+                    predicted.append(each.take(evidence, is_predicted))
                 except ValueError:
                     ruled_out.add(kind)
-                else:
-                    predicted.append(each.predicted[-1])
         if not predicted:
             raise ValueError(IMPOSSIBLE)
         mixed = predicted[0]

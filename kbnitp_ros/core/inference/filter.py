@@ -138,7 +138,7 @@ class Evidence:
 
     @cached_property
     def has_readings(self) -> bool:
-        """Return whether a cell has a reading."""
+        """Detect readings of any cell."""
         return not self.is_lost and bool(self.negative.any() or self.positive.any())
 
     @cached_property

@@ -247,7 +247,7 @@ def can_be_lost(
     survives: NDArray[np.float64],
     dies: NDArray[np.float64],
 ) -> bool:
-    """Return whether some arrangement of hazards makes the loss possible."""
+    """Decide on a loss: it is possible if an arrangement of hazards allows it."""
     open_to = possible.copy()
     for cell, weight in zip(of_step, lost_at):
         if weight > 0.0 and (open_to[cell] & (dies > 0.0)).any():

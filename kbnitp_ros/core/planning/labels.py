@@ -8,6 +8,7 @@ from math import inf
 
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import powers, times_log
+from kbnitp_ros.core.inference.filter import ratio
 from kbnitp_ros.core.planning.information_kernels import exact_values
 from kbnitp_ros.core.planning.label_kernels import (
     Floats,
@@ -66,10 +67,10 @@ def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
     survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
     power, p_log_p = _powers(*objective.model.log_survival.tolist(), max_visits, alpha == SHANNON)
     moment = (1.0 - deadly[..., None]) * power[0] + deadly[..., None] * power[1]
-    factor = [quotient(moment[:, 1:], moment[:, :-1]), survival]
+    factor = [ratio(moment[:, 1:], moment[:, :-1]), survival]
     if alpha == SHANNON:
         added -= log_ratio
-        spread = quotient((1.0 - deadly) * p_log_p[0] + deadly * p_log_p[1], moment[..., 0])
+        spread = ratio((1.0 - deadly) * p_log_p[0] + deadly * p_log_p[1], moment[..., 0])
         spread = np.diff(spread)[..., None]
     else:
         powers = survival[..., None] ** BEHAVIORAL_EXPONENTS
@@ -77,11 +78,6 @@ def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
         spread = np.zeros((cells.size, max_visits, 1))
     term = [spread, added.transpose(1, 2, 0)]
     return Gains(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
-
-
-def quotient(one: Floats, other: Floats) -> Floats:
-    """Return the quotient of two arrays, 0 where the divisor is 0."""
-    return np.divide(one, other, out=np.zeros_like(one), where=other > 0.0)
 
 
 @lru_cache(maxsize=64)

@@ -51,7 +51,7 @@ LEARNT = {
 
 
 def fold(mission, case, observations):
-    """Return what an estimator knows after each fifth deployment, by name."""
+    """Return the results after each fifth deployment, by name."""
     estimator = Estimator(PRIORS[mission], MODEL, **(CLOSED | LEARNT)[case])
     known = {'joint': [], 'kinds': [], 'parameters': [], 'model': [], 'decision': []}
     for number, observation in enumerate(observations, 1):
