@@ -2,7 +2,6 @@
 """Run a command or a node: ``python3 -m kbnitp_ros NAME [ARGUMENTS]``."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 import sys
 
 if __name__ == '__main__' and not getattr(sys.flags, 'safe_path', False):
@@ -10,7 +9,7 @@ if __name__ == '__main__' and not getattr(sys.flags, 'safe_path', False):
     sys.path.append(sys.path.pop(0))
 
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.files import installed
+from kbnitp_ros.files import installed, nearest
 from kbnitp_ros.starting import EXECUTABLES, start
 
 USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".join(EXECUTABLES)}'
@@ -35,9 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         say(installed())
         return 0
     if name not in EXECUTABLES:
-        close = get_close_matches(name, EXECUTABLES, 1)
-        meant = ''.join(f'did you mean {each}? ' for each in close)
-        complain('kbnitp_ros', f'{name!r} is no command. {meant}{USAGE}' if name else USAGE)
+        unknown = f'{name!r} is no command. {nearest(name, EXECUTABLES)}' if name else ''
+        complain('kbnitp_ros', f'{unknown}{USAGE}')
         return 2
     return start(name, arguments)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 import errno
 from importlib.metadata import version
 import os
@@ -29,6 +30,27 @@ def share(relative: str) -> Path:
         return source
     # pip and colcon install share/ beside the lib/ that contains this package.
     return PACKAGE.parents[3] / 'share/kbnitp_ros' / relative
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return 'did you mean' with the known names most similar to a name; empty if none is."""
+    # Compare without the group first, since lethality differs much from sensor.lethality.
+    meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
+    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    return f'did you mean {" or ".join(meant)}? ' if meant else ''
+
+
+class OutputError(Exception):
+    """Standard output is a closed pipe, or a file on a full disk."""
+
+
+@contextmanager
+def writing() -> Iterator[None]:
+    """Raise an OutputError if standard output cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(in_words(error)) from error
 
 
 # Remedies for errors of the disk.

@@ -12,7 +12,7 @@ from typing import Any
 from kbnitp_ros.configuration import node_parameters, Parameter
 from kbnitp_ros.configuration.given import check_counts, read_sections, values_for
 from kbnitp_ros.configuration.mission import learnt_by_default
-from kbnitp_ros.configuration.parameter import nearest
+from kbnitp_ros.files import nearest
 from kbnitp_ros.log.files import new_log
 from kbnitp_ros.nodes.runtime.graph import udp_only
 from launch import Action, LaunchContext, LaunchDescription

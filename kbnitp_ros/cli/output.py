@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import wraps
 from io import TextIOWrapper
 import os
@@ -12,14 +12,10 @@ import signal
 import sys
 from typing import TextIO
 
-from kbnitp_ros.files import in_words
+from kbnitp_ros.files import in_words, OutputError, writing
 
 # The main function of a command: takes its arguments, and returns the exit code.
 Main = Callable[..., int]
-
-
-class OutputError(Exception):
-    """Standard output is a closed pipe, or a file on a full disk."""
 
 
 def say(*lines: str) -> None:
@@ -73,9 +69,9 @@ def command(name: str) -> Callable[[Main], Main]:
             except MemoryError as error:
                 complain(name, f'there is not enough memory: {error}')
                 return 1
-            except (BrokenPipeError, OutputError) as error:
+            except OutputError as error:
                 discard(sys.stdout)
-                reason = error.__cause__ or error
+                reason = error.__cause__
                 if isinstance(reason, BrokenPipeError):
                     return 128 + signal.SIGPIPE
                 why = reason.strerror if isinstance(reason, OSError) else reason
@@ -85,15 +81,6 @@ def command(name: str) -> Callable[[Main], Main]:
         return run
 
     return decorate
-
-
-@contextmanager
-def writing() -> Iterator[None]:
-    """Raise an OutputError if standard output cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError from error
 
 
 def discard(stream: TextIO) -> None:

@@ -11,8 +11,9 @@ from kbnitp_ros.cli.output import complain
 from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known, gone_note
-from kbnitp_ros.configuration.parameter import nearest, own_name
+from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.configuration.table import LEARNT
+from kbnitp_ros.files import nearest
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.replay import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog

@@ -16,8 +16,7 @@ from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, NODES
 from kbnitp_ros.configuration.known import check_known, CLOCK, foreign_note
-from kbnitp_ros.configuration.parameter import nearest
-from kbnitp_ros.files import parse_yaml, read_yaml
+from kbnitp_ros.files import nearest, parse_yaml, read_yaml
 
 # Sections of a file for several nodes at once.
 WILDCARDS = ('*', '**')

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from kbnitp_ros.configuration.parameter import nearest, own_name, Parameter
+from kbnitp_ros.configuration.parameter import own_name, Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
+from kbnitp_ros.files import nearest
 from kbnitp_ros.log.read import current_name
 
 # Name of the parameter in which a node states its topics.

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 import json
 import re
 from typing import Any
 
-from kbnitp_ros.files import parse_yaml
+from kbnitp_ros.files import nearest, parse_yaml
 from kbnitp_ros.plugins import Registry
 
 NAME = '[A-Za-z][A-Za-z0-9_]*'
@@ -20,14 +19,6 @@ def own_name(name: str) -> tuple[str, str] | None:
     """Split ``team.AGENT.NAME`` into agent and parameter; None for other names."""
     own = re.fullmatch(rf'team\.({NAME})\.(.+)', name)
     return (own[1], own[2]) if own else None
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return 'did you mean' with the known names most similar to a name; empty if none is."""
-    # Compare without the group first, since lethality differs much from sensor.lethality.
-    meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
-    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
-    return f'did you mean {" or ".join(meant)}? ' if meant else ''
 
 
 KINDS = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}

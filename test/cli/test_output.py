@@ -62,6 +62,16 @@ def test_a_closed_pipe_ends_a_command_silently(kind, arguments):
 
 
 @pytest.mark.processes
+def test_help_without_a_buffer_ends_silently_at_a_closed_pipe(monkeypatch):
+    monkeypatch.setitem(STRICT, 'PYTHONUNBUFFERED', '1')
+    read, write = os.pipe()
+    os.close(read)
+    done = run(['study', '--help'], stdout=write)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (141, b'')
+
+
+@pytest.mark.processes
 @for_each('kind', KINDS, every=7)
 def test_a_full_disk_is_reported(kind, arguments):
     with Path('/dev/full').open('wb') as full:

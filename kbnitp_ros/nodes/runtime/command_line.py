@@ -10,7 +10,7 @@ from textwrap import fill
 from typing import Any
 
 from kbnitp_ros.configuration import node_parameters
-from kbnitp_ros.files import installed
+from kbnitp_ros.files import installed, writing
 
 WIDTH = 90
 INDENT = ' ' * 6
@@ -26,7 +26,7 @@ EXAMPLES = {
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises an OSError if its help cannot be printed."""
+    """An argument parser that raises an OutputError if its help cannot be printed."""
 
     def format_help(self) -> str:
         """Return the help without its last newline."""
@@ -34,8 +34,9 @@ class Parser(argparse.ArgumentParser):
 
     def print_help(self, file: Any = None) -> None:
         """Print the help, and its last newline apart, since argparse ignores an OSError."""
-        super().print_help(file)
-        print(file=file)
+        with writing():
+            super().print_help(file)
+            print(file=file)
 
 
 def command_parser(name: str, description: str, *examples: str) -> argparse.ArgumentParser:

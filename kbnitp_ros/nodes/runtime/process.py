@@ -14,7 +14,7 @@ import traceback
 
 from kbnitp_ros.configuration.given import check_given, names_given, rules_last
 from kbnitp_ros.core.field.compiled import WHILE_COMPILING
-from kbnitp_ros.files import in_words
+from kbnitp_ros.files import in_words, OutputError
 from kbnitp_ros.nodes.runtime.command_line import node_parser
 from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics
 from kbnitp_ros.nodes.runtime.node import MissionNode, SPIN, spin_once
@@ -45,6 +45,7 @@ SIGEV_THREAD = 2
 START_ERRORS = (
     ValueError,
     OSError,
+    OutputError,
     RuntimeError,
     ParameterException,
     NameValidationException,
