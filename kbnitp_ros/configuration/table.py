@@ -294,6 +294,13 @@ ROWS = (
     ),
     for_estimator('method', 'kappa_bnitp', 'Inference method of the belief.', choices=METHODS),
     for_estimator(
+        'check_every',
+        10,
+        'Number of deployments from one check of the model to the next; the last belief is always '
+        'checked.',
+        limits=(1, MAX_ROBOTS),
+    ),
+    for_estimator(
         'filter.type',
         -1,
         'Nav2 costmap filter that takes belief/hazard_mask as its mask, announced on '

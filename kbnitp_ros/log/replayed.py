@@ -19,7 +19,14 @@ from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role, VIEWS
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import Fields, from_stamp
-from kbnitp_ros.messages.progress import MissionStatus, model_fields, NOT_KNOWN
+from kbnitp_ros.messages.progress import (
+    check_fields,
+    Checked,
+    checked_belief,
+    MissionStatus,
+    model_fields,
+    NOT_KNOWN,
+)
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -225,10 +232,14 @@ class ReplayedViews:
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
         # Number of recorded beliefs that were not computed, by stamp.
         self.unknown: Counter[int] = Counter()
+        # Beliefs whose check was recorded, by deployments and stamp, and the computed checks.
+        self._checked: dict[tuple[int, int], ModelCheck | None] = {}
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
         """Keep a view until all beliefs are computed; of a grid, only its digest."""
         message = logged.message
+        if role.name == 'model':
+            self._checked[checked_belief(message)] = None
         kept = message if role.name == 'model' else grid_digest(message)
         view = logged.index, from_stamp(message.header.stamp), kept
         self._recorded[role.name, logged.topic].append(view)
@@ -238,11 +249,11 @@ class ReplayedViews:
         for name in VIEWS:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
-        if ledger.estimator.parameters or ledger.estimator.check.alternatives:
-            fields = model_fields(ledger, stamp)
-            # The reason contains rounded numbers, which processors may round differently.
-            del fields.reason
-            self._expected['model', stamp].append((newest, fields))
+        key = len(ledger.deployments), stamp
+        if key in self._checked:
+            self._checked[key] = ledger.estimator.check
+        if self._checked:
+            self._expected['model', stamp].append((newest, model_fields(ledger, stamp)))
 
     def compare(self, report: ReplayReport) -> None:
         """Compare each recorded view with the computed views of its stamp, if any."""
@@ -254,24 +265,32 @@ class ReplayedViews:
                 expected = self._expected.get((role, stamp), [])
                 unseen, others = [*expected], []
                 for index, view in indexed:
-                    alike = [n for n, each in enumerate(unseen) if not differs(view, each[1])]
+                    alike = [
+                        n for n, each in enumerate(unseen) if not self._differs(view, each[1])
+                    ]
                     if alike:
                         del unseen[alike[0]]
-                    elif all(differs(view, computed) for _, computed in expected):
+                    elif all(self._differs(view, computed) for _, computed in expected):
                         others.append((index, view))
                         continue
                     report.compared[topic] += 1
                 del others[: self.unknown[stamp]]
                 for (index, view), (newest, computed) in zip(others, unseen):
                     report.compared[topic] += 1
-                    report.add(BeliefFinding(topic, index, newest, differs(view, computed)))
+                    report.add(BeliefFinding(topic, index, newest, self._differs(view, computed)))
 
-
-def differs(view: Any, computed: Any) -> tuple[Difference, ...]:
-    """Return the differences between a recorded and a computed view; of grids, their digests."""
-    if not isinstance(view, bytes):
-        return tuple(differences(view, computed, TOLERANCE))
-    return () if view == computed else (Difference('data', 'does not match the belief'),)
+    def _differs(self, view: Any, computed: Any) -> tuple[Difference, ...]:
+        """Return the differences of a recorded view from the computed one; of grids, digests."""
+        if isinstance(view, bytes):
+            return () if view == computed else (Difference('data', 'does not match the belief'),)
+        found = tuple(differences(view, computed, TOLERANCE))
+        key = checked_belief(view)
+        if check := self._checked[key]:
+            fields = check_fields(Checked(check, *key))
+            # The reason contains rounded numbers, which processors may round differently.
+            del fields.reason
+            found += tuple(differences(view, fields, TOLERANCE))
+        return found
 
 
 def grid_digest(view: Any) -> bytes:

@@ -22,7 +22,15 @@ from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.core.inference.model_check import ModelCheck
 from kbnitp_ros.messages.deployments import path_message
-from kbnitp_ros.messages.headers import check_frame, Fields, filled, header, header_fields
+from kbnitp_ros.messages.headers import (
+    check_frame,
+    Fields,
+    filled,
+    from_stamp,
+    header,
+    header_fields,
+    stamp_fields,
+)
 import numpy as np
 
 if TYPE_CHECKING:
@@ -107,21 +115,33 @@ class Known:
     effective_samples: float
 
 
+class Checked(NamedTuple):
+    """A check of the model, and the deployments and stamp of the belief that was checked."""
+
+    check: ModelCheck
+    deployments: int
+    # Nanoseconds of ROS time; 0 if no belief was checked.
+    stamp: int
+
+
+NOT_CHECKED = Checked(ModelCheck(False, {}, ''), 0, 0)
+
+
 class ModelState(NamedTuple):
-    """Learnt numbers, kinds of hazard with their probabilities, and the check of the model."""
+    """Learnt numbers, kinds of hazard with their probabilities, and the last check."""
 
     numbers: dict[str, Known]
     kinds: dict[str, float]
-    check: ModelCheck
+    checked: Checked
 
 
-NOTHING_LEARNT = ModelState({}, {}, ModelCheck(False, {}, ''))
+NOTHING_LEARNT = ModelState({}, {}, NOT_CHECKED)
 
 
 def model_fields(ledger: Ledger, stamp: int) -> Fields:
-    """Return the fields of the model message for a belief of this stamp, in nanoseconds."""
+    """Return the fields of the model message that follow from a belief of this stamp."""
     estimator = ledger.estimator
-    parameters, check = estimator.parameters.values(), estimator.check
+    parameters = estimator.parameters.values()
     return Fields(
         header=header_fields(stamp),
         deployments=len(ledger.deployments),
@@ -135,18 +155,34 @@ def model_fields(ledger: Ledger, stamp: int) -> Fields:
         },
         kind=list(estimator.kinds),
         kind_probability=np.array(list(estimator.kinds.values())),
+    )
+
+
+def check_fields(checked: Checked) -> Fields:
+    """Return the fields of the model message that follow from a check of the model."""
+    check, deployments, stamp = checked
+    return Fields(
         alternative=list(check.alternatives),
         alternative_ratio=np.array(list(check.alternatives.values())),
         in_doubt=check.is_in_doubt,
         reason=check.reason,
+        checked=deployments,
+        checked_stamp=stamp_fields(stamp),
     )
 
 
-def model_belief(ledger: Ledger, stamp: int) -> ModelBelief:
-    """Return the model message with the fields of `model_fields`."""
+def model_belief(ledger: Ledger, stamp: int, checked: Checked) -> ModelBelief:
+    """Return the model message of a belief of this stamp, with the last check."""
     from kbnitp_msgs.msg import ModelBelief
 
-    return filled(ModelBelief(), model_fields(ledger, stamp))
+    return filled(filled(ModelBelief(), model_fields(ledger, stamp)), check_fields(checked))
+
+
+def checked_belief(message: Any) -> tuple[int, int]:
+    """Return the deployments and the stamp of the belief whose check a message has."""
+    # Before 1.9 each belief was checked.
+    deployments = getattr(message, 'checked', message.deployments)
+    return deployments, from_stamp(getattr(message, 'checked_stamp', message.header.stamp))
 
 
 def read_model_belief(message: Any) -> ModelState:
@@ -171,7 +207,8 @@ def read_model_belief(message: Any) -> ModelState:
             raise ValueError(f'{field} must have one value for each {listed}')
     kinds = dict(zip(message.kind, message.kind_probability))
     ratios = dict(zip(message.alternative, message.alternative_ratio))
-    return ModelState(numbers, kinds, ModelCheck(message.in_doubt, ratios, message.reason))
+    check = ModelCheck(message.in_doubt, ratios, message.reason)
+    return ModelState(numbers, kinds, Checked(check, *checked_belief(message)))
 
 
 def decision_fields(decision: Decision, deployments: int) -> Fields:

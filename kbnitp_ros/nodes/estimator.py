@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
-from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, ModelBelief
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport
 from kbnitp_ros.base.checks import density_note, failure_note
 from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
@@ -27,7 +27,8 @@ from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report, read_status
 from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp, mission_of_path
-from kbnitp_ros.messages.progress import model_belief
+from kbnitp_ros.messages.progress import Checked
+from kbnitp_ros.nodes.models import Models
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import HELD, waiting_for
@@ -75,12 +76,8 @@ class EstimatorNode(FieldNode):
         if self.values['filter.type'] >= 0:
             values = (self.values[f'filter.{name}'] for name in ('type', 'base', 'multiplier'))
             self._views.announce_mask(*values)
-        is_checked = bool(estimator.check.alternatives)
-        self._model = (
-            self.create_publisher(ModelBelief, 'model', qos.LATCHED)
-            if estimator.parameters or is_checked
-            else None
-        )
+        has_model = estimator.parameters or estimator.check.alternatives
+        self._models = Models(self, self._warn_of_doubt) if has_model else None
         self._doubt = ''
         self._new = NewEvidence()
         self._belief = self.create_publisher(
@@ -260,24 +257,29 @@ class EstimatorNode(FieldNode):
         message = belief_maps(ledger, self._started, mission, *self._new.take(ledger))
         self._belief.publish(message)
         stamp = from_stamp(message.header.stamp)
-        if self._model is not None:
-            self._model.publish(model_belief(ledger, stamp))
+        if self._models is not None:
+            self._models.publish(ledger, stamp)
         self._views.show(ledger, stamp)
-        self._update_checks(ledger)
+        self._update_sampling(ledger)
 
-    def _update_checks(self, ledger: Ledger) -> None:
-        """Publish the sampling error and the model check, and warn of a bad result."""
+    def _warn_of_doubt(self, checked: Checked) -> None:
+        """Publish a check of the model on diagnostics, and warn of doubt."""
+        check = checked.check
+        after = counted(checked.deployments, 'deployment')
+        self.diagnostics.values['model_check'] = f'{check.reason} (after {after})'
+        if check.is_in_doubt and not self._doubt:
+            self.get_logger().warning(check.reason)
+        self._doubt = check.reason if check.is_in_doubt else ''
+        self._update_warning()
+
+    def _update_sampling(self, ledger: Ledger) -> None:
+        """Publish the sampling error, and warn of a bad one or of a weak prior."""
         estimator, was_weak = ledger.estimator, self._weak_density
         self._weak_density = density_note(ledger)
         if self._weak_density and not was_weak:
             self.get_logger().warning(self._weak_density)
         error = f'{estimator.sampling_error:.2g}'
         self.diagnostics.values['sampling_error'] = error
-        check = estimator.check
-        self.diagnostics.values['model_check'] = check.reason
-        if check.is_in_doubt and not self._doubt:
-            self.get_logger().warning(check.reason)
-        self._doubt = check.reason if check.is_in_doubt else ''
         self._unconverged = (
             ''
             if estimator.is_converged
@@ -306,8 +308,10 @@ class EstimatorNode(FieldNode):
         )
 
     def finish(self) -> None:
-        """Publish the last views."""
+        """Publish the last views, and the check of the last belief."""
         self._views.publish()
+        if self._models is not None:
+            self._models.finish()
 
 
 main = partial(run, 'estimator', EstimatorNode, linger=0.3)

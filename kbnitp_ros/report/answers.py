@@ -352,7 +352,8 @@ def risk(mission: Mission) -> str:
 
 def fit(mission: Mission) -> Tile:
     """Describe the recorded truth and the model check, which show how reliable the answers are."""
-    question, (_, kinds, check) = 'Can I trust it?', mission.moments[-1].state
+    question, (_, kinds, checked) = 'Can I trust it?', mission.moments[-1].state
+    check = checked.check
     right = f'{by_truth(mission, mission.world)} ' if mission.world else ''
     if not check.alternatives:
         why = check.reason or 'the log has no check of the model'
@@ -362,7 +363,8 @@ def fit(mission: Mission) -> Tile:
         for kind, probability in kinds.items()
     )
     details = [f'Hazards: {learnt}.'] if len(kinds) > 1 else []
-    details += [f'{check.reason[0].upper()}{check.reason[1:]}.']
+    after = counted(checked.deployments, 'deployment')
+    details += [f'{check.reason[0].upper()}{check.reason[1:]} (checked after {after}).']
     if mission.rules['dynamics'] == 'static':
         details.append('Returns hardly reveal moving hazards.')
     answer = 'The model is in doubt' if check.is_in_doubt else 'The evidence fits the model'

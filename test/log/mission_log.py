@@ -29,7 +29,7 @@ from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import content_hash, from_stamp, NO_MISSION
-from kbnitp_ros.messages.progress import model_belief
+from kbnitp_ros.messages.progress import Checked, model_belief
 from kbnitp_ros.nodes.views import NewEvidence
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -61,6 +61,10 @@ class Sent:
     def data(self):
         """Return the serialized bytes; padding differs from call to call."""
         return serialize_message(self.message)
+
+
+# Deployments from one check of the model to the next.
+CHECK_EVERY = 2
 
 
 @dataclass(eq=False)
@@ -109,7 +113,10 @@ class Mission:
             view = getattr(self.ledger.belief, name)
             self.publish(f'belief/{name}', occupancy_grid(self.grid, view, stamp))
         if self.unknowns.priors:
-            self.publish('model', model_belief(self.ledger, stamp))
+            held = len(self.ledger.deployments)
+            if held % CHECK_EVERY == 0:
+                self.checked = Checked(self.ledger.estimator.check, held, stamp)
+            self.publish('model', model_belief(self.ledger, stamp, self.checked))
 
     def send_out(self, path, agent='scout_1'):
         """Send a robot on a path; return the deployment's key."""

@@ -338,6 +338,22 @@ def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     assert not report.reproduced
 
 
+@for_each('field, value', [
+    ('in_doubt', True),
+    ('alternative_ratio', lambda ratios: [ratios[0] + 1.0, *ratios[1:]]),
+])  # fmt: skip
+@for_each('repeated', [False, True])
+def test_a_changed_check_is_found(replayed, field, value, repeated):
+    whole = mission(5, unknowns=Unknowns(lethality=(0.1, 0.9)))
+    assert replayed(whole.sent).reproduced
+    models = on(whole.sent, '/model')
+    assert [each.message.checked for each in models] == [0, 0, 2, 2, 4, 4]
+    original = models[4 + repeated]
+    value = value(list(getattr(original.message, field))) if callable(value) else value
+    report = replayed(instead(whole.sent, original, changed(original.message, **{field: value})))
+    assert [each.differences[0].field for each in report.mismatches] == [field]
+
+
 @for_each('change', [3e-9, 1e-6])
 def test_a_difference_above_a_billionth_is_no_rounding(whole_mission, replayed, change):
     original = beliefs(whole_mission.sent)[5]

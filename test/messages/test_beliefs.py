@@ -22,7 +22,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps
-from kbnitp_ros.messages.progress import model_belief, QUANTILES, read_model_belief
+from kbnitp_ros.messages.progress import model_belief, NOT_CHECKED, QUANTILES, read_model_belief
 from laws import for_each
 import numpy as np
 import pytest
@@ -235,12 +235,14 @@ def learning_ledger(unknowns=SOME):
 
 def test_a_model_comes_back_bit_for_bit():
     ledger = learning_ledger()
-    before = read_model_belief(over_the_wire(model_belief(ledger, 3_000_000_001))).numbers
+    before = read_model_belief(
+        over_the_wire(model_belief(ledger, 3_000_000_001, NOT_CHECKED))
+    ).numbers
     for number in range(1, 4):
         key = DeploymentKey('scout_1', number)
         ledger.record_path(key, [0, 1, 2, 1, 0])
         ledger.record_report(key, Report(False, stamp=7))
-    message = over_the_wire(model_belief(ledger, 3_000_000_001))
+    message = over_the_wire(model_belief(ledger, 3_000_000_001, NOT_CHECKED))
     assert (message.header.frame_id, message.header.stamp.sec) == ('map', 3)
     assert message.deployments == 3
     known = read_model_belief(message).numbers
@@ -265,7 +267,7 @@ def test_a_model_comes_back_bit_for_bit():
     ('name', ['lethality'], 'mean has 2 values: it must have one for each of the 1 names'),
 ])  # fmt: skip
 def test_a_bad_message_is_refused(field, value, error):
-    message = model_belief(learning_ledger(), 0)
+    message = model_belief(learning_ledger(), 0, NOT_CHECKED)
     setattr(message, field, value)
     with pytest.raises(ValueError, match=error):
         read_model_belief(message)

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimator assimilates valid evidence once, and refuses the rest."""
 
+from signal import SIGINT
+
 from diagnostic_msgs.msg import DiagnosticStatus
-from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
+from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, ModelBelief, TargetReading
 from kbnitp_ros.configuration.table import LEARN
-from kbnitp_ros.core import Belief, Observation, SensorModel, update
+from kbnitp_ros.core import Belief, Estimator, Observation, SensorModel, update
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import report_message
 from nav_msgs.msg import Path
@@ -143,6 +145,36 @@ def test_a_model_is_published_only_if_a_number_is_learnt(field):
     assert '/model' not in dict(field.node.get_topic_names_and_types())
     assert not beliefs[0].unknowns
     assert beliefs[0].seed == 7
+
+
+def test_every_nth_and_the_last_belief_are_checked(field):
+    models = field.listen(ModelBelief, '/model')
+    field.beliefs = field.listen(BeliefMaps, '/belief')
+    node = field.start('estimator', {**PARAMETERS, 'check_every': 2})
+    paths, reports = evidence(field)
+    ours = Estimator(PRIOR, MODEL)
+    checks = [ours.check]
+    for number in range(1, 4):
+        paths.publish(path(number))
+        reports.publish(lost(number))
+        until_held(field, number)
+        ours.assimilate(Observation(HOME, False))
+        checks.append(ours.check)
+        due = number, number - number % 2
+        field.until(
+            lambda due=due: (models[-1].deployments, models[-1].checked) == due, 'the due check'
+        )
+    field.until(
+        lambda: 'after 2 deployments' in field.told('/estimator', 'model_check'), 'diagnostics'
+    )
+    node.send_signal(SIGINT)
+    field.until(lambda: models[-1].checked == 3, 'last check', may_end=True)
+    stamps = {each.deployments: each.header.stamp for each in field.beliefs}
+    for each in models:
+        if each.checked_stamp.sec:
+            assert each.checked_stamp == stamps[each.checked]
+            told = dict(zip(each.alternative, each.alternative_ratio))
+            assert told == checks[each.checked].alternatives
 
 
 def test_a_weakly_known_density_of_clustered_hazards_is_stated(field):

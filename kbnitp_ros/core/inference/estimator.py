@@ -7,7 +7,6 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -128,13 +127,10 @@ class Estimator:
         make: Callable[..., Inference] = start
         self.version = start.version
         self._evidence: tuple[tuple[Observation, RobotType], ...] = ()
-        # The checker is made on first use, since studies never use it.
-        self._make_checker: Callable[[], Checker] | None = None
         self._checker: Checker | None = None
-        self._checked_deployments = 0
         if isinstance(start, OnePass) and start.learns:
             prior = belief if start.correlated else belief.independent()
-            self._make_checker = partial(Checker, prior, model, unknowns, self.seed, dynamics)
+            self._checker = Checker(prior, model, unknowns, self.seed, dynamics)
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(
@@ -193,20 +189,13 @@ class Estimator:
         Only 'kappa_bnitp' and 'relaxed_itp' have alternatives. The check may miss moving hazards,
         which hardly affect returns.
         """
-        if self._make_checker is None:
+        if self._checker is None:
             name = entry_name(self.method)
             return ModelCheck(
                 False, {}, f'{name} has no model check: kappa_bnitp and relaxed_itp have one'
             )
-        if self._checker is None:
-            self._checker = self._make_checker()
         predicted = getattr(self._inference, 'predicted', None)
-        while self._checked_deployments < len(self._evidence):
-            place = self._checked_deployments
-            told = None if predicted is None else predicted[place]
-            self._checker = self._checker.after(*self._evidence[place], told)
-            self._checked_deployments += 1
-        return self._checker.result
+        return self._checker.check(self._evidence, predicted)
 
     @property
     def sampling_error(self) -> float:

@@ -9,7 +9,7 @@ reaches 20 with a probability of at most .05 (Ville's inequality, :eq:`model-che
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -66,7 +66,37 @@ class ModelCheck:
 
 
 class Checker:
-    """The evidence so far for alternatives to a belief's model."""
+    """The check of a mission's evidence against alternatives to the belief's model."""
+
+    def __init__(
+        self,
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        seed: int,
+        dynamics: Dynamics,
+    ) -> None:
+        self._given = belief, model, unknowns, seed, dynamics
+        # The prior, and after the first check what the last two checks ended with: evidence mostly
+        # goes on from the last, or from the one before where a late report came in between.
+        self._ends: list[Alternatives] = []
+
+    def check(
+        self, evidence: Sequence[tuple[Observation, RobotType]], predicted: Sequence[Floats] | None
+    ) -> ModelCheck:
+        """Return the check of all evidence, given the belief's prediction of each deployment."""
+        # Studies never check, so the banks are made here.
+        self._ends = self._ends or [Alternatives(*self._given)]
+        begun = [each for each in self._ends if each.begin(evidence)]
+        end = begun[-1]
+        for place in range(len(end.evidence), len(evidence)):
+            end = end.after(*evidence[place], None if predicted is None else predicted[place])
+        self._ends = [*dict.fromkeys([self._ends[0], begun[-1], end])]
+        return end.result
+
+
+class Alternatives:
+    """The alternatives to a belief's model, and their evidence after some deployments."""
 
     def __init__(
         self,
@@ -99,15 +129,21 @@ class Checker:
         weights = np.array([WEIGHTS.get(name, 1) for name in (*self._alternatives, *SHIFTED)])
         self._log_weights: Floats = np.log(weights / weights.sum())
         self._log_ratios: Floats = np.zeros(weights.size)
-        self._count = 0
+        self.evidence: tuple[Observation, ...] = ()
         self._turned_at: int | None = None
+
+    def begin(self, evidence: Sequence[tuple[Observation, RobotType]]) -> bool:
+        """Return whether evidence begins with the deployments so far."""
+        return len(self.evidence) <= len(evidence) and all(
+            ours is theirs for ours, (theirs, _) in zip(self.evidence, evidence)
+        )
 
     def after(
         self, observation: Observation, robot_type: RobotType, predicted: Floats | None
-    ) -> Checker:
-        """Return the checker after one more deployment, given the belief's prediction."""
+    ) -> Alternatives:
+        """Return the alternatives after one more deployment, given the belief's prediction."""
         other, evidence = copy(self), Evidence.of(observation, robot_type)
-        other._count += 1
+        other.evidence = (*self.evidence, observation)
         if self._own is not None:
             other._own = self._own.copy()
             other._own.take(evidence)
@@ -135,7 +171,7 @@ class Checker:
         other._log_ratios = self._log_ratios + ratios
         average = log_sum(other._log_ratios + self._log_weights)
         if self._turned_at is None and average >= np.log(IN_DOUBT):
-            other._turned_at = other._count
+            other._turned_at = len(other.evidence)
         return other
 
     @property
