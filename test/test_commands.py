@@ -20,7 +20,7 @@ from kbnitp_ros.starting import EXECUTABLES, EXTRAS
 from laws import for_each
 import pytest
 
-FREE = ('--params', '--set', '--resume', '--repair', '--scheduler', '--out', '--page')
+FREE = ('--params', '--set', '--resume', '--scheduler', '--out', '--page')
 
 
 def test_the_rest_of_the_line_goes_to_the_command(monkeypatch, tmp_path):

@@ -20,7 +20,7 @@ from documented import blocks, ROOT, rows, words
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.core import Grid, log_loss
-from kbnitp_ros.log import mcap_file
+from kbnitp_ros.log import write as log_writer
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.study.scenario import Scenario
 from kbnitp_ros.study.scenario_file import read_scenario
@@ -218,7 +218,7 @@ def test_quality_of_service_and_possible_losses_are_as_stated():
         (line,) = (cells for head, cells in topics.items() if head.split('`')[0] == topic)
         assert line[-1].endswith(f', {profile.depth}'), topic
         assert ('transient local' in line[-1]) == (profile is qos.LATCHED)
-    assert f'at most {mcap_file.CHUNK // 2**20} MiB of them' in words('docs/log.md')
+    assert f'at most {log_writer.CHUNK // 2**20} MiB of them' in words('docs/log.md')
 
 
 def test_the_glossary_is_short_and_names_existing_code():

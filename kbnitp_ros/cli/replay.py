@@ -8,14 +8,12 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from math import isnan
 from pathlib import Path
-from typing import TypeVar
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.log.configuration import numerical_environment
 from kbnitp_ros.log.files import LogError
-from kbnitp_ros.log.mcap_file import repair
-from kbnitp_ros.log.read import log_size, LoggedMessage, read_metadata, Recorded, RUN
+from kbnitp_ros.log.read import log_size, LoggedMessage, read_metadata, RUN
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade, ReplayReport, TOLERANCE
 from kbnitp_ros.log.roles import MissionLog
@@ -28,14 +26,11 @@ DESCRIPTION = """
 Compute the beliefs of a mission's log again from the evidence in it, and say whether they are
 identical, equal within 1e-9 as on another kind of processor, or different.
 
-The exit code is 0 if no belief is different, 1 if any is different, and 2 if the log is corrupt,
-cannot be used or cannot be repaired.
+The exit code is 0 if no belief is different, 1 if any is different, and 2 if the log is corrupt
+or cannot be used.
 """
 
-EXAMPLES = (
-    'python3 -m kbnitp_ros replay runs/small',
-    'python3 -m kbnitp_ros replay runs/small/mission.mcap --repair runs/whole/mission.mcap',
-)
+EXAMPLES = ('python3 -m kbnitp_ros replay runs/small',)
 
 # Maximum number of refused messages listed.
 REFUSALS = 20
@@ -43,30 +38,15 @@ REFUSALS = 20
 # Maximum number of findings of a kind listed.
 FINDINGS = 3
 
-T = TypeVar('T', LoggedMessage, Recorded)
-
 
 @command('replay')
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
     add_log(parser)
-    parser.add_argument(
-        '--repair',
-        metavar='OUT.mcap',
-        type=Path,
-        help='copy the intact part of each file, up to its cut or first error, to a new log and '
-        'replay the new log; its folder is made if needed',
-    )
     options = parser.parse_args(argv)
     log = options.log
     try:
-        if options.repair:
-            options.repair.parent.mkdir(parents=True, exist_ok=True)
-            saved, lost = repair(log, options.repair, partial(with_progress, log_size(log)))
-            say(f'{saved} messages of {log} are saved in {options.repair}')
-            say(*([f'lost: {loss}' for loss in lost] or ['nothing was lost']))
-            log = options.repair
         mission = MissionLog(log, options.namespace)
         progress = partial(with_progress, log_size(log))
         report = replay(mission, progress, asked_on_record(mission))
@@ -82,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if report.grade == Grade.DIFFERENT else 0
 
 
-def with_progress(size: int, items: Iterator[T]) -> Iterator[T]:
+def with_progress(size: int, items: Iterator[LoggedMessage]) -> Iterator[LoggedMessage]:
     """Yield the messages of a log, with a progress bar on a terminal."""
     with tqdm(total=size, unit='B', unit_scale=True, desc='reading', disable=None) as bar:
         for item in items:

@@ -10,7 +10,6 @@ from typing import Any
 from kbnitp_ros.configuration.parameter import own_name, Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
 from kbnitp_ros.files import nearest
-from kbnitp_ros.log.read import current_name
 
 # Name of the parameter in which a node states its topics.
 TOPICS = 'topics'
@@ -20,7 +19,15 @@ CLOCK = 'use_sim_time'
 ROS_PARAMETERS = (CLOCK, 'start_type_description_service', 'qos_overrides', TOPICS)
 
 # Removed parameters by node and name, each with the reason: nodes ignore them.
-GONE = {('planner', 'bound'): 'benchmarks/bound.py computes it'}
+GONE = {
+    ('planner', 'bound'): 'benchmarks/bound.py computes it',
+    ('recorder', 'compression'): 'ros2 bag convert compresses a log',
+    (
+        'recorder',
+        'max_file_size',
+    ): 'a run of the recorder is one file, and ros2 bag convert splits',
+    ('recorder', 'max_file_duration'): 'a run of the recorder is one file',
+}
 
 
 def node_parameters(name: str) -> dict[str, Parameter]:
@@ -47,8 +54,6 @@ def gone_note(node: str, name: str) -> str:
 
 def check_known(name: str, nodes: Sequence[str]) -> None:
     """Check that a name is a parameter of one of these nodes."""
-    if (now := current_name(name)) != name:
-        raise ValueError(f'parameter {name} is called {now} now')
     if any(gone_note(node, name) for node in nodes):
         return
     if name.split('.')[0] in ROS_PARAMETERS or any(find_parameter(node, name) for node in nodes):
@@ -72,7 +77,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
 
 
 def foreign_note(name: str, nodes: Sequence[str] = NODES) -> str:
-    """Return a note on a parameter that is no node's; ValueError if it is misspelt or renamed."""
+    """Return a note on a parameter that is no node's; ValueError if it is misspelt."""
     try:
         check_known(name, NODES)
     except ValueError as error:
@@ -80,7 +85,7 @@ def foreign_note(name: str, nodes: Sequence[str] = NODES) -> str:
         for near in (nodes, NODES):
             if any(_is_misspelt(name, known) for node in near for known in node_parameters(node)):
                 check_known(name, near)
-        if own_name(name) or current_name(name) != name:
+        if own_name(name):
             raise
         return f'{error} (ignored, since a launch file may set it for other nodes)'
     return ''

@@ -698,23 +698,6 @@ ROWS = (
         'The log to write, which must not exist yet; empty for runs/TIME/mission.mcap. Not used '
         'with resume.',
     ),
-    for_recorder('compression', 'none', 'Compression of the log.', choices=('none', 'zstd')),
-    for_recorder(
-        'max_file_size',
-        2**24,
-        'Maximum bytes of a file of the log, after which the log continues in another file beside '
-        'the first, and the memory of the index of the full file is freed; 0 for one file. The '
-        'first records of a file, up to 100 kB, do not count.',
-        limits=(2**20, 2**62),
-        off=0,
-    ),
-    for_recorder(
-        'max_file_duration',
-        0.0,
-        'Maximum seconds of a file of the log, after which the log continues in another file '
-        'beside the first; 0 for one file.',
-        limits=(0.0, 1e9),
-    ),
 )
 
 TABLE = tuple(replace(each, in_field=IN_FIELD.get(each.name)) for each in ROWS)

@@ -161,16 +161,6 @@ class LogLock:
             self.release()
             raise LogError(f'{first} was replaced while it was opened: try again') from error
 
-    def put_in_place(self, new: Path, part: Path) -> None:
-        """Rename a new file to a part; if the part is the locked first file, lock the new file."""
-        if part != self.path:
-            new.replace(part)
-            return
-        file = locked(new)
-        new.replace(part)
-        self._file.close()
-        self._file = file
-
     def check_in_place(self) -> None:
         """Check that the locked file was not replaced; raise FileNotFoundError."""
         check_in_place(self._file, self.path)

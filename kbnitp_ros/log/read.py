@@ -11,7 +11,6 @@ from itertools import accumulate, count
 import json
 import os
 from pathlib import Path
-import re
 import struct
 from typing import Any, BinaryIO, NamedTuple
 
@@ -51,9 +50,6 @@ NO_SCHEMA = Schema(id=0, name='', encoding='', data=b'')
 # Names of metadata records; a node's full name follows PARAMETERS, as in 'parameters/planner'.
 RUN = 'run'
 PARAMETERS = 'parameters'
-
-# New names of parameters of 0.3.0: patterns for the start of an old name, and replacements.
-RENAMED = {r'goal$': 'goal.kind', r'learn$': 'learn.numbers', r'robots\.(?=\w+\.)': 'team.'}
 
 
 class RecordedMessage(NamedTuple):
@@ -171,27 +167,16 @@ def read_parameters(
     for name, record in read_metadata(path, corrupt).items():
         if name.startswith(f'{PARAMETERS}/'):
             try:
-                values = {current_name(key): json.loads(text) for key, text in record.items()}
+                values = {key: json.loads(text) for key, text in record.items()}
             except ValueError as error:
                 raise LogError(f'{path}: record {name!r} is corrupt: {error}') from error
             parameters[name.removeprefix(PARAMETERS)] = values
     return parameters
 
 
-def current_name(name: str) -> str:
-    """Return the current name of a parameter that is given by its current or its 0.3.0 name."""
-    for before, now in RENAMED.items():
-        name = re.sub(f'^{before}', now, name)
-    return name
-
-
 def is_finished(path: str | Path) -> bool:
-    """Return whether each part of a log was finished by its writer."""
-    return all(map(is_finished_part, log_parts(path)))
-
-
-def is_finished_part(part: Path) -> bool:
-    """Return whether a file was finished by its writer."""
+    """Return whether the last file of a log was finished by its writer."""
+    part = log_parts(path)[-1]
     with readable(part), part.open('rb') as file:
         return ends_finished(file, check_start(file, part))
 
@@ -260,8 +245,8 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
         except Exception as error:
             # The parser raises many types of errors.
             found = LogError(
-                f'{part} is corrupt after byte {position} ({in_words(error)}): replay --repair '
-                'saves the messages before, mcap recover may save more'
+                f'{part} is corrupt after byte {position} ({in_words(error)}): mcap recover saves '
+                'what is intact'
             )
             if corrupt is None:
                 raise found from error

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-import json
 import operator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +15,6 @@ from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import (
     LoggedMessage,
-    PARAMETERS,
     read_log,
     read_metadata,
     read_parameters,
@@ -190,31 +188,26 @@ class Roles:
 def roles_on_record(
     log: str | Path, namespace: str | None = None, own: Roles | None = None
 ) -> Roles:
-    """Return the roles of a mission from its record, or deduced from parameters and topics."""
-    nodes: dict[str, dict[str, str]] = {}
+    """Return the roles of a mission from its record, or deduced from topics."""
     topics: dict[str, str] = {}
     for item in read_recorded(log, []):
         if isinstance(item, RecordedMessage):
             topics[item.channel.topic] = item.schema.name
-        elif item.name == RECORD and {NAMESPACE, 'belief'} <= item.values.keys():
-            # Other programs may write a record with this name.
-            if namespace in (None, item.values[NAMESPACE]):
-                return Roles(item.values.pop(NAMESPACE), item.values)
-        elif item.name.startswith(f'{PARAMETERS}/'):
-            nodes.setdefault(item.name.removeprefix(PARAMETERS), {}).update(item.values)
-    return roles_of_old(log, namespace, own, nodes, topics)
+        # Other programs may write a record with this name.
+        elif (
+            item.name == RECORD
+            and {NAMESPACE, 'belief'} <= item.values.keys()
+            and namespace in (None, item.values[NAMESPACE])
+        ):
+            return Roles(item.values.pop(NAMESPACE), item.values)
+    return roles_by_topics(log, namespace, own, topics)
 
 
-def roles_of_old(
-    log: str | Path,
-    namespace: str | None,
-    reader: Roles | None,
-    nodes: Mapping[str, Mapping[str, str]],
-    topics: Mapping[str, str],
+def roles_by_topics(
+    log: str | Path, namespace: str | None, reader: Roles | None, topics: Mapping[str, str]
 ) -> Roles:
-    """Return the roles of a log of version 0.3, from its parameters and topics."""
-    above = {name.rpartition('/')[0] for name, own in nodes.items() if 'max_file_size' in own}
-    above = above or {
+    """Return the roles of a bag that another program recorded, from its topics."""
+    above = {
         topic.removesuffix('/belief')
         for topic, kind in topics.items()
         if kind == BELIEF and topic.endswith('/belief')
@@ -222,12 +215,9 @@ def roles_of_old(
     if namespace is None and len(above) > 1:
         found = ', '.join(sorted(each or '/' for each in above))
         raise LogError(f'{log} has missions in the namespaces {found}: choose one by --namespace')
-    # A log without parameters and beliefs does not name a mission yet.
+    # A log without beliefs does not name a mission yet.
     unknown = reader.namespace if reader else ''
     root = (next(iter(above), unknown) if namespace is None else namespace).rstrip('/')
-    for name, own in nodes.items():
-        if name.rpartition('/')[0] == root and {'agents', 'rolling'} <= own.keys():
-            return Roles.of(root, json.loads(own['agents']))
     sent = [
         topic.removeprefix(f'{root}/').partition('/')
         for topic, kind in topics.items()

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 import json
@@ -12,12 +13,11 @@ from pathlib import Path
 import struct
 from typing import Any
 
-from kbnitp_ros.files import naming, sync_folder, yaml_text
+from kbnitp_ros.files import naming, parse_yaml, sync_folder, yaml_text
 from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
 from mcap.records import Schema
+from mcap.well_known import SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
-
-ENCODING = 'ros2msg'
 
 # Keys of the metadata of a channel.
 QOS = 'offered_qos_profiles'
@@ -75,7 +75,7 @@ def installed_text(type_name: str, suffix: str) -> str:
 def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
     """Return the decoder of an installed message type."""
     definition, _ = describe(type_name)
-    schema = Schema(1, definition.encode(), ENCODING, type_name)
+    schema = Schema(1, definition.encode(), SchemaEncoding.ROS2, type_name)
     decoder = DecoderFactory().decoder_for('cdr', schema)
     assert decoder is not None
     return decoder
@@ -124,21 +124,42 @@ VERSION = 9
 BagTopic = dict[str, Any]
 
 
+def bag_topic(name: str, type_name: str, encoding: str, metadata: Mapping[str, str]) -> BagTopic:
+    """Return a topic without messages, from the metadata of its channel."""
+    qos: object = []
+    with suppress(ValueError):
+        qos = parse_yaml(metadata.get(QOS, '')) or []
+    described = {
+        'name': name,
+        'type': type_name,
+        'serialization_format': encoding,
+        'offered_qos_profiles': qos,
+        'type_description_hash': metadata.get(TYPE_HASH, ''),
+    }
+    return {'topic_metadata': described, 'message_count': 0}
+
+
 @dataclass
 class BagFile:
     """A description of a file of a bag: its topics and times."""
 
     name: str
-    topics: list[BagTopic] = field(default_factory=list)
+    # By id of the channel.
+    topics: dict[int, BagTopic] = field(default_factory=dict)
     # Times of the first and last message, nanoseconds. Without messages the first is the largest
     # possible time and the last is 0.
     first: int = 2**63 - 1
     last: int = 0
 
+    def count(self, channel: int, time: int) -> None:
+        """Count a message of a channel."""
+        self.topics[channel]['message_count'] += 1
+        self.first, self.last = min(self.first, time), max(self.last, time)
+
     @property
     def messages(self) -> int:
         """Return the number of messages in the file."""
-        return sum(topic['message_count'] for topic in self.topics)
+        return sum(topic['message_count'] for topic in self.topics.values())
 
 
 def information(files: Sequence[BagFile]) -> dict[str, Any]:
@@ -173,7 +194,7 @@ def span(first: int, last: int, messages: int) -> dict[str, Any]:
 def merged(files: Sequence[BagFile]) -> list[BagTopic]:
     """Return the topics of all files; a topic appears once for each QoS."""
     topics: dict[str, BagTopic] = {}
-    for topic in (topic for file in files for topic in file.topics):
+    for topic in (topic for file in files for topic in file.topics.values()):
         same = topics.setdefault(repr(topic['topic_metadata']), {**topic, 'message_count': 0})
         same['message_count'] += topic['message_count']
     return [*topics.values()]

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a mission log as MCAP files; synced messages survive a crash."""
+"""Write a mission log as an MCAP file for each run; synced messages survive a crash."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+import os
 from pathlib import Path
 
+from kbnitp_ros.files import naming, sync_folder, yaml_text
 from kbnitp_ros.log.files import (
+    check_in_place,
     check_is_new,
     is_later_part,
     log_parts,
@@ -16,139 +19,177 @@ from kbnitp_ros.log.files import (
     LogLock,
     part_path,
 )
-from kbnitp_ros.log.mcap_file import COMPRESSIONS, Definition, FileWriter, finished
+from kbnitp_ros.log.read import read_part, RecordedMessage
 from kbnitp_ros.log.schema import (
+    bag_topic,
     BagFile,
     describe,
+    information,
     is_of_another_bag,
     QOS,
     TYPE_HASH,
     write_metadata,
 )
-from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
 # Maximum bytes of a message. A belief over 1000x1000 cells has 56 million bytes.
 MAX_MESSAGE = 63 * 2**20
 
+# Maximum bytes of messages in a chunk; a sync ends a chunk earlier.
+CHUNK = 2**20
+
+# Metadata record with the description of a bag, as rosbag2 writes it.
+BAG_RECORD, BAG_FIELD = 'rosbag2', 'serialized_metadata'
+
 
 class LogWriter:
     """
-    Writer of CDR messages to a new log, or with `resume` to a new part of an existing log.
+    Writer of CDR messages to a new log, or with `resume` to the next file of an existing log.
 
     After `sync` all messages written are on the disk. After an OSError the log is closed.
     """
 
-    def __init__(
-        self,
-        path: str | Path,
-        *,
-        resume: bool = False,
-        compression: str = 'none',
-        max_file_size: int = 0,
-        max_file_duration: float = 0.0,
-    ) -> None:
-        if compression not in COMPRESSIONS:
-            raise ValueError(f'compression is {compression!r}: it must be none or zstd')
-        self._compression = compression
-        self._max_size = max_file_size or 2**63
-        self._max_duration = round(max_file_duration * 1e9) or 2**63
-        # Definition of the type, and metadata of the channel, by topic.
-        self._topics: dict[str, tuple[Definition, dict[str, str]]] = {}
-        # Ids of the channels in the current part.
-        self._channels: dict[str, int] = {}
-        # Number of messages written by topic, over all parts.
-        self._messages: Counter[str] = Counter()
-        self._metadata: dict[str, dict[str, str]] = {}
-        self._finished: list[BagFile] = []
-        self._number = 0
+    def __init__(self, path: str | Path, *, resume: bool = False) -> None:
         if resume:
-            parts = log_parts(path)
-            self.path = parts[0]
-            check_goes_on(self.path)
-            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
-            self._lock = LogLock(self.path)
+            path = log_parts(path)[0]
+            check_goes_on(path)
+        else:
+            path = Path(path)
+            check_is_new(path)
+        self.path = self.current_path = path
+        self.shares_folder = is_of_another_bag(path.parent, path.name)
+        # Files of the log before this one.
+        self._earlier: list[BagFile] = []
+        if not resume:
+            self._open()
+        try:
+            self._lock = LogLock(path)
+        except BaseException:
+            if not resume:
+                self._abandon()
+            raise
+        if resume:
             try:
-                # A writer that has just ended may have added a part.
-                parts = log_parts(path)
-                self._finished = [finished(part, compression, self._lock) for part in parts]
-                self._number = len(parts)
-                self.current_path = part_path(self.path, self._number)
-                part = FileWriter(self.current_path, compression)
+                # A writer that has just ended may have added a file.
+                self._earlier = [described(part) for part in log_parts(path)]
+                self.current_path = part_path(path, len(self._earlier))
+                self._open()
             except BaseException:
                 self._lock.release()
                 raise
-        else:
-            self.path = self.current_path = Path(path)
-            check_is_new(self.path)
-            self.shares_folder = is_of_another_bag(self.path.parent, self.path.name)
-            part = FileWriter(self.path, compression)
-            try:
-                self._lock = LogLock(self.path)
-            except BaseException:
-                part.abandon()
-                raise
-        self._part: FileWriter | None = part
+
+    def _open(self) -> None:
+        """Begin the file, which is on the disk before it has a message."""
+        path = self.current_path
+        # Topics and times of the file.
+        self._contents = BagFile(path.name)
+        # Number of messages by topic, and metadata by record.
+        self._messages: Counter[str] = Counter()
+        self._metadata: dict[str, dict[str, str]] = {}
+        # Ids of schemas and channels, and the channel of each topic.
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str, str], int] = {}
+        self._channel_of: dict[str, int] = {}
+        # Bytes passed to the system, and bytes of messages not yet passed.
+        self._written = self._pending = 0
+        self._file = path.open('xb')
+        # Chunks have no limit of their own: `_flush` ends them.
+        self._writer = Writer(
+            self._file,
+            chunk_size=2**62,
+            compression=CompressionType.NONE,
+            enable_data_crcs=True,
+        )
+        try:
+            with naming(path):
+                self._writer.start(Profile.ROS2, f'kbnitp_ros, {LIBRARY_IDENTIFIER}')
+            self._flush(to_disk=True)
+            sync_folder(path.parent)
+        except OSError:
+            self._abandon()
+            path.unlink(missing_ok=True)
+            raise
 
     def add_topic(self, topic: str, type_name: str, qos_profiles_yaml: str) -> None:
         """Add a topic: call this before its first message, and whenever its QoS changes."""
         text, type_hash = describe(type_name)
-        definition = type_name, SchemaEncoding.ROS2, text.encode()
-        self._topics[topic] = definition, {QOS: qos_profiles_yaml, TYPE_HASH: type_hash}
-        self._add_channel(topic)
-
-    def _add_channel(self, topic: str) -> None:
-        """Add a topic to the current part."""
-        with self._writing() as part:
-            self._channels[topic] = part.add_channel(
-                topic, MessageEncoding.CDR, *self._topics[topic]
-            )
+        key = topic, type_name, qos_profiles_yaml
+        with self._writing():
+            if type_name not in self._schemas:
+                self._schemas[type_name] = self._writer.register_schema(
+                    type_name, SchemaEncoding.ROS2, text.encode()
+                )
+            if key not in self._channels:
+                metadata = {QOS: qos_profiles_yaml, TYPE_HASH: type_hash}
+                self._channels[key] = self._writer.register_channel(
+                    topic, MessageEncoding.CDR, self._schemas[type_name], metadata
+                )
+                self._contents.topics[self._channels[key]] = bag_topic(
+                    topic, type_name, MessageEncoding.CDR, metadata
+                )
+        self._channel_of[topic] = self._channels[key]
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add or change a metadata record, in this file and all later files."""
+        """Add or change a metadata record."""
         known = self._metadata.get(name, {})
         new = {key: value for key, value in values.items() if known.get(key) != value}
-        if name in self._metadata and not new:
-            return
-        self._metadata[name] = {**known, **values}
-        with self._writing() as part:
-            part.add_metadata(name, new)
+        if new or name not in self._metadata:
+            self._metadata[name] = {**known, **values}
+            with self._writing(), naming(self.current_path):
+                self._writer.add_metadata(name, new)
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """Write a message."""
+        """Write a message; times are in nanoseconds."""
         if len(data) > MAX_MESSAGE:
             raise ValueError(
                 f'a message of topic {topic} has {len(data)} bytes: at most {MAX_MESSAGE} are '
                 'written'
             )
-        with self._writing() as part:
-            contents = part.contents
+        with self._writing():
+            if len(data) > CHUNK:
+                # A large message gets its own chunk: a shared chunk could be too large to read.
+                self._flush()
             self._messages[topic] += 1
-            if contents.last and (
-                part.size - part.preamble >= self._max_size
-                or log_time - contents.first >= self._max_duration
-            ):
-                part = self._next_part()
-            channel, number = self._channels[topic], self._messages[topic]
-            part.write(channel, data, max(log_time, 0), max(publish_time, 0), number)
+            channel, log_time = self._channel_of[topic], max(log_time, 0)
+            self._writer.add_message(
+                channel, log_time, data, max(publish_time, 0), self._messages[topic]
+            )
+            self._contents.count(channel, log_time)
+            self._pending += len(data)
+            if self._pending > CHUNK:
+                self._flush()
 
     def sync(self) -> None:
-        """Put everything written so far onto the disk."""
-        with self._writing() as part:
-            part.sync()
-            self._lock.check_in_place()
+        """Put everything written so far onto the disk; raise an OSError if that fails."""
+        with self._writing():
+            # Checked first: writing after a cut would fill the gap with zeros.
+            self._check_size()
+            self._flush(to_disk=True)
+            self.check_in_place()
 
     def check_in_place(self) -> None:
-        """Check that the log was not removed or replaced; raises FileNotFoundError."""
-        if self._part is not None:
-            self._part.check_in_place()
+        """Check that no file was removed, replaced or cut; raises an OSError."""
+        if not self._file.closed:
+            check_in_place(self._file, self.current_path)
+            self._check_size()
         self._lock.check_in_place()
 
     def close(self) -> None:
-        """Finish the log and put it onto the disk, unless it is closed already."""
-        if self._part is None:
+        """Finish the log, with indexes, and put it onto the disk, unless it is closed already."""
+        if self._file.closed:
             return
-        self._finish_part()
-        self._part = None
+        with self._writing():
+            self._flush()
+            bag = {BAG_FIELD: yaml_text(information([self._contents]))}
+            with naming(self.current_path):
+                self._writer.add_metadata(BAG_RECORD, bag)
+                self._writer.finish()
+            self._flush(to_disk=True)
+            self.check_in_place()
+            self._file.close()
+        files = [*self._earlier, self._contents]
+        self.shares_folder = not write_metadata(self.path.parent, files)
         self._lock.release()
 
     def __enter__(self) -> LogWriter:
@@ -160,36 +201,42 @@ class LogWriter:
         self.close()
 
     @contextmanager
-    def _writing(self) -> Iterator[FileWriter]:
-        """Yield the current part; after an OSError, abandon it."""
-        if self._part is None:
+    def _writing(self) -> Iterator[None]:
+        """Abandon the file after an OSError."""
+        if self._file.closed:
             raise ValueError(f'{self.path} is closed')
         try:
-            yield self._part
+            yield
         except OSError:
-            if self._part is not None:
-                self._part.abandon()
-                self._part = None
-                self._lock.release()
+            self._abandon()
+            self._lock.release()
             raise
 
-    def _next_part(self) -> FileWriter:
-        """Start another file, which can be read without the earlier files."""
-        self._finish_part()
-        self._number += 1
-        self.current_path = part_path(self.path, self._number)
-        self._part = FileWriter(self.current_path, self._compression)
-        for name, values in self._metadata.items():
-            self._part.add_metadata(name, values)
-        for topic in self._topics:
-            self._add_channel(topic)
-        return self._part
+    def _flush(self, *, to_disk: bool = False) -> None:
+        """Pass written messages to the system, where they survive the end of the process."""
+        with naming(self.current_path):
+            self._writer.flush()
+            self._file.flush()
+            self._written, self._pending = self._file.tell(), 0
+            if to_disk:
+                # Unlike fsync, this does not sync the times of the file.
+                os.fdatasync(self._file.fileno())
 
-    def _finish_part(self) -> None:
-        with self._writing() as part:
-            part.finish()
-            self._finished.append(part.contents)
-            self.shares_folder = not write_metadata(self.path.parent, self._finished)
+    def _check_size(self) -> None:
+        size = os.fstat(self._file.fileno()).st_size
+        if size < self._written:
+            raise OSError(
+                f'{self.current_path} was cut to {size} of the {self._written} bytes written: '
+                'exclude it from the rotation of logs'
+            )
+
+    def _abandon(self) -> None:
+        """Close the unfinished file, cut to its size at the last flush; raise nothing."""
+        with suppress(OSError):
+            os.ftruncate(self._file.fileno(), self._written)
+        with suppress(OSError):
+            # Closing the buffer would write again.
+            self._file.raw.close()
 
 
 def check_goes_on(first: Path) -> None:
@@ -198,3 +245,17 @@ def check_goes_on(first: Path) -> None:
         raise LogError(f'{first} is a later part of a log: name its first file')
     if first.suffix != '.mcap':
         raise LogError(f'{first} is no MCAP file: only a log in MCAP files can be resumed')
+
+
+def described(part: Path) -> BagFile:
+    """Return the topics and times of an earlier file, which may be cut, but not corrupt."""
+    contents = BagFile(part.name)
+    for item in read_part(part):
+        if isinstance(item, RecordedMessage):
+            channel = item.channel
+            if channel.id not in contents.topics:
+                contents.topics[channel.id] = bag_topic(
+                    channel.topic, item.schema.name, channel.message_encoding, channel.metadata
+                )
+            contents.count(channel.id, item.log_time)
+    return contents

@@ -186,7 +186,7 @@ def checked_belief(message: Any) -> tuple[int, int]:
 
 
 def read_model_belief(message: Any) -> ModelState:
-    """Convert a kbnitp_msgs/ModelBelief; messages of 0.3.0 have only numbers."""
+    """Convert a kbnitp_msgs/ModelBelief."""
     check_frame('header.frame_id', message.header.frame_id)
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
     values = {field: list(getattr(message, field)) for field in fields}
@@ -200,6 +200,7 @@ def read_model_belief(message: Any) -> ModelState:
         name: Known(mean, sd, tuple(quantiles), samples)
         for name, mean, sd, *quantiles, samples in zip(message.name, *values.values())
     }
+    # Logs of 0.3.0 have only numbers.
     if not hasattr(message, 'kind'):
         return NOTHING_LEARNT._replace(numbers=numbers)
     for listed, field in (('kind', 'kind_probability'), ('alternative', 'alternative_ratio')):

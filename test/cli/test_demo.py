@@ -28,7 +28,6 @@ from kbnitp_ros.core import (
     RobotType,
 )
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.mcap_file import copy
 from kbnitp_ros.log.read import is_finished, read_log, read_recorded, RecordedMetadata
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
@@ -211,7 +210,15 @@ def test_a_mission_with_a_hidden_truth_is_resumed_and_shows_it(whole, tmp_path, 
                 yield record
 
     log = tmp_path / 'mission.mcap'
-    copy(hidden(), log, log.name, 'none')
+    with LogWriter(log) as writer:
+        for record in hidden():
+            if isinstance(record, RecordedMetadata):
+                writer.add_metadata(record.name, record.values)
+            else:
+                channel = record.channel
+                qos = channel.metadata['offered_qos_profiles']
+                writer.add_topic(channel.topic, record.schema.name, qos)
+                writer.write(channel.topic, record.data, record.log_time, record.publish_time)
     resumed = run_demo('--resume', log)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert '6 deployments' in resumed.stdout

@@ -23,16 +23,14 @@ def log(tmp_path_factory):
 def arguments(log, tmp_path):
     """Return arguments that make each command print."""
     helps = {name: [name, '--help'] for name in EXECUTABLES}
-    repaired = tmp_path / 'repaired.mcap'
     return {
         **helps,
         'help': ['--help'],
         'replayed': ['replay', log],
-        'repaired': ['replay', log, '--repair', repaired],
     }
 
 
-KINDS = ['help', 'replayed', 'repaired', *EXECUTABLES]
+KINDS = ['help', 'replayed', *EXECUTABLES]
 
 
 # With LANG=C, names of files are printed that cannot be encoded.
@@ -98,24 +96,19 @@ def test_an_error_that_cannot_be_printed_has_its_exit_code(tmp_path, unbuffered)
 
 
 @pytest.mark.processes
-def test_a_name_that_cannot_be_encoded_is_printed(log, tmp_path):
+def test_a_name_that_cannot_be_encoded_is_printed(tmp_path):
     strange = os.fsencode(tmp_path) + b'/\xff.mcap'
-    Path(os.fsdecode(strange)).write_bytes(log.read_bytes())
-    target = tmp_path / 'repaired.mcap'
-    done = run(['replay', strange, '--repair', target], stdout=subprocess.PIPE)
-    assert (done.returncode, done.stderr) == (0, b'')
-    assert b'\\udcff.mcap are saved in' in done.stdout
+    done = run(['replay', strange], stdout=subprocess.PIPE)
+    assert done.returncode == 2
+    assert b'\\udcff.mcap cannot be read: No such file' in done.stderr
 
 
 @pytest.mark.processes
-@for_each('name', ['replay', 'demo'])
-def test_no_log_is_made_under_a_name_that_cannot_be_encoded(name, log, tmp_path):
+def test_no_log_is_made_under_a_name_that_cannot_be_encoded(tmp_path):
     """The folder's metadata.yaml and a node's parameters are text."""
-    strange = os.fsencode(tmp_path) + b'/\xff.mcap'
-    options = {'replay': [log, '--repair', strange], 'demo': ['--out', strange]}
-    done = run([name, *options[name]], stdout=subprocess.PIPE)
+    done = run(['demo', '--out', os.fsencode(tmp_path) + b'/\xff.mcap'], stdout=subprocess.PIPE)
     (told,) = done.stderr.decode().splitlines()
-    assert told.startswith(f'{name}: ')
+    assert told.startswith('demo: ')
     assert told.endswith('cannot name a log: it must be UTF-8')
     assert done.returncode == 2
 
@@ -153,7 +146,6 @@ def check_words(code, told, said):
     ('demo --params nothere.yaml', 'demo: parameter file nothere.yaml: No such file or '),
     ('demo --set world.file=nothere.yaml', 'demo: nothere.yaml: No such file or directory'),
     ('replay nothere.mcap', 'replay: nothere.mcap cannot be read: No such file or directory'),
-    ('replay nothere.mcap --repair /proc/here/a.mcap', 'replay: /proc/here: No such file'),
     ('study nothere.yaml --out runs', 'study: scenario nothere.yaml is neither a file'),
     ('study paper --out /proc/here', 'study: /proc/here: No such file or directory'),
 ])  # fmt: skip

@@ -11,7 +11,6 @@ import sys
 from kbnitp_ros.cli.demo import main as demo_command
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.cli.report import main as report_command
-from kbnitp_ros.log.mcap_file import repair
 from kbnitp_ros.log.read import is_finished, LogError, read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.write import LogWriter
@@ -182,13 +181,6 @@ def test_a_date_is_not_a_part_number(sent, tmp_path):
     for name in ('mission.mcap', 'mission_20261120.mcap'):
         record(tmp_path / name, sent)
         check(tmp_path / name, sent)
-
-
-def test_a_bag_becomes_a_log_by_repair(sent, tmp_path):
-    folder = write_bag(tmp_path / 'bag', sent)
-    saved, lost = repair(folder, tmp_path / 'mission.mcap')
-    assert (saved, lost) == (len(sent), [])
-    check(tmp_path / 'mission.mcap', sent)
 
 
 @pytest.mark.processes

@@ -2,12 +2,10 @@
 """Tools of users read the whole log, field by field."""
 
 from functools import partial
-import shutil
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose
 from kbnitp_ros.log.files import log_parts
-from kbnitp_ros.log.mcap_file import repair
 from kbnitp_ros.log.read import read_log, read_recorded
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter
@@ -65,31 +63,16 @@ def test_the_comparison_can_fail(sent, library, tmp_path):
             check_same(wrong, written)
 
 
-def finished(path, sent, **options):
-    with LogWriter(path, **options) as log:
-        record_to(log, sent, synced='compression' in options)
+def finished(path, sent, *, synced=False):
+    with LogWriter(path) as log:
+        record_to(log, sent, synced=synced)
     return sent
 
 
 def gone_on_with(path, sent):
-    log = LogWriter(path)
-    record_to(log, sent[:20], synced=True)
-    unfinished = path.read_bytes()
-    log.close()
-    path.write_bytes(unfinished)
+    finished(path, sent[:20])
     with LogWriter(path, resume=True) as log:
         record_to(log, sent[20:])
-    return sent
-
-
-def repaired(path, sent):
-    folder = path.parent / 'before'
-    folder.mkdir()
-    log = LogWriter(folder / 'mission.mcap')
-    record_to(log, sent, synced=True)
-    repair(log.path, path)
-    log.close()
-    shutil.rmtree(folder)
     return sent
 
 
@@ -108,10 +91,8 @@ def with_other_qos(path, sent):
 
 @pytest.mark.processes
 @for_each('write', [
-    *(partial(finished, compression=compression) for compression in ('none', 'zstd')),
-    *(partial(finished, compression=compression, max_file_duration=20e-6)
-      for compression in ('none', 'zstd')),
-    lambda path, _: finished(path, []), gone_on_with, repaired, with_other_qos,
+    finished, partial(finished, synced=True), lambda path, _: finished(path, []), gone_on_with,
+    with_other_qos,
 ], every=3)  # fmt: skip
 def test_all_libraries_read_a_log(sent, tmp_path, write):
     path = tmp_path / 'mission.mcap'
@@ -120,8 +101,7 @@ def test_all_libraries_read_a_log(sent, tmp_path, write):
 
 def test_the_metadata_describes_the_bag(sent, tmp_path):
     path = tmp_path / 'mission.mcap'
-    with LogWriter(path, max_file_duration=7e-6) as log:
-        record_to(log, sent)
+    gone_on_with(path, sent)
     with Reader(path.parent) as reader:
         assert reader.message_count == len(sent)
         assert reader.start_time == sent[0].time + 500
@@ -139,8 +119,7 @@ def test_the_metadata_describes_the_bag(sent, tmp_path):
 def test_each_file_describes_its_content(sent, tmp_path):
     """The record that ros2 bag info reads from a single file."""
     path = tmp_path / 'mission.mcap'
-    with LogWriter(path, max_file_duration=7e-6) as log:
-        record_to(log, sent)
+    gone_on_with(path, sent)
     for part in log_parts(path):
         with part.open('rb') as file:
             reader = make_reader(file)
@@ -176,14 +155,8 @@ def test_one_schema_for_all_topics_of_a_type(sent, tmp_path):
     assert len(set(names)) == len(names)
 
 
-def test_messages_are_numbered_by_topic_through_all_files(sent, tmp_path):
+def test_messages_are_numbered_by_topic(sent, tmp_path):
     path = tmp_path / 'mission.mcap'
-    with LogWriter(path, max_file_duration=7e-6) as log:
-        record_to(log, sent)
-    numbers = [
-        message.sequence
-        for part in log_parts(path)
-        for message in with_mcap(part)
-        if message.topic == '/belief'
-    ]
+    record(path, sent)
+    numbers = [message.sequence for message in with_mcap(path) if message.topic == '/belief']
     assert numbers == list(range(1, sum(each.topic == '/belief' for each in sent) + 1))

@@ -319,14 +319,6 @@ def test_parameters_are_read_from_an_unfinished_log(tmp_path):
     assert RUN not in read_metadata(log.path)
 
 
-def test_parameters_of_0_3_are_read_by_the_names_of_today(tmp_path):
-    then = {'goal': 'lane', 'goal.cells': [3], 'learn': [], 'robots': 5, 'robots.a.sensor.b': 0.1}
-    with LogWriter(tmp_path / 'mission.mcap') as log:
-        log.add_metadata(f'{PARAMETERS}/planner', parameters_record(then))
-    now = ('goal.kind', 'goal.cells', 'learn.numbers', 'robots', 'team.a.sensor.b')
-    assert read_parameters(log.path) == {'/planner': dict(zip(now, then.values()))}
-
-
 def test_a_corrupt_record_is_reported(tmp_path):
     path = tmp_path / 'mission.mcap'
     with LogWriter(path) as log:

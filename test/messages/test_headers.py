@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, TargetReading
 from kbnitp_ros.core import Grid
-from kbnitp_ros.log.schema import describe, ENCODING
+from kbnitp_ros.log.schema import describe
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.grids import (
     occupancy_grid,
@@ -121,7 +121,7 @@ def from_log(message: object, data: bytes) -> object:
     package = type(message).__module__.partition('.')[0]
     type_name = f'{package}/msg/{type(message).__name__}'
     definition = describe(type_name)[0].encode()
-    schema = Schema(id=1, name=type_name, encoding=ENCODING, data=definition)
+    schema = Schema(id=1, name=type_name, encoding='ros2msg', data=definition)
     decode = DecoderFactory().decoder_for('cdr', schema)
     assert decode is not None
     return decode(data)

@@ -64,8 +64,6 @@ def test_a_bad_file_is_refused(tmp_path, config, told):
 @for_each('text, told', [
     ('/**: {', 'it is not YAML'),
     ('/**: {ros__parameters: {seed: 1, seed: 2}}', "the key 'seed' appears in line 1"),
-    ('/**: {ros__parameters: {robots: {scout_1: {max_steps: 9}}}}', 'called team.scout_1.max_ste'),
-    ('/**: {ros__parameters: {goal: lane}}', 'parameter goal is called goal.kind now'),
     ('/**: {ros__parameters: {team.scout_1.max_step: 9}}', 'did you mean team.scout_1.max_st'),
 ])  # fmt: skip
 def test_bad_yaml_and_duplicate_keys_are_refused(tmp_path, text, told):
@@ -220,7 +218,6 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
         ('planner', f'{name}:=3', 'the planner: did you mean robots?')
         for name in ('robts', 'robtos', 'robotss', 'tobots', 'xrobots', 'robot')
     ),
-    ('recorder', 'goal:=lane', 'parameter goal is called goal.kind now'),
     ('recorder', 'recorder:xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
     ('planner', 'planer:robots:=3', "this node is not 'planer': did you mean planner?"),
     ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is a'),

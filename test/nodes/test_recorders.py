@@ -139,7 +139,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
     field.node.create_publisher(BeliefMaps, '/m/belief', qos.LATCHED).publish(prior())
     told = field.listen(Recorded, '/m/scout_1/recorded', volatile=True)
     load = Load(field)
-    recorder = field.start('recorder', {'file': str(log), 'max_file_size': 0}, '/m')
+    recorder = field.start('recorder', {'file': str(log)}, '/m')
     load.send(100, 0.1)
     field.until(lambda: told, 'word of the first path')
     for kills in range(KILLS):
@@ -156,7 +156,7 @@ def test_a_recorder_killed_under_load_loses_no_deployment(field):
             on_disk = set().union(*(stamps(part, PATH) for part in parts[-2:]))
             assert on_disk >= {stamp for stamp in sent if stamp <= newest}
         told.clear()
-        recorder = field.start('recorder', {'resume': str(log), 'max_file_size': 0}, '/m')
+        recorder = field.start('recorder', {'resume': str(log)}, '/m')
     # A confirmation of the recorder before may still arrive.
     field.until(lambda: len(log_parts(log)) > KILLS, 'file of the last recorder')
     last = key(load.sent).stamp
