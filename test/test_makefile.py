@@ -4,101 +4,14 @@
 import os
 from pathlib import Path
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
-import time
 
 from laws import for_each
 import pytest
 
 ROOT = Path(__file__).parents[1]
-
-WORKS = 'for n in 1 2 3; do echo fetching part $n; sleep 0.3; done'
-REFUSED = (
-    'echo npm http fetch; echo npm error code SELF_SIGNED_CERT_IN_CHAIN >&2; '
-    'echo npm error self-signed certificate in certificate chain; exit 7'
-)
-UNKNOWN = 'echo Collecting quark; echo "ERROR: No matching distribution found" >&2; exit 1'
-
-
-@pytest.fixture
-def tree(tmp_path):
-    """Return a folder with the Makefile, and Python, npm and node replaced by scripts."""
-    for name in ('Makefile', 'requirements', 'tools'):
-        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
-        copy(ROOT / name, tmp_path / name)
-    locks = [f'test/{name}/package-lock.json' for name in ('log', 'report')]
-    for name in (*locks, '.tools/.uv', '.venv/.run', '.venv/bin/python', 'bin/npm', 'bin/node'):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).touch(0o755)
-    return tmp_path
-
-
-def make(tree, uv, npm):
-    for name, does in (('.venv/bin/python', uv), ('bin/npm', npm), ('bin/node', '')):
-        (tree / name).write_text(f'#!/bin/bash\n{does}\n')
-    environment = {name: value for name, value in os.environ.items() if name != 'ROS_DISTRO'}
-    environment |= {'PATH': f'{tree / "bin"}:{os.environ["PATH"]}', 'STEP_PERIOD': '0.2'}
-    return subprocess.Popen(
-        ['make', '.venv/.dev', '.venv/.npm'],
-        cwd=tree,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        # Background jobs of shells ignore SIGINT.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-
-
-@pytest.mark.processes
-def test_progress_is_shown_in_few_lines(tree):
-    made = make(tree, WORKS, WORKS)
-    told, complaints = made.communicate(timeout=60)
-    assert made.returncode == 0, complaints
-    assert complaints == ''
-    for what in ('requirements/dev.lock into .venv', 'test/log/package-lock.json with npm'):
-        assert f'Installing {what} ...\n' in told
-    assert told.count('s: fetching part') >= 3
-    assert told.count('done in') == 3
-    assert (tree / '.venv/.dev').exists()
-    assert (tree / '.venv/.npm').exists()
-
-
-@pytest.mark.processes
-@pytest.mark.parametrize(
-    'uv, npm, reasons, missing',
-    [
-        (UNKNOWN, WORKS, ['quark', 'ERROR: No matching distribution', 'exit code 1: '], 'dev'),
-        (WORKS, REFUSED, ['npm error code SELF_SIGNED_CERT', 'exit code 7: npm ci'], 'npm'),
-    ],
-    ids=['uv', 'npm'],
-)
-def test_failures_state_the_reason_and_the_remedy_of_certificates(tree, uv, npm, reasons, missing):
-    made = make(tree, uv, npm)
-    _, complaints = made.communicate(timeout=60)
-    assert made.returncode == 2
-    for reason in reasons:
-        assert reason in complaints
-    for remedy in ('PIP_CERT=FILE', 'NODE_EXTRA_CA_CERTS=FILE'):
-        assert (remedy in complaints) == (npm is REFUSED)
-    assert not (tree / '.venv' / f'.{missing}').exists()
-
-
-@pytest.mark.processes
-def test_an_interrupt_ends_running_programs(tree):
-    made = make(tree, 'echo $$ > pid; exec sleep 60', WORKS)
-    deadline = time.monotonic() + 30
-    while not (tree / 'pid').exists() or not (tree / 'pid').read_text():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    os.killpg(made.pid, signal.SIGINT)
-    made.communicate(timeout=30)
-    assert made.returncode != 0
-    assert not Path('/proc', (tree / 'pid').read_text().strip()).exists()
 
 
 @pytest.mark.processes
@@ -106,10 +19,15 @@ def test_an_interrupt_ends_running_programs(tree):
     ('of mine', {}, 'Messages cannot be built in the folder'),
     ('field', {'ROS_DISTRO': 'jazzy'}, '*** ROS 2 jazzy is sourced'),
 ])  # fmt: skip
-def test_make_begins_with_a_refusal(tree, folder, variables, first):
+def test_make_begins_with_a_refusal(tmp_path, folder, variables, first):
+    here = tmp_path / folder
+    here.mkdir()
+    for name in ('Makefile', 'requirements', 'tools'):
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        copy(ROOT / name, here / name)
     made = subprocess.run(
         ['make', '--always-make', '.venv/.run'],
-        cwd=shutil.copytree(tree, tree.parent / folder),
+        cwd=here,
         env={'PATH': os.environ['PATH'], **variables},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

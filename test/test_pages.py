@@ -118,14 +118,6 @@ def test_an_example_in_python_prints_the_stated_output(page, printed, capsys):
     assert example.endswith(f'# {told}') if printed is None else told.endswith(f'{printed}\n')
 
 
-def test_the_readme_is_short_and_so_are_its_sentences():
-    text = (ROOT / 'README.md').read_text()
-    assert len(text.split()) <= 700
-    prose = re.sub(r'```.*?```|^\|.*?$|^#.*?$', '', text, flags=re.S | re.M)
-    sentences = re.split(r'(?<=[.:;?])\s+|\n\s*\n', prose)
-    assert [each for each in sentences if len(each.split()) > 30] == []
-
-
 @pytest.mark.full
 @pytest.mark.processes
 def test_the_readme_compares_the_printed_update_with_the_exact_one(tmp_path):
@@ -221,9 +213,8 @@ def test_quality_of_service_and_possible_losses_are_as_stated():
     assert f'at most {log_writer.CHUNK // 2**20} MiB of them' in words('docs/log.md')
 
 
-def test_the_glossary_is_short_and_names_existing_code():
+def test_the_glossary_names_existing_code():
     glossary = ROOT.joinpath('docs/glossary.md').read_text()
-    assert 0 < len(re.findall(r'^\| (?!word)[a-z]', glossary, re.MULTILINE)) < 25
     names = re.findall(r'`(core\.[\w.]+)`', glossary)
     assert names
     assert [name for name in names if locate(f'kbnitp_ros.{name}') is None] == []

@@ -101,7 +101,6 @@ def test_nodes_declare_the_table(make_node, name):
     ({'grid.blocked': [1.5]}, 'grid.blocked is 1.5: it must be a list, each a whole number'),
     ({'method': 'guess'}, f"method is 'guess': it must be one of {', '.join(METHODS)}"),
     ({'agents': ['a', 'b c']}, "agents is 'b c': it must be of the form [A-Za-z]"),
-    ({'learn': ['kappa']}, 'parameter learn is called learn.numbers now'),
     ({'team.scout_1.max_step': 9}, 'every node: did you mean team.scout_1.max_steps? '),
     ({'team.scout_1.seed': 3}, 'team.scout_1.seed: all agents have the same seed'),
     ({'team.scuot_1.max_steps': 9}, 'of agent scuot_1, which is not in the team: did you'),
