@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 with extra('report'):
     from matplotlib import rc_context
     from matplotlib.axes import Axes
-    from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
@@ -96,9 +95,6 @@ DARK_MAPS: dict[str, Scale] = {
 # Colours of the number of robots lost in a cell, from none to the most.
 COUNTS = {'light': ('#f7f7f7', '#e69f00', '#7a2e00'), 'dark': ('#2e3238', '#b06f00', '#ffd27a')}
 
-# Colours that hatch unvisited cells: of wide light lines, and of dark lines inside them.
-UNVISITED = ('#ffffff80', '#505050')
-
 
 DPI = 300
 FORMATS = ('png', 'svg', 'pdf')
@@ -146,9 +142,6 @@ def save(figure: Figure, path: Path, *formats: str, dpi: int = DPI) -> list[Path
 
 # Maximum side of a field, in cells, for which lines between cells are drawn.
 MAX_LINED = 20
-
-# Opacity of a path that is drawn alone; several paths are fainter.
-MAX_OPACITY = 0.9
 
 
 def plot(
@@ -258,39 +251,6 @@ def outlines(grid: Grid, cells: NDArray[np.bool_]) -> Outline:
     codes = [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
     vertices = grid.in_metres(corners).reshape(-1, 2)
     return Outline(vertices, codes * len(corners)) if len(corners) else Outline(np.empty((0, 2)))
-
-
-def hatch(axes: Axes, grid: Grid, cells: NDArray[np.bool_]) -> None:
-    """Hatch some cells with dark lines inside light lines, visible on light and dark maps."""
-    if cells.any():
-        for colour, width in zip(UNVISITED, (1.4, 0.5)):
-            axes.add_patch(
-                PathPatch(
-                    outlines(grid, cells),
-                    facecolor='none',
-                    edgecolor=colour,
-                    hatch='////',
-                    hatch_linewidth=width,
-                    linewidth=0.0,
-                )
-            )
-
-
-def draw_paths(axes: Axes, grid: Grid, observations: Sequence[Observation], style: Style) -> None:
-    """Draw the paths of robots."""
-    draw_field(axes, grid)
-    axes.add_collection(
-        LineCollection(
-            [grid.centers(each.path) for each in observations],
-            colors=style.colour,
-            linestyles=[style.dash],
-            linewidths=1.0,
-            alpha=max(0.08, MAX_OPACITY / max(1, len(observations)) ** 0.5),
-        )
-    )
-    contacts = [each.path[each.steps_survived] for each in observations if each.steps_survived]
-    if contacts:
-        axes.plot(*grid.centers(contacts).T, style.marker, color=style.colour, markersize=3)
 
 
 # Quantiles of the bands, and their opacities.

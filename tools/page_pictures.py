@@ -3,7 +3,7 @@
 Take the pictures of a report that the documentation shows.
 
 ``python3 tools/page_pictures.py REPORT DOCS/images`` takes them of REPORT/report.html in a
-browser, Chromium or Chrome, and of REPORT/maps.png. ``python3 tools/page_pictures.py REPORT
+browser, Chromium or Chrome. ``python3 tools/page_pictures.py REPORT
 DOCS/images KINDS LANE`` also takes the answer of KINDS/report.html on whether it can be trusted,
 and the map of LANE/report.html before the first robot and after the last.
 """
@@ -15,7 +15,6 @@ from pathlib import Path
 import shutil
 import sys
 
-from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
@@ -47,9 +46,6 @@ def main(report: Path, images: Path, kinds: Path | None = None, lane: Path | Non
         if lane is not None:
             take_change(browser, lane, images / 'page_lane.png')
         browser.close()
-    with Image.open(report / 'maps.png') as maps:
-        maps.thumbnail((1600, 1600))
-        maps.convert('RGB').save(images / 'maps.png', optimize=True)
 
 
 def opened(browser: Browser, report: Path, scheme: str) -> Page:

@@ -122,7 +122,7 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
     try:
         with serving(log, None, HOST, 0) if has_page else nullcontext():
             deploy(parameters)
-            return conclude(log, reach)
+            return conclude(log)
     except KeyboardInterrupt:
         complain('demo', f'interrupted; {how_to_go_on(log)}')
         return 130
@@ -326,7 +326,7 @@ def watch(observer: Node, received: deque[Progress], robots: int, processes: Pro
         say(now.reason)
 
 
-def conclude(log: Path, note: str) -> int:
+def conclude(log: Path) -> int:
     """Replay and report the log, and print what was learnt; return the exit code."""
     say('replaying the log and writing the report')
     recorded, progress = MissionLog(log), partial(with_progress, log_size(log))
@@ -336,7 +336,7 @@ def conclude(log: Path, note: str) -> int:
     shutil.rmtree(folder, ignore_errors=True)
     say(*lines(reproduction))
     say(f'wrote {log}')
-    mission = report(log, folder, note)
+    mission = report(log, folder)
     first, last = mission.moments[0], mission.moments[-1]
     say(f'entropy {first.belief.entropy():.1f} -> {last.belief.entropy():.1f} nats')
     for name, known in last.state.numbers.items():

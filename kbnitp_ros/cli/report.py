@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report a mission's log as a page, pictures, tables and maps."""
+"""Report a mission's log as a page, tables and maps."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from kbnitp_ros.report.tables import mission_curves
 from tqdm import tqdm
 
 DESCRIPTION = """
-Show a mission's log: report.html, a page that works without a network; maps and progress as PNG
-and SVG; deployments.csv and, if pyarrow is installed, deployments.parquet: one row a deployment;
+Show a mission's log: report.html, a page that works without a network and saves its figures as
+SVG; deployments.csv and, if pyarrow is installed, deployments.parquet: one row a deployment;
 belief.npz; and the last beliefs as maps of map_server (hazard.yaml, target.yaml, kappa.yaml), with
 which a mission can begin.
 
@@ -59,13 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 2 if mission.corrupt else 0
 
 
-def report(log: Path, folder: Path, note: str = '', namespace: str | None = None) -> Mission:
+def report(log: Path, folder: Path, namespace: str | None = None) -> Mission:
     """Write the report of a log, with progress bars on a terminal."""
     mission = read_mission(log, partial(with_progress, log_size(log)), namespace)
     curves = mission_curves(mission, CURVES)
     with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
-        left_out = write_report(folder, mission, curves, note, lambda name: bar.update())
-    say(f'wrote {folder / "report.html"} and, beside it, pictures, tables and maps')
+        left_out = write_report(folder, mission, curves, lambda name: bar.update())
+    say(f'wrote {folder / "report.html"} and, beside it, tables and maps')
     for note in (*mission.notes, left_out):
         if note:
             say(note)

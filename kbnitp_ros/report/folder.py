@@ -10,8 +10,6 @@ from pathlib import Path
 import shutil
 import tempfile
 
-from kbnitp_ros.figures import save
-from kbnitp_ros.report.figures import maps_figure, progress_figure
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.tables import Curves, write_beliefs, write_tables
@@ -29,7 +27,6 @@ def write_report(
     folder: Path,
     mission: Mission,
     curves: Curves,
-    note: str = '',
     done: Callable[[str], object] = lambda name: None,
 ) -> str:
     """Write a report, all of its files or none; return a note on moments that the page omits."""
@@ -38,10 +35,6 @@ def write_report(
         page, left_out = mission_page(mission, curves)
         new.joinpath('report.html').write_text(page, encoding='utf-8')
         done('report.html')
-        save(maps_figure(mission, note), new / 'maps.png', 'png', 'svg', dpi=DPI)
-        done('maps.png')
-        save(progress_figure(mission, curves), new / 'progress.png', 'png', 'svg', dpi=DPI)
-        done('progress.png')
         write_tables(new, mission, curves)
         done('deployments.csv')
         write_beliefs(new, mission, curves)
@@ -49,11 +42,8 @@ def write_report(
     return left_out
 
 
-# Resolution of PNG files, which are for screens; SVG files are for print.
-DPI = 150
-
 # Names that `write_report` passes to `done`.
-PARTS = ('report.html', 'maps.png', 'progress.png', 'deployments.csv', 'belief.npz')
+PARTS = ('report.html', 'deployments.csv', 'belief.npz')
 
 
 @contextmanager

@@ -13,7 +13,6 @@ from typing import Any
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.figures import extent, LOST, MAPS, RETURNED, SERIES, Style
-from kbnitp_ros.report.figures import learnt_quantiles, mission_panels
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.tables import Curves
 import numpy as np
@@ -36,6 +35,39 @@ ARROW, ABOVE = 20, 64
 
 # Height of a panel of curves, in pixels.
 PANEL = 280
+
+
+# Curves of a panel by name, one value for each moment.
+Lines = dict[str, NDArray[np.float64]]
+
+
+def mission_panels(curves: Curves) -> dict[str, Lines]:
+    """Return the curves of each panel of a mission, by the panel's title with the unit."""
+    log_loss = {'hazard map': curves.hazard_loss, 'target map': curves.target_loss}
+    return {
+        'entropy (nats)': {
+            'H(Z) + H(X), all': curves.entropy,
+            'H(Z), hazards': curves.hazard_entropy,
+            'H(X), targets': curves.target_entropy,
+            'H(Z, X), joint': curves.joint_entropy,
+        },
+        **({} if np.isnan(curves.hazard_loss).all() else {'log loss (nats)': log_loss}),
+        'information so far (nats)': {
+            'expected': np.nancumsum(curves.expected),
+            'gained': np.nancumsum(curves.gained),
+        },
+        'robots': {'lost': curves.lost.astype(np.float64), 'out': curves.out.astype(np.float64)},
+    }
+
+
+def learnt_quantiles(mission: Mission, name: str) -> NDArray[np.float64]:
+    """Return the quantiles of a learnt number, shape (moments, 5); NaN if unknown."""
+    return np.array(
+        [
+            each.state.numbers[name].quantiles if name in each.state.numbers else [np.nan] * 5
+            for each in mission.moments
+        ]
+    )
 
 
 def map_plot(grid: Grid, north: float | None = None) -> str:

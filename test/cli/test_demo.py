@@ -94,11 +94,8 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.processes
-def test_demo_leaves_a_mission_that_replays_and_its_pictures(whole, capsys):
+def test_demo_leaves_a_mission_that_replays(whole, capsys):
     out, _ = whole
-    for name in ('maps.png', 'progress.png'):
-        assert (out / 'report' / name).read_bytes().startswith(b'\x89PNG')
-
     _, expected, world, _ = demo_mission(*WHOLE)
     history = read_history(out / 'mission.mcap')
     assert [o.path.tolist() for o in history.observations] == [
@@ -357,7 +354,7 @@ def test_a_demo_states_its_reach_and_shows_two_learnt_numbers(whole):
     told = f'lethality learnt: {middle:.2g}, 90 % interval {low:.2g} to {high:.2g}; true: 0.9'
     assert told in printed.splitlines()
     assert re.search(r'^hazard_density learnt: .* true: 0\.15$', printed, re.M)
-    assert (out / 'report/maps.png').read_bytes().startswith(b'\x89PNG')
+    assert (out / 'report/report.html').stat().st_size > 1000
     # Only the robots knew the truth.
     assert history.learnt[0]['lethality'].mean == pytest.approx(0.5, abs=1e-3)
 

@@ -27,7 +27,7 @@ import pytest
 NAMES = ('hazard', 'target', 'kappa')
 
 FILES = {
-    'report.html', 'maps.png', 'maps.svg', 'progress.png', 'progress.svg', 'deployments.parquet',
+    'report.html', 'deployments.parquet',
     'deployments.csv', 'belief.npz', 'hazard.yaml', 'hazard.pgm', 'target.yaml', 'target.pgm',
     'kappa.yaml', 'kappa.pgm',
 }  # fmt: skip
