@@ -12,7 +12,7 @@ import json
 import sys
 from typing import Any
 
-from kbnitp_ros.figures import SERIES
+from kbnitp_ros.styles import SERIES
 
 LINES = {'solid': 'solid', 'dash': 'dashed', 'dot': 'dotted', 'dashdot': 'dashed'}
 

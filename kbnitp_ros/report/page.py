@@ -16,7 +16,6 @@ import zlib
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from kbnitp_ros.core import Belief, Grid, Observation
-from kbnitp_ros.figures import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED, stops
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import NAME
 from kbnitp_ros.report.answers import (
@@ -41,6 +40,7 @@ from kbnitp_ros.report.plots import (
     WALKS,
 )
 from kbnitp_ros.report.tables import Curves, out_at, rows
+from kbnitp_ros.styles import COUNTS, DARK_MAPS, LOST, MAPS, RETURNED, stops
 import numpy as np
 from numpy.typing import NDArray
 

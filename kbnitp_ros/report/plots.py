@@ -12,9 +12,9 @@ from math import cos, isnan, pi, sin
 from typing import Any
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.figures import extent, LOST, MAPS, RETURNED, SERIES, Style
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.tables import Curves
+from kbnitp_ros.styles import extent, LOST, MAPS, RETURNED, SERIES, Style
 import numpy as np
 from numpy.typing import NDArray
 

@@ -20,7 +20,7 @@ from kbnitp_ros.core import (
     SensorModel,
     World,
 )
-from kbnitp_ros.figures import FORMATS, LETTERS, save, SERIES, WIDTH
+from kbnitp_ros.figures import FORMATS, LETTERS, save, WIDTH
 from kbnitp_ros.files import naming, share
 from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
 from kbnitp_ros.study.comparing import compare
@@ -36,6 +36,7 @@ from kbnitp_ros.study.results import (
 )
 from kbnitp_ros.study.scenario import Scenario
 from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
+from kbnitp_ros.styles import SERIES
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

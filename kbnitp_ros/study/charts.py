@@ -8,7 +8,7 @@ from functools import partial
 from itertools import product
 from typing import Literal
 
-from kbnitp_ros.figures import SERIES, Style, WIDTH
+from kbnitp_ros.figures import WIDTH
 from kbnitp_ros.study.results import (
     after_rounds,
     bootstrap_mean,
@@ -27,6 +27,7 @@ from kbnitp_ros.study.scenario import (
     Strategy,
     team_labels,
 )
+from kbnitp_ros.styles import SERIES, Style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter

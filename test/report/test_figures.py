@@ -6,11 +6,12 @@ import json
 
 from colorspacious import deltaE
 from kbnitp_ros.core import Belief, Grid, Unknowns
-from kbnitp_ros.figures import COUNTS, DARK_MAPS, draw_map, MAPS, plot, save, SERIES, stops
+from kbnitp_ros.figures import draw_map, plot, save
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.plots import curve_plots
 from kbnitp_ros.report.tables import mission_curves
 from kbnitp_ros.study.scenario import NUMBERS
+from kbnitp_ros.styles import COUNTS, DARK_MAPS, MAPS, SERIES, stops
 from laws import for_each
 from legible import as_seen, VISIONS
 from matplotlib import rc_context

@@ -5,12 +5,12 @@ from dataclasses import replace
 import json
 
 from disk import room_for
-from kbnitp_ros.figures import SERIES
 from kbnitp_ros.study.charts import columns_for, contender_labels, group_contenders, reliability
 from kbnitp_ros.study.comparison import study_figures, write_report
 from kbnitp_ros.study.results import bootstrap_mean, LOG_LOSS, Results, summarise, summary_table
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, Trial
+from kbnitp_ros.styles import SERIES
 from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
