@@ -28,9 +28,10 @@ BELOW = {
     'maps': {'files', 'plugins', 'core'},
     'log': {'files', 'core', 'messages'},
     'robot': {'files', 'core', 'messages'},
-    'figures': {'core', 'plugins'},
-    'study': {'files', 'plugins', 'core', 'figures'},
-    'report': {'files', 'core', 'maps', 'messages', 'log', 'figures'},
+    'styles': {'core'},
+    'figures': {'core', 'plugins', 'styles'},
+    'study': {'files', 'plugins', 'core', 'figures', 'styles'},
+    'report': {'files', 'core', 'maps', 'messages', 'log', 'figures', 'styles'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
     'base': {'files', 'core', 'messages', 'log', 'configuration'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
@@ -39,7 +40,7 @@ BELOW = {
         'nodes.runtime',
     },
     'cli': {
-        'files', 'core', 'messages', 'log', 'study', 'figures', 'report', 'configuration',
+        'files', 'core', 'messages', 'log', 'study', 'figures', 'styles', 'report', 'configuration',
         'base', 'nodes.runtime',
     },
 }  # fmt: skip
@@ -174,7 +175,8 @@ def test_logs_are_read_without_ros():
     needed = [
         (str(path.relative_to(ROOT)), name)
         for path, tree in sources().items()
-        if find_layer(path).split('.')[0] in ('messages', 'log', 'report', 'maps', 'figures')
+        if find_layer(path).split('.')[0]
+        in ('messages', 'log', 'report', 'maps', 'figures', 'styles')
         if str(path.relative_to(ROOT / 'kbnitp_ros')) not in WRITERS
         for node in tree.body
         if isinstance(node, ast.ImportFrom | ast.Import)
