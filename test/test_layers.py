@@ -31,7 +31,7 @@ BELOW = {
     'styles': {'core'},
     'figures': {'core', 'plugins', 'styles'},
     'study': {'files', 'plugins', 'core', 'figures', 'styles'},
-    'report': {'files', 'core', 'maps', 'messages', 'log', 'figures', 'styles'},
+    'report': {'files', 'core', 'maps', 'messages', 'log', 'styles'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
     'base': {'files', 'core', 'messages', 'log', 'configuration'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
@@ -40,7 +40,7 @@ BELOW = {
         'nodes.runtime',
     },
     'cli': {
-        'files', 'core', 'messages', 'log', 'study', 'figures', 'styles', 'report', 'configuration',
+        'files', 'core', 'messages', 'log', 'study', 'figures', 'report', 'configuration',
         'base', 'nodes.runtime',
     },
 }  # fmt: skip
