@@ -55,6 +55,9 @@ LEFT_OUT = ('/parameter_events', '/rosout')
 # Roles that nodes act on: messages are synced at once, statuses if an acknowledgement is due.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
+# Kinds of the messages that are acknowledged, by role; of statuses only departures are.
+KINDS = {'path': Recorded.PATH, 'status': Recorded.DEPARTURE, 'operator': Recorded.ACTION}
+
 # Nodes that a mission needs, by the role that they publish.
 AWAITED = {'path': 'a planner to publish AGENT/path', 'belief': 'an estimator to publish belief'}
 
@@ -439,8 +442,15 @@ class RecorderNode(MissionNode):
                 return True
             self._tracker.begin(mission)
         assert topic.recorded is not None
+        assert topic.role is not None
         topic.recorded.publish(
-            Recorded(stamp=to_stamp(stamp), content=content, mission=to_stamp(mission))
+            Recorded(
+                stamp=to_stamp(stamp),
+                content=content,
+                mission=to_stamp(mission),
+                agent=topic.role.agent,
+                kind=KINDS[topic.role.name],
+            )
         )
         return True
 

@@ -281,7 +281,8 @@ def test_paths_of_other_missions_are_never_acknowledged(field):
     own = path_message(GRID, HOME, key(200).stamp, 5 * SECOND)
     paths.publish(own)
     field.until(lambda: told, 'acknowledgement')
-    assert told == [changed(on_disk(own), mission=to_stamp(5 * SECOND))]
+    of_path = {'agent': 'scout_1', 'kind': Recorded.PATH, 'mission': to_stamp(5 * SECOND)}
+    assert told == [changed(on_disk(own), **of_path)]
 
 
 def test_a_planner_does_not_take_itself_for_the_agent_that_it_awaits(field):
