@@ -3,21 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
 import json
 import os
 from pathlib import Path
-import struct
 from typing import Any
 
 from kbnitp_ros.files import naming, parse_yaml, sync_folder, yaml_text
 from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
-from mcap.records import Schema
-from mcap.well_known import SchemaEncoding
-from mcap_ros2.decoder import DecoderFactory
 
 # Keys of the metadata of a channel.
 QOS = 'offered_qos_profiles'
@@ -69,25 +64,6 @@ def installed_text(type_name: str, suffix: str) -> str:
         return Path(get_package_share_directory(package), kind, f'{name}.{suffix}').read_text()
     except OSError as error:
         raise LookupError(f'type {type_name} is not installed: {error}') from error
-
-
-@cache
-def installed_decoder(type_name: str) -> Callable[[bytes], Any]:
-    """Return the decoder of an installed message type."""
-    definition, _ = describe(type_name)
-    schema = Schema(1, definition.encode(), SchemaEncoding.ROS2, type_name)
-    decoder = DecoderFactory().decoder_for('cdr', schema)
-    assert decoder is not None
-    return decoder
-
-
-def check_readable(type_name: str, data: bytes) -> None:
-    """Check that readers of a log can decode a message; raises ValueError."""
-    # rclpy accepts invalid UTF-8 and truncated messages; decoders of logs do not.
-    try:
-        installed_decoder(type_name)(data)
-    except (UnicodeDecodeError, struct.error) as error:
-        raise ValueError(f'readers of logs cannot decode it: {error}') from error
 
 
 def qos_profiles_yaml(profiles: Iterable[Any]) -> str:

@@ -181,6 +181,19 @@ def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
     return tuple((name, b''.join(_encoded(name))) for name in names)
 
 
+def check_texts(message: Any) -> None:
+    """Check that the texts of a message that rclpy has read are UTF-8, as readers of logs need."""
+    # rclpy puts this character in place of other bytes.
+    for name, _ in _encoded_fields(message.__class__):
+        value = getattr(message, name)
+        for each in value if isinstance(value, list) else [value]:
+            if isinstance(each, str) and '\N{REPLACEMENT CHARACTER}' in each:
+                raise ValueError(
+                    f'readers of logs cannot decode it: {name} is {shown(each)}: it must be UTF-8'
+                )
+            check_texts(each)
+
+
 NO_MISSION = 0
 
 

@@ -23,10 +23,16 @@ from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import PARAMETERS, RUN
 from kbnitp_ros.log.record import Departures, MissingError, read_mission
 from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log, Role
-from kbnitp_ros.log.schema import check_readable, qos_profiles_yaml
+from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState
-from kbnitp_ros.messages.headers import check_mission, content_hash, NO_MISSION, to_stamp
+from kbnitp_ros.messages.headers import (
+    check_mission,
+    check_texts,
+    content_hash,
+    NO_MISSION,
+    to_stamp,
+)
 from kbnitp_ros.nodes.presence import OPERATORS, Recorders
 from kbnitp_ros.nodes.recorded_topics import (
     Message,
@@ -367,9 +373,7 @@ class RecorderNode(MissionNode):
         if role is None:
             return
         message = deserialize_message(data, message_class(topic.type_name))
-        if role.name != 'belief':
-            # The decoder of logs takes 18 ms for a belief over 100x100 cells.
-            check_readable(topic.type_name, data)
+        check_texts(message)
         said = read_content(role, message)
         if role.name == 'status':
             self._check_status(topic, *said)

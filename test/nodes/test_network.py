@@ -181,9 +181,11 @@ def test_a_map_that_no_other_reader_can_read_is_not_recorded(field):
     sound = occupancy_grid(GRID, [0.5] * GRID.cells, 1)
     data = serialize_message(sound)
     before, _, after = data.partition(b'map\0')
-    for text in (b'm\xffp\0', b'\0\xc0p\0'):
-        maps.publish(before + text + after)
-    assert 'readers of logs cannot decode it' in field.until_refused('/m/recorder', 2)
+    maps.publish(before + b'm\xffp\0' + after)
+    assert 'readers of logs cannot decode it: frame_id' in field.until_refused('/m/recorder', 1)
+    # rclpy reads a text up to its first zero.
+    maps.publish(before + b'\0\xc0p\0' + after)
+    assert "header.frame_id is ''" in field.until_refused('/m/recorder', 2)
     maps.publish(sound)
     field.until(lambda: len(list(read_log(log, ['nav_msgs/msg/OccupancyGrid']))) == 1, 'map')
 
