@@ -42,8 +42,9 @@ from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offset
 import numpy as np
 from numpy.typing import NDArray
 
-# Number of particles for up to three unknown numbers, and for four or more.
-FEW, MANY = 192, 512
+# Number of particles for up to three unknown numbers, and for four or more; and the least numbers,
+# where more do not fit into memory.
+FEW, MANY = (192, 40), (512, 128)
 
 # Number of Metropolis steps after each resampling.
 MOVES = 3
@@ -96,15 +97,15 @@ class Filters:
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
         self._evidence: tuple[Evidence, ...] = ()
-        enough = FEW if len(priors) < 4 else MANY
-        self._count = (count or enough) if priors else 1
-        estimate = 32 * belief.cells * self._count * COPIES
-        if self._count > 1 and estimate > MAX_MEMORY:
+        enough, least = FEW if len(priors) < 4 else MANY
+        of_each = 32 * belief.cells * COPIES
+        if priors and count is None and least * of_each > MAX_MEMORY:
             raise ValueError(
-                f'learning numbers on {belief.cells} cells takes about {estimate / 1e9:.1f} '
-                f'GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: take a smaller field, or learn '
-                'nothing'
+                f'learning numbers on {belief.cells} cells takes about '
+                f'{least * of_each / 1e9:.1f} GB, and {MAX_MEMORY / 1e9:.1f} GB are allowed: '
+                'take a smaller field, or learn nothing'
             )
+        self._count = (count or min(enough, MAX_MEMORY // of_each)) if priors else 1
         # The numbers of each particle, shape (particles, numbers).
         self.numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
         # Cache for the latest numbers: these, their change between deployments, `Effects` by type.

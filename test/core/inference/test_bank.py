@@ -20,6 +20,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.unknowns import joint_after_change
+from kbnitp_ros.core.inference import bank
 from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
 from laws import for_each
@@ -220,6 +221,23 @@ def test_where_all_particles_die_more_are_drawn():
     for _ in range(30):
         estimator.assimilate(Observation([0, 1, 0], True, [-1, -1]))
     assert estimator.parameters['lethality'].mean < 0.1
+
+
+@for_each('unknowns, fewest', [(TWO, 40), (SEVEN, 128)])
+def test_large_fields_have_fewer_particles_and_larger_ones_are_refused(
+    monkeypatch, unknowns, fewest
+):
+    belief = Belief.prior(Grid(9, 9), 0.3, 0.3, 0.8)
+
+    def particles(most):
+        monkeypatch.setattr(bank, 'MAX_MEMORY', most)
+        return len(Filters(belief, SensorModel(0.5), unknowns, 1, Dynamics()).numbers)
+
+    of_each = 32 * belief.cells * bank.COPIES
+    assert particles(1 << 40) > particles(of_each * (fewest + 7)) == fewest + 7
+    assert particles(of_each * fewest) == fewest
+    with pytest.raises(ValueError, match='learning numbers on 81 cells takes about .* GB'):
+        particles(of_each * fewest - 1)
 
 
 def test_the_impossible_is_refused_and_changes_nothing():
