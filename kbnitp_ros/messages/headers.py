@@ -186,12 +186,12 @@ def check_texts(message: Any) -> None:
     # rclpy puts this character in place of other bytes.
     for name, _ in _encoded_fields(message.__class__):
         value = getattr(message, name)
-        for each in value if isinstance(value, list) else [value]:
-            if isinstance(each, str) and '\N{REPLACEMENT CHARACTER}' in each:
+        for part in value if isinstance(value, list) else [value]:
+            if isinstance(part, str) and '\N{REPLACEMENT CHARACTER}' in part:
                 raise ValueError(
-                    f'readers of logs cannot decode it: {name} is {shown(each)}: it must be UTF-8'
+                    f'readers of logs cannot decode it: {name} is {shown(part)}: it must be UTF-8'
                 )
-            check_texts(each)
+            check_texts(part)
 
 
 NO_MISSION = 0

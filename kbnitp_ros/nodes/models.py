@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator node says of its model: learnt numbers and the check of alternatives."""
+"""The estimator node's topic `model`: learnt numbers, and the check against alternatives."""
 
 from __future__ import annotations
 

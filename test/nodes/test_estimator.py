@@ -170,11 +170,11 @@ def test_every_nth_and_the_last_belief_are_checked(field):
     node.send_signal(SIGINT)
     field.until(lambda: models[-1].checked == 3, 'last check', may_end=True)
     stamps = {each.deployments: each.header.stamp for each in field.beliefs}
-    for each in models:
-        if each.checked_stamp.sec:
-            assert each.checked_stamp == stamps[each.checked]
-            told = dict(zip(each.alternative, each.alternative_ratio))
-            assert told == checks[each.checked].alternatives
+    for model in models:
+        if model.checked_stamp.sec:
+            assert model.checked_stamp == stamps[model.checked]
+            told = dict(zip(model.alternative, model.alternative_ratio))
+            assert told == checks[model.checked].alternatives
 
 
 def test_a_weakly_known_density_of_clustered_hazards_is_stated(field):
