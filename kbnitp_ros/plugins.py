@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points, EntryPoint
 from inspect import signature
@@ -64,6 +65,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     ) -> None:
         self.kind = kind
         self.check = check
+        # A function is checked once, not at each use.
+        self._checked = lru_cache(maxsize=64)(check)
         self.own: tuple[str, ...] = ()
         self._entries: dict[str, Entry] = {}
         self._sources: dict[str, str] = {}
@@ -149,7 +152,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """Return the entry of a name; return an entry given in place of a name unchanged."""
         if callable(given):
             try:
-                return self.check(given)
+                hashable = isinstance(given, Hashable)
+                return self._checked(given) if hashable else self.check(given)
             except TypeError as error:
                 raise TypeError(f'{self.kind} {entry_name(given)}: {error}') from error
         if given not in self:
@@ -231,6 +235,15 @@ def takes(given: object, arguments: Iterable[str]) -> Any:
     except (TypeError, ValueError) as error:
         raise TypeError(f'{how}: {error}') from error
     return given
+
+
+def parameter_names(given: Callable[..., Any]) -> tuple[str, ...]:
+    """Return the names of a callable's parameters; none if it does not tell them."""
+    try:
+        return tuple(signature(given).parameters)
+    # Some builtins have no signature.
+    except (TypeError, ValueError):
+        return ()
 
 
 def entry_source(point: EntryPoint) -> str:

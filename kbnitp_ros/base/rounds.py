@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from threading import Thread
 import time
@@ -129,7 +129,14 @@ class Rounds:
         types = tuple(map(robot_type, agents))
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = self._knowledge.goal, make_stop(self._values)
-        options = search_options(self._values)
+        keepout = keepout_cells(
+            self._grid,
+            most_steps,
+            [each.base for each in types],
+            refused,
+            most_distance(self._values, agents),
+        )
+        options = replace(search_options(self._values), keepout=keepout)
         # Loss costs are in nats: gains of other objectives and of goals are not.
         is_mapping = goal is None and options.objective == 'information'
         loss_cost = options.loss_cost if is_mapping else 0.0
@@ -144,13 +151,6 @@ class Rounds:
             options,
             in_flight=[(path, robot_type(key.agent)) for key, path in out.items()],
             visited=self._visited - count_visits(self._grid, noted),
-            keepout=keepout_cells(
-                self._grid,
-                most_steps,
-                [each.base for each in types],
-                refused,
-                most_distance(self._values, agents),
-            ),
         )
 
         def planned() -> PlannedRound:

@@ -99,7 +99,8 @@ def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOp
 
 def search_options(values: Mapping[str, Any]) -> SearchOptions:
     """Return the options of the search."""
-    names = {field.name: field.name for field in fields(SearchOptions)} | {'width': 'beam_width'}
+    names = {field.name: field.name for field in fields(SearchOptions) if field.name != 'keepout'}
+    names['width'] = 'beam_width'
     return SearchOptions(**{option: values[name] for option, name in names.items()})
 
 

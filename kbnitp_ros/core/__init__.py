@@ -26,7 +26,7 @@ from kbnitp_ros.core.inference.one_pass import KnownModel
 from kbnitp_ros.core.inference.record import DeploymentKey, Report
 
 # A whole mission.
-from kbnitp_ros.core.mission import continue_mission, Deployment, Learning, run_mission, Truth
+from kbnitp_ros.core.mission import Deployment, Learning, Mission, run_mission, Truth
 
 # Planning: where to go next.
 from kbnitp_ros.core.planning.objective import Candidate, path_information, team_information
@@ -58,6 +58,7 @@ __all__ = [
     'Lane',
     'Learning',
     'Ledger',
+    'Mission',
     'NoPathError',
     'Observation',
     'PathFinder',
@@ -72,7 +73,6 @@ __all__ = [
     'Unknowns',
     'World',
     'brier_score',
-    'continue_mission',
     'forecast',
     'log_loss',
     'path_information',

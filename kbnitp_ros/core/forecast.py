@@ -19,7 +19,7 @@ from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.estimator import Estimator
-from kbnitp_ros.core.mission import continue_mission, decided, SimulatedMission, Truth
+from kbnitp_ros.core.mission import decided, Mission, Truth
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.plans import Team
 import numpy as np
@@ -129,8 +129,10 @@ def forecast(
 
     Parameters
     ----------
-    grid, robots, options, before, team, goal, stop
-        As in `continue_mission`; at least 1 robot.
+    grid, options, before, goal
+        As in `Mission.resume`.
+    robots, team, stop
+        As in `Mission.run`; at least 1 robot.
     estimator : Estimator
         The prior, or the estimator after the deployments `before`.
     worlds : int
@@ -144,7 +146,7 @@ def forecast(
     Raises
     ------
     ValueError
-        If `robots` or `worlds` is below 1; also as in `continue_mission`.
+        If `robots` or `worlds` is below 1; also as in `run_mission`.
 
     """
     robots = whole_number('robots', robots, 1)
@@ -155,35 +157,28 @@ def forecast(
         for number, (each, own) in enumerate(zip(drawn, rng.spawn(worlds)))
     ]
     begin = decided(goal, grid, estimator, len(before), options)[1]
-    go_on = partial(
-        continue_mission,
-        grid,
-        estimator,
-        robots=robots,
-        options=options,
-        before=tuple(before),
-        team=team,
-        goal=goal,
-        stop=stop,
+    resumed = partial(
+        Mission.resume, grid, estimator, options=options, before=tuple(before), goal=goal
     )
-    courses = run(partial(course, go_on, robots, estimator.belief, begin), possible)
+    rest = partial(Mission.run, robots=robots, team=team, stop=stop)
+    courses = run(partial(course, resumed, rest, robots, estimator.belief, begin), possible)
     name, confidence = ('map', None) if goal is None else (goal.name, goal.confidence)
     return Forecast(name, confidence, *map(np.array, zip(*courses, strict=True)))
 
 
 def course(
-    go_on: Callable[..., SimulatedMission],
+    resumed: Callable[..., Mission],
+    rest: Callable[[Mission], Mission],
     robots: int,
     belief: Belief,
     begin: Decision | None,
     possible: PossibleWorld,
 ) -> Course:
     """Run one mission."""
-    made = go_on(world=possible.world, rng=possible.rng, truth=Truth(possible.model))
+    made = rest(resumed(world=possible.world, rng=possible.rng, truth=Truth(possible.model)))
     decisions = [begin, *(each.decision for each in made)]
     lost = np.cumsum([0, *(not each.observation.survived for each in made)])
     beliefs = [belief, *(each.belief for each in made)]
-    world = made[-1].world if made else possible.world
     last = decisions[-1]
 
     def carried(values: Iterable[float]) -> Floats:
@@ -196,5 +191,5 @@ def course(
         carried(belief.entropy() for belief in beliefs),
         carried(nan if each is None else each.p_free for each in decisions),
         carried(each is not None and each.reached for each in decisions),
-        nan if last is None else float(not world.hazard[last.cells].any()),
+        nan if last is None else float(not made.world.hazard[last.cells].any()),
     )

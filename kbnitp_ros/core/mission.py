@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TYPE_CHECKING
+from typing import Any, overload, TYPE_CHECKING
 
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
@@ -16,7 +16,7 @@ from kbnitp_ros.core.field.check import generator, typed, typed_fields, Value, w
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
-from kbnitp_ros.core.field.sensor import SensorModel
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Dynamics, Learnt, STATIC, Unknowns
 from kbnitp_ros.core.field.world import AS_ORDERED, Execution, World
 from kbnitp_ros.core.inference.estimator import Estimator
@@ -25,6 +25,7 @@ from kbnitp_ros.core.planning.planners import count_visits, NoPathError
 from kbnitp_ros.core.planning.plans import Plan, Team, team_size
 from kbnitp_ros.plugins import extra
 import numpy as np
+from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -61,28 +62,6 @@ class Deployment(Value):
     parameters: Mapping[str, Learnt]
     world: World
     decision: Decision | None = None
-
-
-class SimulatedMission(list[Deployment]):
-    """The deployments of a mission in order."""
-
-    def __repr__(self) -> str:
-        lost = sum(not each.observation.survived for each in self)
-        return f'SimulatedMission({len(self)} robots, {lost} lost)'
-
-    def to_dataframe(self) -> DataFrame:
-        """Return a table with one row for each deployment."""
-        table = deployments_table(
-            [each.observation for each in self],
-            [each.belief for each in self],
-            [each.world for each in self],
-        )
-        table['information'] = [each.plan.information for each in self]
-        table['survival'] = [each.plan.survival for each in self]
-        for name in self[0].parameters if self else ():
-            table[name] = [each.parameters[name].mean for each in self]
-            table[f'{name}_sd'] = [each.parameters[name].sd for each in self]
-        return table
 
 
 @typed_fields
@@ -130,6 +109,273 @@ class Learning:
     clustering: Clustering | None = None
 
 
+class Mission(Sequence[Deployment]):
+    """
+    A mission in a simulated field, and a sequence of its deployments.
+
+    Any loop may send the robots; `run` sends them along planned paths::
+
+        mission = Mission(grid, belief, model, world, rng=1)
+        while len(mission) < 20:
+            mission.send(plan(grid, mission.belief, mission.model))
+
+    Parameters
+    ----------
+    grid, belief, model, world, rng, method, options, truth, learning, dynamics, goal
+        As in `run_mission`.
+
+    Attributes
+    ----------
+    grid, options, goal
+        As given.
+    estimator : Estimator
+        Estimator after the deployments so far.
+    world : World
+        Field after the deployments so far.
+    rng : numpy.random.Generator
+        The mission's generator. It spawns a generator for each robot, and planners with a
+        parameter `rng` draw from it.
+    visited : ndarray of int, shape (cells,)
+        Number of visits to each cell by the paths of all deployments.
+    sent, lost : int
+        Number of robots sent and lost, with those before the mission was resumed.
+    decision : Decision or None
+        Decision on the goal; None without a goal.
+
+    Raises
+    ------
+    ValueError
+        As in `run_mission`.
+
+    """
+
+    @typed
+    def __init__(
+        self,
+        grid: Grid,
+        belief: Belief,
+        model: SensorModel,
+        world: World,
+        rng: np.random.Generator | int,
+        method: str | Callable[..., Any] = 'kappa_bnitp',
+        options: SearchOptions = SearchOptions(),
+        *,
+        truth: Truth | None = None,
+        learning: Learning | None = None,
+        dynamics: Dynamics = STATIC,
+        goal: Goal | None = None,
+    ) -> None:
+        truth, learning = truth or Truth(), learning or Learning()
+        estimator = Estimator(
+            belief,
+            model,
+            method,
+            learning.unknowns,
+            learning.seed,
+            dynamics=dynamics,
+            clustering=learning.clustering,
+        )
+        truth = replace(truth, model=truth.model or model, dynamics=truth.dynamics or dynamics)
+        self._begin(grid, estimator, world, rng, options, (), truth, goal)
+
+    @classmethod
+    @typed
+    def resume(
+        cls,
+        grid: Grid,
+        estimator: Estimator,
+        world: World,
+        rng: np.random.Generator | int,
+        options: SearchOptions = SearchOptions(),
+        *,
+        before: Sequence[Observation] = (),
+        truth: Truth | None = None,
+        goal: Goal | None = None,
+    ) -> Mission:
+        """
+        Return a mission that has begun, to go on from an estimator.
+
+        Parameters
+        ----------
+        grid, world, rng, options, goal
+            As in `run_mission`.
+        estimator : Estimator
+            Estimator after the deployments `before`; it is not changed.
+        before : sequence of Observation
+            Outcomes of the deployments that the estimator has assimilated.
+        truth : Truth, optional
+            True behaviour of the robots; by default as in the estimator.
+
+        Raises
+        ------
+        ValueError
+            As in `run_mission`.
+
+        """
+        mission = cls.__new__(cls)
+        mission._begin(grid, estimator.copy(), world, rng, options, before, truth or Truth(), goal)
+        return mission
+
+    def _begin(
+        self,
+        grid: Grid,
+        estimator: Estimator,
+        world: World,
+        rng: np.random.Generator | int,
+        options: SearchOptions,
+        before: Sequence[Observation],
+        truth: Truth,
+        goal: Goal | None,
+    ) -> None:
+        """Set the state before the first robot to send."""
+        self.grid, self.estimator, self.world = grid, estimator, world
+        self.rng, self.options, self.goal = generator(rng), options, goal
+        world.check(grid)
+        estimator.prior.check(grid)
+        self._model = truth.model or estimator.model
+        self._execution = truth.execution
+        self._dynamics = truth.dynamics or estimator.probable_dynamics
+        self._dynamics.known_rates()
+        self._possible = grid.may_be_hazardous & (estimator.prior.hazard > 0.0)
+        if goal is not None:
+            goal.check(grid, options.max_steps)
+        self._deployments: list[Deployment] = []
+        self.visited = count_visits(grid, [each.path for each in before])
+        self.sent, self.lost = len(before), sum(not each.survived for each in before)
+        self._draws, self.decision = decided(goal, grid, estimator, self.sent, options)
+
+    @property
+    def belief(self) -> Belief:
+        """Return the belief after the deployments so far."""
+        return self.estimator.belief
+
+    @property
+    def model(self) -> SensorModel:
+        """Return the sensor model of the common robot type to plan with."""
+        return self.estimator.model
+
+    @typed
+    def send(self, path: ArrayLike | Plan, robot_type: RobotType = ORDINARY) -> Observation:
+        """
+        Send a robot, assimilate its outcome and append its deployment.
+
+        Parameters
+        ----------
+        path : array_like of int, shape (steps + 1,), or Plan
+            Cells, the base first and last.
+        robot_type : RobotType
+            Type of the robot; numbers that it sets are both believed and true.
+
+        Raises
+        ------
+        ValueError
+            If the path is invalid on the grid, or the outcome is impossible under the belief;
+            nothing is then assimilated.
+
+        """
+        if not isinstance(path, Plan):
+            cells = self.grid.at(robot_type.base).check_path(path)
+            path = Plan.along(cells, self.belief, robot_type.model(self.model))
+        made = self._execution.traverse(
+            self.world,
+            self.grid.at(robot_type.base),
+            path.path,
+            robot_type.model(self._model),
+            self.rng.spawn(1)[0],
+            self._dynamics,
+            changing=self._possible if self.sent else None,
+        )
+        self.estimator.assimilate(made.observation, robot_type)
+        self.world = made.world
+        self.visited = self.visited + count_visits(self.grid, [path.path])
+        self.sent += 1
+        self.lost += not made.observation.survived
+        self._draws, self.decision = decided(
+            self.goal, self.grid, self.estimator, self.sent, self.options
+        )
+        after = self.belief, self.model, dict(self.estimator.parameters)
+        self._deployments.append(
+            Deployment(path, made.observation, *after, self.world, self.decision)
+        )
+        return made.observation
+
+    @typed
+    def run(self, robots: int, *, team: Team | None = None, stop: Stop | None = None) -> Mission:
+        """
+        Plan and send further robots (arXiv:2305.06929, Algorithm 1, line 1); return the mission.
+
+        Parameters
+        ----------
+        robots : int
+            Number of further robots, at least 0.
+        team, stop
+            As in `run_mission`.
+
+        Raises
+        ------
+        ValueError
+            As in `run_mission`.
+
+        """
+        team, stop = team or Team(), stop or Stop()
+        last = self.sent + whole_number('robots', robots, 0)
+        team_size(self.grid, team.agents)
+        stop.check(self.goal, last)
+        while self.sent < last and not stop.why(self.decision, self.lost):
+            leaving = team.first(last - self.sent)
+            try:
+                plans = plan_round(
+                    self.goal,
+                    self._draws,
+                    self.grid,
+                    self.belief,
+                    self.model,
+                    leaving,
+                    self.options,
+                    visited=self.visited,
+                    rng=self.rng,
+                )
+            except NoPathError:
+                break
+            if stop.why_not_worth(plans):
+                break
+            for planned, robot_type in zip(plans, leaving.types):
+                self.send(planned, robot_type)
+        return self
+
+    @overload
+    def __getitem__(self, place: int) -> Deployment: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Deployment]: ...
+
+    def __getitem__(self, place: int | slice) -> Deployment | list[Deployment]:
+        return self._deployments[place]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Mission) and self._deployments == other._deployments
+
+    def __len__(self) -> int:
+        return len(self._deployments)
+
+    def __repr__(self) -> str:
+        return f'Mission({self.sent} robots, {self.lost} lost)'
+
+    def to_dataframe(self) -> DataFrame:
+        """Return a table with one row for each deployment."""
+        table = deployments_table(
+            [each.observation for each in self],
+            [each.belief for each in self],
+            [each.world for each in self],
+        )
+        table['information'] = [each.plan.information for each in self]
+        table['survival'] = [each.plan.survival for each in self]
+        for name in self[0].parameters if self else ():
+            table[name] = [each.parameters[name].mean for each in self]
+            table[f'{name}_sd'] = [each.parameters[name].sd for each in self]
+        return table
+
+
 @typed
 def run_mission(
     grid: Grid,
@@ -147,7 +393,7 @@ def run_mission(
     dynamics: Dynamics = STATIC,
     goal: Goal | None = None,
     stop: Stop | None = None,
-) -> SimulatedMission:
+) -> Mission:
     """
     Deploy robots one after another (arXiv:2305.06929, Algorithm 1), or several at a time.
 
@@ -192,7 +438,7 @@ def run_mission(
 
     Returns
     -------
-    SimulatedMission
+    Mission
         The deployments in order; fewer than `robots` if the mission ended early: the goal was
         reached at its confidence, a condition of `stop` was met, or no path with the minimum
         survival was found.
@@ -205,110 +451,20 @@ def run_mission(
         mission.
 
     """
-    truth, learning = truth or Truth(), learning or Learning()
-    truth = replace(truth, model=truth.model or model, dynamics=truth.dynamics or dynamics)
-    estimator = Estimator(
+    mission = Mission(
+        grid,
         belief,
         model,
+        world,
+        rng,
         method,
-        learning.unknowns,
-        learning.seed,
+        options,
+        truth=truth,
+        learning=learning,
         dynamics=dynamics,
-        clustering=learning.clustering,
+        goal=goal,
     )
-    return continue_mission(
-        grid, estimator, world, robots, rng, options, team=team, truth=truth, goal=goal, stop=stop
-    )
-
-
-@typed
-def continue_mission(
-    grid: Grid,
-    estimator: Estimator,
-    world: World,
-    robots: int,
-    rng: np.random.Generator | int,
-    options: SearchOptions = SearchOptions(),
-    *,
-    before: Sequence[Observation] = (),
-    team: Team | None = None,
-    truth: Truth | None = None,
-    goal: Goal | None = None,
-    stop: Stop | None = None,
-) -> SimulatedMission:
-    """
-    Continue a mission from an estimator.
-
-    This is the loop over robots (arXiv:2305.06929, Algorithm 1, line 1).
-
-    Parameters
-    ----------
-    grid, world, rng, options, team, goal, stop
-        As in `run_mission`.
-    truth : Truth, optional
-        True behaviour of the robots; by default as in the estimator.
-    estimator : Estimator
-        Estimator to start from; it is not changed.
-    robots : int
-        Number of further robots, at least 0.
-    before : sequence of Observation
-        Outcomes of the deployments that the estimator has assimilated.
-
-    Returns
-    -------
-    SimulatedMission
-        The deployments that follow.
-
-    Raises
-    ------
-    ValueError
-        As in `run_mission`.
-
-    """
-    team, truth, stop = team or Team(), truth or Truth(), stop or Stop()
-    rng = generator(rng)
-    world.check(grid)
-    estimator, model = estimator.copy(), truth.model or estimator.model
-    dynamics = truth.dynamics or estimator.probable_dynamics
-    dynamics.known_rates()
-    possible = grid.may_be_hazardous & (estimator.prior.hazard > 0.0)
-    robots = whole_number('robots', robots, 0)
-    team_size(grid, team.agents)
-    stop.check(goal, len(before) + robots)
-    if goal is not None:
-        goal.check(grid, options.max_steps)
-    deployments: list[Deployment] = []
-    visited = count_visits(grid, [each.path for each in before])
-    lost = sum(not each.survived for each in before)
-    draws, decision = decided(goal, grid, estimator, len(before), options)
-    while len(deployments) < robots and not stop.why(decision, lost):
-        leaving = team.first(robots - len(deployments))
-        try:
-            known = estimator.belief, estimator.model
-            plans = plan_round(goal, draws, grid, *known, leaving, options, visited=visited)
-        except NoPathError:
-            break
-        if stop.why_not_worth(plans):
-            break
-        visited += count_visits(grid, [plan.path for plan in plans])
-        for plan, robot_type in zip(plans, leaving.types):
-            made = truth.execution.traverse(
-                world,
-                grid.at(robot_type.base),
-                plan.path,
-                robot_type.model(model),
-                rng.spawn(1)[0],
-                dynamics,
-                changing=possible if before or deployments else None,
-            )
-            world = made.world
-            estimator.assimilate(made.observation, robot_type)
-            lost += not made.observation.survived
-            number = len(before) + len(deployments) + 1
-            draws, decision = decided(goal, grid, estimator, number, options)
-            after = estimator.belief, estimator.model, dict(estimator.parameters)
-            deployments.append(Deployment(plan, made.observation, *after, world, decision))
-    return SimulatedMission(deployments)
+    return mission.run(robots, team=team, stop=stop)
 
 
 def decided(

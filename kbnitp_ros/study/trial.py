@@ -8,18 +8,17 @@ from typing import NamedTuple
 
 from kbnitp_ros.core import (
     Belief,
-    continue_mission,
     Decision,
     Estimator,
     Execution,
     Grid,
     HazardDraws,
+    Mission,
     Truth,
     World,
 )
 from kbnitp_ros.core.field.belief import binary_entropy, log_losses, surprisal
 from kbnitp_ros.core.field.unknowns import Learnt
-from kbnitp_ros.core.mission import SimulatedMission
 from kbnitp_ros.study.scenario import ALONE, DecisionRequest, NUMBERS, Scenario, Strategy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -168,21 +167,19 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
     start = scenario.estimator(trial.method, trial.team, prior, model, trial.number)
     is_own = trial.team.paths == 'own'
-    mission = continue_mission(
+    mission = Mission.resume(
         grid,
         start if is_own else Estimator(prior, model),
         world,
-        scenario.robots,
         rng,
         scenario.options(trial.team),
-        team=trial.team.leaving(),
         truth=Truth(
             scenario.model(truth),
             Execution(contact=trial.team.last_contact),
             scenario.hazards.of_kind(scenario.hazards.dynamics),
         ),
         goal=scenario.goal(trial.team),
-    )
+    ).run(scenario.robots, team=trial.team.leaving())
     beliefs, known = zip(*knowledge(start, mission, is_own))
     worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
@@ -231,7 +228,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
 
 
 def knowledge(
-    start: Estimator, mission: SimulatedMission, is_own: bool
+    start: Estimator, mission: Mission, is_own: bool
 ) -> Iterator[tuple[Belief, Mapping[str, Learnt]]]:
     """Yield the belief and the posteriors of numbers, before the first robot and after each."""
     yield start.belief, start.parameters
@@ -272,7 +269,7 @@ def measured_for(
     grid: Grid,
     max_steps: int,
     estimator: Estimator,
-    mission: SimulatedMission,
+    mission: Mission,
     is_own: bool,
     beliefs: Sequence[Belief],
     worlds: Sequence[World],

@@ -49,10 +49,9 @@ def plan_round(
     keepout=(),
     **options,
 ):
-    team, search = Team(agents, allocation, types), SearchOptions(planner, max_steps, **options)
-    return plan_team(
-        grid, belief, model, team, search, in_flight=in_flight, visited=visited, keepout=keepout
-    )
+    team = Team(agents, allocation, types)
+    search = SearchOptions(planner, max_steps, keepout=keepout, **options)
+    return plan_team(grid, belief, model, team, search, in_flight=in_flight, visited=visited)
 
 
 def regions_of_team(grid, belief, model, max_steps, agents, types=()):

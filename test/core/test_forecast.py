@@ -5,12 +5,12 @@ from extent import FULL
 from kbnitp_ros.core import (
     Area,
     Belief,
-    continue_mission,
     Estimator,
     forecast,
     Grid,
     Lane,
     METHODS,
+    Mission,
     Observation,
     run_mission,
     SearchOptions,
@@ -52,16 +52,15 @@ def test_a_resumed_mission_is_the_unbroken_one(method):
     world, begun = some(rng, 3, method, goal=goal)
     estimator = told(method, begun)
     before = estimator.belief
-    rest = continue_mission(
+    rest = Mission.resume(
         GRID,
         estimator,
         world,
-        4,
         rng,
         OPTIONS,
         before=[deployment.observation for deployment in begun],
         goal=goal,
-    )
+    ).run(4)
     assert estimator.belief == before
     for one, other in zip(whole, [*begun, *rest], strict=True):
         assert one.observation == other.observation

@@ -46,7 +46,7 @@ def test_the_same_seed_is_the_same_mission(method, planner):
 
 
 def test_a_longer_mission_begins_as_the_shorter():
-    assert fly(5, robots=10)[:4] == fly(5, robots=4)
+    assert fly(5, robots=10)[:4] == [*fly(5, robots=4)]
 
 
 def test_a_mission_learns():

@@ -4,8 +4,7 @@
 from dataclasses import astuple, replace
 from functools import partial
 
-from kbnitp_ros.core import continue_mission
-from kbnitp_ros.study import trial as running
+from kbnitp_ros.core import Mission
 from kbnitp_ros.study.comparison import (
     BY_BASE,
     BY_MAP,
@@ -94,18 +93,22 @@ def test_each_mission_has_the_planner_and_the_contact_of_its_strategy(scenario, 
     used = []
 
     def noting(*arguments, truth, **named):
-        mission = continue_mission(*arguments, truth=truth, **named)
-        known = [d.observation.steps_survived for d in mission if not d.observation.survived]
-        used.append((arguments[5].planner, truth.execution.contact, any(known)))
+        mission = resume(*arguments, truth=truth, **named)
+        used.append((arguments[4].planner, truth.execution.contact, mission))
         return mission
 
-    monkeypatch.setattr(running, 'continue_mission', noting)
+    resume = Mission.resume
+    monkeypatch.setattr(Mission, 'resume', noting)
     # Robots whose first step is their last make no contact.
     teams = (*PLANNERS[1:], *CONTACTS[:2])
     few = replace(scenario, teams=teams, robots=30, trials=1, lethalities=(0.5,))
     for trial in list_trials(replace(few, methods=('kappa_bnitp',))):
         run_trial(few, trial)
-    assert used == [
+    known = [
+        (*of_strategy, any(d.observation.steps_survived for d in mission))
+        for *of_strategy, mission in used
+    ]
+    assert known == [
         ('coverage', 0.0, False),
         ('random', 0.0, False),
         ('relaxed', 1.0, True),

@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import product
 import json
 
-from kbnitp_ros.core import Estimator, Grid, HazardDraws, Lane, log_loss
+from kbnitp_ros.core import Estimator, Grid, HazardDraws, Lane, log_loss, Mission
 from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
 from kbnitp_ros.study import trial as running
 from kbnitp_ros.study.comparison import (
@@ -229,11 +229,11 @@ def test_beliefs_are_scored_by_the_field_of_their_time(scenario, kind, monkeypat
     scenario, missions = of_kind(scenario, kind), []
 
     def keeping(*arguments, **options):
-        missions.append(go_on(*arguments, **options))
+        missions.append(original(*arguments, **options))
         return missions[-1]
 
-    go_on = running.continue_mission
-    monkeypatch.setattr(running, 'continue_mission', keeping)
+    original = Mission.run
+    monkeypatch.setattr(Mission, 'run', keeping)
     outcome = run_trial(scenario, Trial(0.9, 'kappa_bnitp', 1, RIGHT))
     (mission,) = missions
     fields = [deployment.world.hazard.tolist() for deployment in mission]

@@ -17,9 +17,8 @@ from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import NoPathError, PathFinder
 from kbnitp_ros.core.planning.plans import check_team, Plan, plan_team, Team
-from kbnitp_ros.core.planning.regions import without
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,7 @@ def plan_round(
     *,
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
-    keepout: Sequence[int] | NDArray[np.intp] = (),
+    rng: np.random.Generator | None = None,
 ) -> list[Plan]:
     """
     Plan a round for a goal, robot after robot, each for its gain given the earlier robots.
@@ -124,7 +123,7 @@ def plan_round(
         None to map the field, as `plan_team` does.
     draws : HazardDraws or None
         Draws of the hazards, if there is a goal.
-    grid, belief, model, team, options, in_flight, visited, keepout
+    grid, belief, model, team, options, in_flight, visited, rng
         As in `plan_team`.
 
     Raises
@@ -135,13 +134,24 @@ def plan_round(
         As in `plan_team` and `check_sought`.
 
     """
-    for_information = partial(plan_team, grid, belief, model, team, options)
+    for_information = partial(
+        plan_team,
+        grid,
+        belief,
+        model,
+        team,
+        options,
+        in_flight=in_flight,
+        visited=visited,
+        rng=rng,
+    )
     for robot_type in team.types:
         check_sought(goal, options.of_type(robot_type))
     if goal is None or draws is None:
-        return for_information(in_flight=in_flight, visited=visited, keepout=keepout)
-    in_use = without(grid, keepout)
-    check_team(PathFinder(in_use, options), team.types)
+        return for_information()
+    finder = PathFinder(grid, options)
+    in_use = finder.grid
+    check_team(finder, team.types)
     situation = FlightState(in_use, grid.base, draws, belief, model, options, draws.weight[None])
     for path, robot_type in in_flight:
         situation = situation.with_sent(path, robot_type.model(model))
@@ -155,9 +165,9 @@ def plan_round(
         )
         with GOALS.blamed(goal.name):
             plan = goal.flight(own)
-        if plan is None and len(keepout):
+        if plan is None and options.keepout:
             # Keepout cells may block every path that serves the goal; then map the field.
-            return for_information(in_flight=in_flight, visited=visited, keepout=keepout)
+            return for_information()
         if plan is None:
             raise NoPathError(
                 f'no path for the goal {goal.name} was found that a robot survives with '

@@ -132,6 +132,17 @@ class Belief(Value):
         probability_map('hazard', maps[0], grid.cells)
         return cls.from_maps(*maps).on(grid)
 
+    def check(self, grid: Grid) -> None:
+        """Check that this belief is of a grid."""
+        if self.cells != grid.cells:
+            raise ValueError(f'belief has {self.cells} cells: the grid has {grid.cells}')
+        own = self.grid or grid
+        if (own.width, own.height) != (grid.width, grid.height):
+            raise ValueError(
+                f'belief is of a grid of {own.width} x {own.height} cells: the grid has '
+                f'{grid.width} x {grid.height}; make it with Belief.prior(grid, ...)'
+            )
+
     def on(self, grid: Grid) -> Belief:
         """Return the belief on a grid, with bases and blocked cells as in `prior`."""
         joint = self.joint.copy()

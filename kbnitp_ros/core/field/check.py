@@ -98,22 +98,31 @@ def in_short(value: object) -> str:
 
 def generator(rng: np.random.Generator | int) -> np.random.Generator:
     """Return a random generator, made from `rng` if that is a seed."""
-    try:
-        return np.random.default_rng(rng)
-    except (TypeError, ValueError) as error:
-        raise TypeError(
-            f'rng is {in_short(rng)}: it must be a seed, at least 0, or a numpy.random.Generator'
-        ) from error
+    if isinstance(rng, np.random.Generator):
+        return rng
+    # numpy would wrap the old generators, and draw a seed for None.
+    error: Exception | None = None
+    if rng is not None and not isinstance(rng, np.random.RandomState | bool):
+        try:
+            return np.random.default_rng(rng)
+        except (TypeError, ValueError) as refused:
+            error = refused
+    raise TypeError(
+        f'rng is {in_short(rng)}: it must be a seed, at least 0, or a numpy.random.Generator, as '
+        'numpy.random.default_rng(seed) makes it'
+    ) from error
 
 
 def number(name: str, value: Any, wanted: str, is_allowed: Callable[[float], bool]) -> float:
     """Return `value` as a float if it is a number that is allowed."""
     try:
-        as_float = float(value) if not isinstance(value, str) else None
-    except TypeError:
+        # A bool is a number in Python, and given for one by mistake.
+        is_number = not isinstance(value, str | bool | np.bool_) and np.ndim(value) == 0
+        as_float = float(value) if is_number else None
+    except (TypeError, ValueError):
         as_float = None
     if as_float is None:
-        raise TypeError(f'{name} is {value!r}: it must be a number')
+        raise TypeError(f'{name} is {in_short(value)}: it must be a number')
     if not is_allowed(as_float):
         raise ValueError(f'{name} is {value}: it must be {wanted}')
     return as_float
@@ -144,6 +153,22 @@ def whole_numbers(
     if not isinstance(values, Iterable):
         raise TypeError(f'{name} is {in_short(values)}: it must be a list')
     return [whole_number(of_one, value, low, high) for value in values]
+
+
+def cell_numbers(name: str, given: object, height: int, width: int) -> list[int]:
+    """Return cells that are given by number, or by a mask of (cells,) or (height, width)."""
+    cells = height * width
+    if not isinstance(given, Iterable):
+        raise TypeError(f'{name} is {in_short(given)}: it must be a list')
+    mask = np.asarray(given if isinstance(given, np.ndarray) else [*given], dtype=object)
+    if mask.size and all(isinstance(each, bool | np.bool_) for each in mask.flat):
+        if mask.shape not in ((cells,), (height, width)):
+            raise ValueError(
+                f'{name} is a mask of shape {mask.shape}: it must be ({cells},) or '
+                f'({height}, {width}), or a list of cell numbers'
+            )
+        return [*map(int, np.flatnonzero(mask))]
+    return whole_numbers(name, mask.tolist(), f'{name} cell', 0, cells - 1)
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:

@@ -7,10 +7,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
-from math import cos, isfinite, pi, remainder, sin, sqrt, tau
+from math import cos, inf, isfinite, pi, remainder, sin, sqrt, tau
 import struct
 
-from kbnitp_ros.core.field.check import read_only, whole_number, whole_numbers
+from kbnitp_ros.core.field.check import (
+    cell_numbers,
+    in_short,
+    number,
+    read_only,
+    whole_number,
+    whole_numbers,
+    yes_or_no,
+)
 from kbnitp_ros.core.field.observation import as_path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,8 +59,9 @@ class Grid:
         Side of a cell in metres, positive.
     origin : tuple of float
         Lower-left corner of cell 0 in metres, near enough to 0 for coordinates to resolve a cell.
-    blocked : iterable of int
-        Cells that no robot can enter, known beforehand; targets are not sought there.
+    blocked : iterable of int or array_like of bool
+        Cells that no robot can enter, known beforehand: cell numbers, or a mask of shape (cells,)
+        or (height, width). Targets are not sought there.
     connectivity : int
         Number of neighbours that a step may lead to: 8, or the 4 that share a side.
     through_corners : bool
@@ -76,7 +85,7 @@ class Grid:
     base: int = 0
     resolution: float = 1.0
     origin: tuple[float, float] = (0.0, 0.0)
-    blocked: Iterable[int] = ()
+    blocked: Iterable[int] | NDArray[np.bool_] = ()
     connectivity: int = 8
     through_corners: bool = True
     other_bases: Iterable[int] = ()
@@ -86,7 +95,7 @@ class Grid:
         width = whole_number('grid width', self.width, 1)
         height = whole_number('grid height', self.height, 1)
         last = width * height - 1
-        blocked = frozenset(whole_numbers('blocked', self.blocked, 'blocked cell', 0, last))
+        blocked = frozenset(cell_numbers('blocked', self.blocked, height, width))
         base = whole_number('base', self.base, 0, last)
         others = whole_numbers('other_bases', self.other_bases, 'base', 0, last)
         for cell in (base, *others):
@@ -94,30 +103,37 @@ class Grid:
                 raise ValueError(
                     f'base is {cell}: it must be a free cell, and this cell is blocked'
                 )
-        if not (isfinite(self.resolution) and self.resolution > 0):
-            raise ValueError(f'resolution is {self.resolution}: it must be positive, in metres')
-        origin = tuple(float(coordinate) for coordinate in self.origin)
-        if len(origin) != 2 or not all(map(isfinite, origin)):
-            raise ValueError(f'origin is {self.origin}: it must be two finite numbers, in metres')
-        reach = max(map(abs, origin)) + max(width, height) * self.resolution
-        if not reach * EPSILON * APART <= self.resolution:
+        resolution = number(
+            'resolution', self.resolution, 'positive, in metres', lambda r: 0.0 < r < inf
+        )
+        if np.shape(self.origin) != (2,):
             raise ValueError(
-                f'origin is {self.origin}: cells of {self.resolution} m cannot be told apart that '
-                f'far out; it must be within {self.resolution / (APART * EPSILON):.3g} m'
+                f'origin is {in_short(self.origin)}: it must be two finite numbers, in metres'
+            )
+        origin = tuple(
+            number('origin', each, 'two finite numbers, in metres', isfinite)
+            for each in self.origin
+        )
+        reach = max(map(abs, origin)) + max(width, height) * resolution
+        if not reach * EPSILON * APART <= resolution:
+            raise ValueError(
+                f'origin is {self.origin}: cells of {resolution} m cannot be told apart that '
+                f'far out; it must be within {resolution / (APART * EPSILON):.3g} m'
             )
         if self.connectivity not in (4, 8):
             raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
-        if not isfinite(self.yaw):
-            raise ValueError(f'yaw is {self.yaw}: it must be finite, in rad')
+        through_corners = bool(yes_or_no('through_corners', self.through_corners))
         vars(self).update(
             width=width,
             height=height,
             base=base,
-            resolution=float(self.resolution),
+            resolution=resolution,
             origin=origin,
             blocked=blocked,
+            connectivity=int(self.connectivity),
+            through_corners=through_corners,
             other_bases=frozenset(others) - {base},
-            yaw=float(self.yaw),
+            yaw=number('yaw', self.yaw, 'finite, in rad', isfinite),
         )
 
     def __str__(self) -> str:
@@ -227,6 +243,31 @@ class Grid:
         """Return the metres of a step by column of `neighbor_table`, (9,); 0 for a stay."""
         return read_only(np.hypot(*STEPS) * self.resolution)
 
+    def cell(self, row: int, col: int) -> int:
+        """
+        Return the number of a cell; row 0 is at the bottom.
+
+        Raises
+        ------
+        ValueError
+            If the row or the column is not on the grid.
+
+        """
+        row = whole_number('row', row, 0, self.height - 1)
+        return row * self.width + whole_number('col', col, 0, self.width - 1)
+
+    def row_col(self, cell: int) -> tuple[int, int]:
+        """
+        Return the row and the column of a cell.
+
+        Raises
+        ------
+        ValueError
+            If `cell` is not on the grid.
+
+        """
+        return divmod(whole_number('cell', cell, 0, self.cells - 1), self.width)
+
     def neighbors(self, cell: int) -> NDArray[np.intp]:
         """
         Return the cells one step away, `cell` itself among them.
@@ -299,34 +340,41 @@ class Grid:
             raise ValueError(
                 f'path has {steps} steps: at most max_steps = {max_steps} are allowed'
             )
-        outside = np.flatnonzero((cells < 0) | (cells >= self.cells))
-        if outside.size:
-            raise ValueError(
-                f'path leaves the grid: its cell at index {outside[0]} is {cells[outside[0]]}, '
-                f'allowed are 0 to {self.cells - 1}'
-            )
-        blocked = np.flatnonzero(~self.free[cells])
-        if blocked.size:
-            raise ValueError(
-                f'path enters a blocked cell: at index {blocked[0]} it is {cells[blocked[0]]}'
-            )
+        self.check_cells(cells)
         for end, cell in (('start', cells[0]), ('end', cells[-1])):
             if cell != self.base:
                 raise ValueError(f'path must {end} at the base {self.base}, not at cell {cell}')
-        reached = (self.neighbor_table[cells[:-1]] == cells[1:, None]).any(axis=1)
-        jumps = np.flatnonzero(~reached)
-        if jumps.size:
-            step = jumps[0]
-            raise ValueError(
-                f'path jumps at step {step + 1}, from cell {cells[step]} to {cells[step + 1]}: '
-                f'a step stays or leads to one of {self.neighbors(int(cells[step])).tolist()}'
-            )
+        self.check_steps(cells)
         if max_distance and (length := self.path_length(cells)) > longest(max_distance):
             raise ValueError(
                 f'path is {length:.6g} m long: '
                 f'at most max_distance = {max_distance:.6g} m is allowed'
             )
         return cells
+
+    def check_cells(self, cells: NDArray[np.intp]) -> None:
+        """Check that the cells of a path are free cells of this grid."""
+        outside = (cells < 0) | (cells >= self.cells)
+        if outside.any():
+            place = outside.argmax()
+            raise ValueError(
+                f'path leaves the grid: its cell at index {place} is {cells[place]}, '
+                f'allowed are 0 to {self.cells - 1}'
+            )
+        free = self.free[cells]
+        if not free.all():
+            place = free.argmin()
+            raise ValueError(f'path enters a blocked cell: at index {place} it is {cells[place]}')
+
+    def check_steps(self, cells: NDArray[np.intp]) -> None:
+        """Check that each step of a path stays or leads to a neighbour."""
+        reached = (self.neighbor_table[cells[:-1]] == cells[1:, None]).any(axis=1)
+        if not reached.all():
+            step = reached.argmin()
+            raise ValueError(
+                f'path jumps at step {step + 1}, from cell {cells[step]} to {cells[step + 1]}: '
+                f'a step stays or leads to one of {self.neighbors(int(cells[step])).tolist()}'
+            )
 
     def check_any_path(self, path: ArrayLike) -> NDArray[np.intp]:
         """Return `path` as an array of cells, checked as a path from one of the bases."""

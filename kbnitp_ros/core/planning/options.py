@@ -3,24 +3,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import wraps
 from math import log
 from typing import Any
 
-from kbnitp_ros.core.field.check import cost, probability, whole_number
+from kbnitp_ros.core.field.check import cost, in_short, number, probability, whole_number
 from kbnitp_ros.core.field.sensor import RobotType
-from kbnitp_ros.plugins import Registry, takes
+from kbnitp_ros.plugins import parameter_names, Registry, takes
+import numpy as np
+from numpy.typing import NDArray
 
 # The objectives.
 OBJECTIVES = ('information', 'behavioral', 'information_per_loss')
 
 
+def as_planner(given: Any) -> Callable[..., list[Any]]:
+    """Return a planner that takes a finder and an objective, and its generator from the finder."""
+    if not callable(given) or 'rng' not in parameter_names(given):
+        return takes(given, ('finder', 'objective'))  # type: ignore[no-any-return]
+    planner = takes(given, ('finder', 'objective', 'rng'))
+
+    @wraps(planner, updated=())
+    def with_rng(finder: Any, objective: Any) -> Any:
+        return planner(finder, objective, rng=finder.generator(objective))
+
+    return with_rng
+
+
 # The package's planners are registered in planners.py.
 PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     'planner',
-    partial(takes, arguments=('finder', 'objective')),
+    as_planner,
     {},
     gone={'exact': 'it is gone: use beam; benchmarks/bound.py bounds the best path'},
 )
@@ -28,6 +43,14 @@ PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
 # Alpha of Shannon's entropy, and range of alpha of behavioral entropies.
 SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
+
+
+def as_tuples(name: str, values: Any) -> tuple[Any, ...]:
+    """Return numbers or a mask as nested tuples, which can be compared and hashed."""
+    listed = values.tolist() if isinstance(values, np.ndarray) else values
+    if not isinstance(listed, Iterable):
+        raise TypeError(f'{name} is {in_short(values)}: it must be a list')
+    return tuple(as_tuples(name, each) if np.ndim(each) else each for each in listed)
 
 
 def prelec_beta(alpha: float) -> float:
@@ -44,14 +67,16 @@ class SearchOptions:
     ----------
     planner : str or callable
         One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns a list of
-        `Candidate`, the best first. 'relaxed' keeps the best label of each cell and step; 'beam'
-        keeps `width` / 4 labels. Baselines, which seek no information: 'random' draws a closed
+        `Candidate`, the best first. If it has a parameter `rng`, it gets the mission's generator;
+        without a mission, one that is seeded by the belief and the visits. 'relaxed' keeps the
+        best label of each cell and step; 'beam' keeps `width` / 4 labels. Baselines, which seek no information: 'random' draws a closed
         walk, 'coverage' sweeps the field row by row, starting where earlier paths ended, and
         'shortest_unvisited' goes from one least visited cell to the nearest other one.
     max_steps : int
         Maximum steps of a path, at least 1.
     width : int
-        Width of the beam, at least 1.
+        Width of the beam, at least 1: 'beam' keeps `width` / 4 labels (partial paths) for each
+        cell and step, at least one.
     max_visits : int
         Maximum visits of a path to a cell, at least 1.
     objective : str
@@ -67,6 +92,9 @@ class SearchOptions:
     max_distance : float
         Maximum length of a path, metres, at least 0; 0 for no limit. A diagonal step is sqrt(2)
         times as long as a straight step, and a stay has no length. Baselines do not support it.
+    keepout : iterable of int or array_like of bool
+        Cells that no robot may enter, in addition to blocked cells: cell numbers, or a mask of
+        shape (cells,) or (height, width).
 
     Raises
     ------
@@ -85,11 +113,16 @@ class SearchOptions:
     loss_cost: float = 0.0
     minimum_survival: float = 0.0
     max_distance: float = 0.0
+    keepout: Iterable[int] | NDArray[np.bool_] = ()
 
     def __post_init__(self) -> None:
         PLANNERS.find(self.planner)
-        for name in ('max_steps', 'width', 'max_visits'):
+        for name in ('max_steps', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
+        labels = 'a whole number at least 1: beam keeps width / 4 labels of each cell and step'
+        width = number('width', self.width, labels, lambda n: n >= 1 and n == n // 1)
+        object.__setattr__(self, 'width', int(width))
+        object.__setattr__(self, 'keepout', as_tuples('keepout', self.keepout))
         for name in ('max_distance', 'loss_cost'):
             object.__setattr__(self, name, cost(name, getattr(self, name)))
         survival = probability('minimum_survival', self.minimum_survival)
@@ -99,8 +132,7 @@ class SearchOptions:
                 f'objective is {self.objective!r}: it must be one of {", ".join(OBJECTIVES)}'
             )
         low, high = ALPHAS
-        if not low <= self.alpha <= high:
-            raise ValueError(f'alpha is {self.alpha}: it must be in [{low}, {high}]')
+        alpha = number('alpha', self.alpha, f'in [{low}, {high}]', lambda a: low <= a <= high)
         if self.objective != 'behavioral' and self.alpha != SHANNON:
             raise ValueError(
                 f'alpha is {self.alpha}, which the objective {self.objective} does not have: '
@@ -111,7 +143,7 @@ class SearchOptions:
                 f'loss_cost is {self.loss_cost}, and the objective information_per_loss finds it '
                 'by itself: leave loss_cost at 0, or choose objective information'
             )
-        object.__setattr__(self, 'alpha', float(self.alpha))
+        object.__setattr__(self, 'alpha', alpha)
 
     def of_type(self, robot_type: RobotType) -> SearchOptions:
         """Return the options with the values that a robot type sets."""

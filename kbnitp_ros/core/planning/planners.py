@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from math import ceil
 
-from kbnitp_ros.core.field.check import in_short, typed_fields, Value
-from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.check import cell_numbers, in_short, typed_fields, Value
+from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
 from kbnitp_ros.core.planning.labels import best_paths, find_reach, kept_labels
@@ -26,6 +26,7 @@ from kbnitp_ros.core.planning.objective import (
     powers_weights,
 )
 from kbnitp_ros.core.planning.options import PLANNERS, SearchOptions
+from kbnitp_ros.core.planning.regions import without
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -135,20 +136,23 @@ class PathFinder(Value):
         The field.
     options : SearchOptions
         The planner, the limits of its paths, and the objective.
-    visited : ndarray of int, shape (cells,)
+    visited : array_like of int, shape (cells,)
         Number of visits to each cell by the paths of earlier deployments; 0 by default.
+    rng : numpy.random.Generator, optional
+        Generator for planners that have a parameter `rng`.
 
     Raises
     ------
     ValueError
-        If the planner does not support the objective or the limit of distance, or `visited` does
-        not fit the grid.
+        If the planner does not support the objective or the limit of distance, or `visited` or
+        the cells to keep out of do not fit the grid.
 
     """
 
     grid: Grid
     options: SearchOptions
     visited: Places = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    rng: np.random.Generator | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         planner, objective = self.options.planner, self.options.objective
@@ -163,7 +167,7 @@ class PathFinder(Value):
                 'does not keep to it: choose the planner beam or relaxed, or leave max_distance '
                 'at 0'
             )
-        given, cells = self.visited, self.grid.cells
+        given, cells = np.asarray(self.visited), self.grid.cells
         if given.size == 0:
             given = np.zeros(cells, dtype=np.intp)
         if given.shape != (cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
@@ -172,6 +176,7 @@ class PathFinder(Value):
                 f'number from 0 for each of the {cells} cells'
             )
         object.__setattr__(self, 'visited', given.astype(np.intp))
+        object.__setattr__(self, 'grid', kept_out(self.grid, self.options))
 
     def of_type(self, robot_type: RobotType) -> PathFinder:
         """Return the finder with the base and the options of a robot type."""
@@ -183,6 +188,56 @@ class PathFinder(Value):
     def after(self, paths: Sequence[Places]) -> PathFinder:
         """Return the finder with the visits of these paths added, each of shape (steps + 1,)."""
         return replace(self, visited=self.visited + count_visits(self.grid, paths))
+
+    def generator(self, objective: Objective) -> np.random.Generator:
+        """Return the generator of a search; without `rng`, equal searches get equal ones."""
+        if self.rng is not None:
+            return self.rng
+        known = sha256(objective.belief.joint.tobytes() + self.visited.tobytes()).digest()
+        return np.random.default_rng(np.frombuffer(known, dtype='<u4'))
+
+    def next_cells(self, path: ArrayLike) -> Places:
+        """
+        Return the cells into which a path can go on, and be closed within the limits.
+
+        Parameters
+        ----------
+        path : array_like of int, shape (steps + 1,)
+            The cells so far; only the base before the first step.
+
+        Raises
+        ------
+        ValueError
+            If the path does not begin at the base, or leaves the grid, jumps or has too many
+            steps or visits.
+
+        """
+        grid, options = self.grid, self.options
+        cells = np.asarray(path)
+        if cells.ndim != 1 or not cells.size or cells.dtype.kind not in 'iu':
+            raise ValueError(f'path is {in_short(path)}: it must list cells, the base first')
+        grid.check_cells(cells)
+        grid.check_steps(cells)
+        left = options.max_steps - len(cells)
+        if cells[0] != grid.base or left < -1:
+            raise ValueError(
+                f'path is {in_short(path)}: it must start at the base {grid.base} and have at '
+                f'most max_steps = {options.max_steps} steps'
+            )
+        is_open = count_visits(grid, [cells]) < options.max_visits
+        around = grid.neighbors(int(cells[-1]))
+        if not is_open[grid.base]:
+            return around[:0]
+        steps = grid.steps_to_base
+        if not is_open.all():
+            steps = grid.steps_from(grid.base, is_open & grid.free)
+        possible = is_open[around] & (steps[around] <= left)
+        if options.max_distance:
+            table = grid.neighbor_table[cells[-1]]
+            metres = grid.path_length(cells) + grid.step_lengths[table >= 0]
+            metres += grid.distance_to_base[around]
+            possible &= metres <= longest(options.max_distance)
+        return around[possible]
 
     def candidates(self, objective: Objective) -> list[Candidate]:
         """Return closed paths, the best first; raise NoPathError if none has enough survival."""
@@ -269,6 +324,13 @@ class PathFinder(Value):
             )
 
 
+def kept_out(grid: Grid, options: SearchOptions) -> Grid:
+    """Return the grid with the cells to keep out of blocked."""
+    if not options.keepout:
+        return grid
+    return without(grid, cell_numbers('keepout', options.keepout, grid.height, grid.width))
+
+
 def check_distance(grid: Grid, options: SearchOptions) -> None:
     """Check that the limit of distance allows a step from the base and back."""
     if not options.max_distance:
@@ -304,8 +366,7 @@ def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:
     """Draw a closed walk; equal beliefs and earlier visits give equal walks."""
     reach = find_reach(finder.grid, finder.options.max_steps)
-    known = sha256(objective.belief.joint.tobytes() + finder.visited.tobytes()).digest()
-    rng = np.random.default_rng(np.frombuffer(known, dtype='<u4'))
+    rng = replace(finder, rng=None).generator(objective)
     return [Candidate.along(random_walk(reach, finder.options.max_visits, rng), objective)]
 
 

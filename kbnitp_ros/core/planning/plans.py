@@ -11,6 +11,7 @@ from typing import Any
 from kbnitp_ros.core.field.belief import Belief, surprisal
 from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
+from kbnitp_ros.core.field.observation import as_path
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
 from kbnitp_ros.core.planning.label_kernels import Places
 from kbnitp_ros.core.planning.objective import (
@@ -24,7 +25,7 @@ from kbnitp_ros.core.planning.objective import (
 )
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import check_distance, PathFinder
-from kbnitp_ros.core.planning.regions import divide, without
+from kbnitp_ros.core.planning.regions import divide
 from kbnitp_ros.plugins import Registry, takes
 import numpy as np
 from numpy.typing import ArrayLike
@@ -55,13 +56,13 @@ class Plan(Value):
     gain: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, 'path', read_only(self.path))
+        object.__setattr__(self, 'path', read_only(as_path(self.path)))
 
     @classmethod
-    def along(cls, path: Places, belief: Belief, model: SensorModel) -> Plan:
+    def along(cls, path: ArrayLike, belief: Belief, model: SensorModel) -> Plan:
         """Return the plan of `path`, shape (steps + 1,)."""
         information, survival = Objective.of(belief, model).evaluate(path)
-        return cls(path, information, float(survival[0]))
+        return cls(as_path(path), information, float(survival[0]))
 
 
 @typed
@@ -72,6 +73,7 @@ def plan(
     options: SearchOptions = SearchOptions(),
     *,
     visited: ArrayLike = (),
+    rng: np.random.Generator | None = None,
 ) -> Plan:
     """
     Plan the next deployment: a closed path of high expected information.
@@ -81,7 +83,7 @@ def plan(
 
     Parameters
     ----------
-    grid, belief, model, options, visited
+    grid, belief, model, options, visited, rng
         As for `plan_team`.
 
     Returns
@@ -95,7 +97,7 @@ def plan(
         As in `plan_team`.
 
     """
-    (found,) = plan_team(grid, belief, model, Team(), options, visited=visited)
+    (found,) = plan_team(grid, belief, model, Team(), options, visited=visited, rng=rng)
     return found
 
 
@@ -250,7 +252,7 @@ def plan_team(
     *,
     in_flight: Sequence[tuple[ArrayLike, RobotType]] = (),
     visited: ArrayLike = (),
-    keepout: Sequence[int] | Places = (),
+    rng: np.random.Generator | None = None,
 ) -> list[Plan]:
     """
     Plan a round: a closed path for each of several robots that leave together.
@@ -273,21 +275,22 @@ def plan_team(
     visited : array_like of int, shape (cells,), optional
         Visits of each cell by the paths of earlier deployments, for planners that use them; 0 by
         default.
-    keepout : sequence of int
-        Cells that no robot may enter, in addition to blocked cells.
+    rng : numpy.random.Generator, optional
+        Generator for planners that have a parameter `rng`.
 
     Returns
     -------
     list of Plan
         One plan for each robot, in their order, with the expected results of that robot alone.
-        Equal beliefs give equal plans. A single robot gets the plan of `plan`.
+        Equal beliefs give equal plans, unless the planner takes `rng`. A single robot gets the
+        plan of `plan`.
 
     Raises
     ------
     NoPathError
         If no path with the minimum survival is found.
     ValueError
-        If belief and grid have different numbers of cells, the planner does not support the
+        If the belief is of another grid, the planner does not support the
         objective or the limit of distance, the distance allows no step, the allocation is unknown,
         there are more robots than free cells, a path in flight is invalid, a base is not one of
         the grid's, the robots have too many different cameras, or the search needs too much
@@ -295,11 +298,9 @@ def plan_team(
 
     """
     ALLOCATIONS.find(team.allocation)
-    if belief.cells != grid.cells:
-        raise ValueError(f'belief has {belief.cells} cells: the grid has {grid.cells}')
-    in_use = without(grid, keepout)
-    team_size(in_use, team.agents)
-    finder = PathFinder(in_use, options, np.asarray(visited))
+    belief.check(grid)
+    finder = PathFinder(grid, options, np.asarray(visited), rng)
+    team_size(finder.grid, team.agents)
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
     cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
     check_team(finder, team.types, len(in_flight), len(cameras))
