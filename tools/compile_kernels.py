@@ -11,6 +11,7 @@ from kbnitp_ros.core import (
     Clustering,
     Grid,
     Learning,
+    path_information,
     plan_team,
     run_mission,
     SearchOptions,
@@ -31,6 +32,7 @@ def search() -> None:
     shannon = SearchOptions(max_steps=6)
     for options in (shannon, replace(shannon, objective='behavioral', alpha=2.0)):
         plan_team(GRID, PRIOR, MODEL, Team(2), options)
+    path_information(PRIOR, MODEL, [0, 0])
 
 
 def sample() -> None:

@@ -98,7 +98,7 @@ def information_at(mission: Mission, place: int) -> float:
         return nan
     before, deployment = mission.moments[place - 1], mission.deployments[moment.deployment]
     model = before.agent_model(deployment.key.agent)
-    return path_information(before.belief, model, deployment.path)
+    return float(path_information(before.belief, model, deployment.path))
 
 
 def lost_by(mission: Mission) -> NDArray[np.intp]:

@@ -18,16 +18,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 
-def as_path(path: ArrayLike) -> NDArray[np.intp]:
+def as_path(path: ArrayLike, name: str = 'path') -> NDArray[np.intp]:
     """Return a copy of `path` as cell numbers; ValueError if it has no step."""
-    array = np.asarray(path)
+    try:
+        array = np.array(path)
+    except ValueError:
+        # Lists of different lengths.
+        array = np.empty(0)
     if array.ndim != 1 or array.size < 2:
         raise ValueError(
-            f'path is {in_short(path)}: it must list at least two cells, the base first and last'
+            f'{name} is {in_short(path)}: it must list at least two cells, the base first and last'
         )
-    if not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f'path is of type {array.dtype}: cells are whole numbers')
-    return np.array(array, dtype=np.intp)
+    if array.dtype.kind not in 'iu':
+        raise ValueError(f'{name} is of type {array.dtype}: cells are whole numbers')
+    return array.astype(np.intp, copy=False)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

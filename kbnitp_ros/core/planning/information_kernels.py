@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from math import exp, expm1, log
+from math import exp, expm1, isnan, log, nan
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.compiled import compiled, inlined
@@ -82,10 +82,28 @@ def reading_information(
 
 
 @compiled
-def exposed(
-    steps: Places, hazard: Floats, log_safe: float, log_deadly: float
-) -> tuple[Floats, Floats]:
-    """Return P(c exposures) and the log survival of c exposures, by c (:eq:`exposures`)."""
+def open_entropies(
+    steps: int, log_safe: float, log_deadly: float, alpha: float, beta: float
+) -> Floats:
+    """Return h(P(survive | c exposures)) by c (:eq:`exposures`, :eq:`behavioral-information`)."""
+    entropy = np.zeros(steps + 1)
+    for c in range(steps + 1):
+        log_survival = 0.0
+        if c < steps:
+            log_survival += (steps - c) * log_safe
+        if c > 0:
+            log_survival += c * log_deadly
+        survival, loss = exp(log_survival), -expm1(log_survival)
+        if alpha != 1.0:
+            entropy[c] = coin(survival, loss, alpha, beta)
+        elif survival > 0.0 and loss > 0.0:
+            entropy[c] = -(survival * log_survival + loss * log(loss))
+    return entropy
+
+
+@compiled
+def left_open(steps: Places, hazard: Floats, entropies: Floats) -> float:
+    """Return E_z[h(P(survive | z))], given `open_entropies` (:eq:`outcome-entropy`)."""
     visits = np.zeros(hazard.size, np.int64)
     for cell in steps:
         visits[cell] += 1
@@ -103,13 +121,101 @@ def exposed(
             chance[c] = (1.0 - z) * chance[c] + z * chance[c - n]
         for c in range(n):
             chance[c] *= 1.0 - z
-    log_survival = np.zeros(steps.size + 1)
-    for c in range(most + 1):
-        if c < most:
-            log_survival[c] += (most - c) * log_safe
-        if c > 0:
-            log_survival[c] += c * log_deadly
-    return chance, log_survival
+    entropy = 0.0
+    for c in range(chance.size):
+        entropy += chance[c] * entropies[c]
+    return entropy
+
+
+@compiled
+def examine(
+    cells: Places, start: Places, count: int, neighbors: Places, is_closed: bool
+) -> tuple[int, int]:
+    """
+    Return the first invalid path, or -1, and the maximum number of visits to a cell.
+
+    Paths stand one after another in `cells`: path k begins at `start[k]`. Steps are examined if
+    `neighbors` has a row for each of the `count` cells.
+    """
+    visits, most = np.zeros(count, np.int64), 0
+    for k in range(start.size - 1):
+        first, last = start[k], start[k + 1] - 1
+        for place in range(first, last + 1):
+            if cells[place] < 0 or cells[place] >= count:
+                return k, most
+        if is_closed and cells[first] != cells[last]:
+            return k, most
+        for place in range(first + 1, last + 1):
+            is_near = neighbors.shape[0] == 0
+            for column in range(neighbors.shape[1]):
+                if not is_near and neighbors[cells[place - 1], column] == cells[place]:
+                    is_near = True
+            if not is_near:
+                return k, most
+            visits[cells[place]] += 1
+            most = max(most, visits[cells[place]])
+        for place in range(first + 1, last + 1):
+            visits[cells[place]] = 0
+    return -1, most
+
+
+@compiled
+def evaluate_paths(
+    cells: Places,
+    start: Places,
+    joint: Floats,
+    hazard: Floats,
+    interest: Floats,
+    readings: Readings,
+    log_safe: float,
+    log_deadly: float,
+    alpha: float,
+    beta: float,
+    read: Floats,
+    information: Floats,
+    survival: Floats,
+) -> None:
+    """
+    Compute the information and the survival of paths, given no other robots.
+
+    Equations :eq:`information` and :eq:`behavioral-information`. `read` keeps the information of n
+    readings of a cell, (cells, n), for paths with equal visits; it begins with NaN, and may have
+    no row.
+    """
+    visits = np.zeros(hazard.size, np.int64)
+    entropies: Floats = np.empty(0)
+    for k in range(start.size - 1):
+        path = cells[start[k] + 1 : start[k + 1]]
+        for cell in path:
+            visits[cell] += 1
+        p, brought = 1.0, 0.0
+        for cell in path:
+            n = visits[cell]
+            if n == 0:
+                continue
+            visits[cell] = 0
+            z = hazard[cell]
+            safe, deadly = readings.survival[n, 0], readings.survival[n, 1]
+            p *= (1.0 - z) * safe + z * deadly
+            known = read[cell, n] if read.shape[0] else nan
+            if isnan(known):
+                known = 0.0
+                without = joint[cell, 0, 0] * safe + joint[cell, 1, 0] * deadly
+                target = joint[cell, 0, 1] * safe + joint[cell, 1, 1] * deadly
+                if without + target > 0.0:
+                    target /= without + target
+                    state = readings.after[0, n]
+                    known = reading_information(target, state, readings, alpha, beta)
+                if read.shape[0]:
+                    read[cell, n] = known
+            brought += interest[cell] * known
+        if entropies.size != path.size + 1:
+            entropies = open_entropies(path.size, log_safe, log_deadly, alpha, beta)
+        entropy = surprisal(p) + surprisal(1.0 - p)
+        if alpha != 1.0:
+            entropy = coin(p, 1.0 - p, alpha, beta)
+        information[k] = entropy + p * brought - left_open(path, hazard, entropies)
+        survival[k] = p
 
 
 @compiled
@@ -122,19 +228,6 @@ def coin(p: float, q: float, alpha: float, beta: float) -> float:
     if q > 0.0 and q < 1.0:
         weighted = beta * (-log(q)) ** alpha
         entropy += weighted * exp(-weighted)
-    return entropy
-
-
-@compiled
-def left_open(chance: Floats, log_survival: Floats, alpha: float, beta: float) -> float:
-    """Return E_z[h(P(survive | z))] (:eq:`outcome-entropy`, :eq:`behavioral-information`)."""
-    entropy = 0.0
-    for c in range(chance.size):
-        survival, loss = exp(log_survival[c]), -expm1(log_survival[c])
-        if alpha != 1.0:
-            entropy += chance[c] * coin(survival, loss, alpha, beta)
-        elif survival > 0.0 and loss > 0.0:
-            entropy -= chance[c] * (survival * log_survival[c] + loss * log(loss))
     return entropy
 
 
@@ -161,6 +254,7 @@ def exact_values(
     chance, powers = problem.chance, problem.weight.size
     values = np.empty(steps.size)
     label, visits = new_labels(1, 1, problem.gains), np.empty(hazard.size, np.int64)
+    entropies: Floats = np.empty(0)
     for k in range(steps.size):
         path = paths[k, : steps[k] + 1]
         take(path, problem.gains, visits, label)
@@ -169,6 +263,7 @@ def exact_values(
             survival = label.factor[0, powers + outcome]
             readings = label.term[0, 1 + outcome] + problem.loss_cost
             value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
-        chances, log_survival = exposed(path[1:], hazard, log_safe, log_deadly)
-        values[k] = value - left_open(chances, log_survival, 1.0, 1.0)
+        if entropies.size != path.size:
+            entropies = open_entropies(path.size - 1, log_safe, log_deadly, 1.0, 1.0)
+        values[k] = value - left_open(path[1:], hazard, entropies)
     return values

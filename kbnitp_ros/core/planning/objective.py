@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import lgamma, prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, surprisal
-from kbnitp_ros.core.field.check import typed
+from kbnitp_ros.core.field.check import in_short, typed
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import (
     log_predicted_survival,
@@ -22,9 +22,11 @@ from kbnitp_ros.core.field.sensor import (
 from kbnitp_ros.core.inference.filter import condition, Evidence, known_effects
 from kbnitp_ros.core.planning.information_kernels import (
     coin,
-    exposed,
+    evaluate_paths,
+    examine,
     left_open,
     new_readings,
+    open_entropies,
     Readings,
 )
 from kbnitp_ros.core.planning.label_kernels import Floats, Places
@@ -354,6 +356,28 @@ class Objective:
         log_survival = log_predicted_survival(hazard, np.arange(most + 1), self.model.log_survival)
         return log_survival, new_information(readings, joint, earlier, self.alpha)
 
+    def of_paths(self, cells: Places, start: Places, most: int) -> tuple[Floats, Floats]:
+        """Return information and survival of paths that stand one after another in `cells`."""
+        belief, alpha, count = self.belief, self.alpha, start.size - 1
+        information, survival = np.empty(count), np.empty(count)
+        log_safe, log_deadly = self.model.log_survival.tolist()
+        evaluate_paths(
+            cells,
+            start,
+            belief.joint,
+            belief.hazard,
+            self.interest,
+            possible_readings(self.model, most, ()),
+            log_safe,
+            log_deadly,
+            alpha,
+            prelec_beta(alpha),
+            np.full((belief.cells if count > 1 else 0, most + 1), np.nan),
+            information,
+            survival,
+        )
+        return information, survival
+
     def evaluate(self, path: ArrayLike) -> tuple[float, Floats]:
         """
         Return a path's information, nats, and the chance of a return given each joint outcome.
@@ -367,23 +391,31 @@ class Objective:
                 f'path has cells from {cells.min()} to {cells.max()}: '
                 f'the belief has the cells 0 to {belief.cells - 1}'
             )
+        if not self.outcomes.cells.size:
+            most = int(np.bincount(cells[1:]).max())
+            information, survival = self.of_paths(cells, np.array([0, cells.size]), most)
+            return float(information[0]), survival
         visits = Visits.of(cells)
         log_survival, read = (
             each[:, np.arange(visits.cells.size), visits.counts]
             for each in self.of_visits(visits.cells, int(visits.counts.max()))
         )
         survival = np.exp(np.ascontiguousarray(log_survival).sum(axis=1))
-        exposures = exposed(visits.of_step, belief.hazard[visits.cells], *model.log_survival)
+        log_safe, log_deadly = model.log_survival.tolist()
+        entropies = open_entropies(cells.size - 1, log_safe, log_deadly, alpha, prelec_beta(alpha))
         brought = (read * self.interest[visits.cells]).sum(axis=1)
         of_each = behavioral_entropy(survival, alpha) + survival * brought
-        of_each -= left_open(*exposures, alpha, prelec_beta(alpha))
+        of_each -= left_open(visits.of_step, belief.hazard[visits.cells], entropies)
         return float((self.outcomes.probability * of_each).sum()), survival
 
 
 @typed
 def path_information(
-    belief: Belief, model: SensorModel, path: ArrayLike, alpha: float = SHANNON
-) -> float:
+    belief: Belief,
+    model: SensorModel,
+    paths: ArrayLike | Sequence[ArrayLike],
+    alpha: float = SHANNON,
+) -> Any:
     """
     Return the mutual information between the field and the outcome of one deployment.
 
@@ -403,25 +435,76 @@ def path_information(
         Belief before the deployment.
     model : SensorModel
         Believed sensor model of the robot.
-    path : array_like of int, shape (steps + 1,)
-        The cells in order.
+    paths : array_like of int, shape (steps + 1,), or a sequence of such paths
+        The cells in order, the base first and last. Paths of equal length may be an array, (paths,
+        steps + 1).
     alpha : float
         As in `SearchOptions`.
 
     Returns
     -------
-    float
-        Nats. At least 0 except for rounding if alpha is at most 1; else it may be slightly
-        negative, since the entropies are then convex near certainty.
+    float, or ndarray of shape (paths,)
+        Nats; a number for one path, an array for several. At least 0 except for rounding if alpha
+        is at most 1; else it may be slightly negative, since the entropies are then convex near
+        certainty.
 
     Raises
     ------
     ValueError
-        If the path has no step or leaves the belief's cells, or alpha is out of range.
+        If a path has no step, is not closed or leaves the belief's cells, or alpha is out of
+        range; if the belief knows its grid, also if a path jumps or enters a blocked cell.
 
     """
-    options = None if alpha == SHANNON else SearchOptions(objective='behavioral', alpha=alpha)
-    return Objective.of(belief, model, options).evaluate(path)[0]
+    behavioral = alpha is not SHANNON
+    options = SearchOptions(objective='behavioral', alpha=alpha) if behavioral else None
+    grid = belief.grid
+    is_one, cells, start = joined_paths(paths)
+    neighbors = np.empty((0, 9), dtype=np.intp) if grid is None else grid.neighbor_table
+    wrong, most = examine(cells, start, belief.cells, neighbors, True)
+    if wrong >= 0:
+        path = cells[start[wrong] : start[wrong + 1]]
+        refuse_path(belief, path, 'path' if is_one else f'path[{wrong}]')
+    information, _ = Objective.of(belief, model, options).of_paths(cells, start, most)
+    return float(information[0]) if is_one else information
+
+
+def joined_paths(paths: Any) -> tuple[bool, Places, Places]:
+    """Return if it is one path, and the cells of one or several paths with the start of each."""
+    is_array = isinstance(paths, np.ndarray)
+    are_several = isinstance(paths, Sequence) and len(paths) > 0 and np.ndim(paths[0]) == 1
+    if not (are_several or (is_array and paths.ndim == 2)):
+        cells = as_path(paths)
+        return True, cells, np.array([0, cells.size])
+    try:
+        cells = paths.ravel() if is_array else np.concatenate(paths)
+        sizes = np.array([*map(len, paths)], dtype=np.intp)
+        is_valid = cells.ndim == 1 and cells.dtype.kind in 'iu' and sizes.min() > 1
+    except (TypeError, ValueError):
+        is_valid = False
+    if not is_valid:
+        for number, path in enumerate(paths):
+            as_path(path, f'path[{number}]')
+        raise ValueError(f'path is {in_short(paths)}: it must be one path, or a list of paths')
+    return False, cells.astype(np.intp), np.append(0, sizes.cumsum())
+
+
+def refuse_path(belief: Belief, path: Places, name: str) -> None:
+    """Raise a ValueError for a path that is not closed, or not one of the belief's field."""
+    outside = path[(path < 0) | (path >= belief.cells)]
+    if outside.size:
+        raise ValueError(
+            f'{name} has the cell {outside[0]}: the belief has the cells 0 to {belief.cells - 1}'
+        )
+    if path[0] != path[-1]:
+        raise ValueError(
+            f'{name} starts at cell {path[0]} and ends at {path[-1]}: it must return to its base'
+        )
+    if belief.grid is not None:
+        try:
+            belief.grid.check_cells(path)
+            belief.grid.check_steps(path)
+        except ValueError as error:
+            raise ValueError(f'{name}{str(error).removeprefix("path")}') from error
 
 
 @typed
@@ -484,8 +567,9 @@ class Candidate(NamedTuple):
     path: Places
 
     @classmethod
-    def along(cls, path: Places, objective: Objective) -> Candidate:
+    def along(cls, path: ArrayLike, objective: Objective) -> Candidate:
         """Return a path, shape (steps + 1,), with its exact value (:eq:`objective-value`)."""
         information, _ = objective.evaluate(path)
-        lost = 1.0 - objective.survival(path)
-        return cls(round(float(information - objective.loss_cost * lost), DECIMALS), path)
+        if objective.loss_cost:
+            information -= objective.loss_cost * (1.0 - objective.survival(path))
+        return cls(round(information, DECIMALS), as_path(path))

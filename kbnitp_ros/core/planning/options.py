@@ -69,9 +69,10 @@ class SearchOptions:
         One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns a list of
         `Candidate`, the best first. If it has a parameter `rng`, it gets the mission's generator;
         without a mission, one that is seeded by the belief and the visits. 'relaxed' keeps the
-        best label of each cell and step; 'beam' keeps `width` / 4 labels. Baselines, which seek no information: 'random' draws a closed
-        walk, 'coverage' sweeps the field row by row, starting where earlier paths ended, and
-        'shortest_unvisited' goes from one least visited cell to the nearest other one.
+        best label of each cell and step; 'beam' keeps `width` / 4 labels. Baselines, which seek no
+        information: 'random' draws a closed walk, 'coverage' sweeps the field row by row, starting
+        where earlier paths ended, and 'shortest_unvisited' goes from one least visited cell to the
+        nearest other one.
     max_steps : int
         Maximum steps of a path, at least 1.
     width : int

@@ -123,7 +123,7 @@ def test_up_to_alpha_1_it_is_never_negative(seed, alpha):
 @cache
 def every_path():
     visits = brute_force.all_visit_counts(3, 3, 0, 6)
-    return [np.append(0, np.repeat(np.arange(9), each)) for each in visits]
+    return [np.append(0, np.repeat(np.arange(9), each)[::-1]) for each in visits]
 
 
 @cache

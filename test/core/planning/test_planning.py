@@ -202,7 +202,7 @@ def test_the_planner_reads_each_parameter(name):
     others = {'planner': 'relaxed', 'objective': 'behavioral', 'alpha': 2.0}
     other = others[name] if name in others else getattr(SearchOptions(), name) + 1
     options = replace(SearchOptions(objective='behavioral'), **{name: other})
-    values = {ROWS[each].name: value for each, value in vars(options).items()}
+    values = {row.name: getattr(options, each) for each, row in ROWS.items()}
     assert search_options(values) == options
 
 
