@@ -273,17 +273,18 @@ class Mission(Sequence[Deployment]):
             nothing is then assimilated.
 
         """
+        grid = self.grid.at(robot_type.base)
+        cells = grid.check_path(path.path if isinstance(path, Plan) else path)
         if not isinstance(path, Plan):
-            cells = self.grid.at(robot_type.base).check_path(path)
             path = Plan.along(cells, self.belief, robot_type.model(self.model))
-        made = self._execution.traverse(
+        made = self._execution.follow(
             self.world,
-            self.grid.at(robot_type.base),
-            path.path,
+            grid,
+            cells,
             robot_type.model(self._model),
             self.rng.spawn(1)[0],
             self._dynamics,
-            changing=self._possible if self.sent else None,
+            self._possible if self.sent else None,
         )
         self.estimator.assimilate(made.observation, robot_type)
         self.world = made.world

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 from kbnitp_ros.core.field.check import (
     in_short,
@@ -23,6 +24,12 @@ TOLERANCE = 1e-12
 
 # Maximum number of cells named in an error.
 SHOWN = 8
+
+
+def tolerance(given: np.dtype[Any]) -> float:
+    """Return the tolerance of a sum of probabilities that were given as numbers of a type."""
+    is_coarse = given.kind == 'f' and given.itemsize < 8
+    return float(4 * np.finfo(given).eps) if is_coarse else TOLERANCE
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,16 +59,20 @@ class Belief(Value):
 
     def __post_init__(self) -> None:
         joint = np.array(self.joint, dtype=np.float64)
+        given = getattr(self.joint, 'dtype', joint.dtype)
         if joint.ndim != 3 or joint.shape[1:] != (2, 2) or not len(joint):
             raise ValueError(f'joint has shape {joint.shape}: it must be (cells, 2, 2)')
-        distribution = (joint >= 0.0).all(axis=(1, 2))
-        distribution &= np.abs(joint.sum(axis=(1, 2)) - 1.0) <= TOLERANCE
-        if not distribution.all():
-            cell = np.argmin(distribution)
+        total = joint[:, 0, 0] + joint[:, 0, 1] + joint[:, 1, 0] + joint[:, 1, 1]
+        # Also false for NaN.
+        if not (joint.min() >= 0.0 and np.abs(total - 1.0).max() <= tolerance(given)):
+            off = ~((joint >= 0.0).all(axis=(1, 2)) & (np.abs(total - 1.0) <= tolerance(given)))
+            cell = np.argmax(off)
             raise ValueError(
                 f'joint of cell {cell} is {joint[cell].tolist()}: '
                 'it must be four probabilities that sum to 1'
             )
+        if given != np.float64:
+            joint /= total[:, None, None]
         object.__setattr__(self, 'joint', read_only(joint))
 
     def __repr__(self) -> str:
@@ -96,7 +107,8 @@ class Belief(Value):
         both = k * z
         target_only = x - both
         neither = (1.0 - z) - target_only
-        bad = np.flatnonzero((target_only < -TOLERANCE) | (neither < -TOLERANCE))
+        least = -max(tolerance(np.asarray(each).dtype) for each in (hazard, target, kappa))
+        bad = np.flatnonzero((target_only < least) | (neither < least))
         if bad.size:
             i, *others = bad[:SHOWN].tolist()
             likewise = f'; likewise at cells {", ".join(map(str, others))}' if others else ''
@@ -107,6 +119,8 @@ class Belief(Value):
                 f'and is {x[i]}{likewise}{more}'
             )
         joint = np.stack([neither, target_only, (1.0 - k) * z, both], axis=-1).clip(min=0.0)
+        if least < -TOLERANCE:
+            joint /= joint.sum(axis=1, keepdims=True)
         return cls(joint.reshape(-1, 2, 2))
 
     @classmethod
@@ -165,12 +179,12 @@ class Belief(Value):
     @cached_property
     def hazard(self) -> NDArray[np.float64]:
         """Return P(Z = 1), shape (cells,)."""
-        return read_only(self.joint[:, 1].sum(axis=1).clip(max=1.0))
+        return read_only(np.minimum(self.joint[:, 1, 0] + self.joint[:, 1, 1], 1.0))
 
     @cached_property
     def target(self) -> NDArray[np.float64]:
         """Return P(X = 1), shape (cells,)."""
-        return read_only(self.joint[:, :, 1].sum(axis=1).clip(max=1.0))
+        return read_only(np.minimum(self.joint[:, 0, 1] + self.joint[:, 1, 1], 1.0))
 
     @cached_property
     def kappa(self) -> NDArray[np.float64]:

@@ -140,6 +140,8 @@ def cost(name: str, value: float) -> float:
 
 def whole_number(name: str, value: int, low: int, high: int | None = None) -> int:
     """Return `value` as an int if it is a whole number from `low` to `high`."""
+    if type(value) is int and low <= value and (high is None or value <= high):
+        return value
     allowed = f'at least {low}' if high is None else f'from {low} to {high}'
     most = inf if high is None else high
     number(name, value, f'a whole number {allowed}', lambda n: low <= n <= most and n == n // 1)
@@ -186,10 +188,19 @@ def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> N
 def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     """Return `values`, of any shape, as a copy of booleans."""
     array = np.array(values)
+    if array.dtype == bool:
+        return array
     bad = ~np.asarray((array == 0) | (array == 1))
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)
+
+
+def shallow_copy(value: T) -> T:
+    """Return a shallow copy of an object, without the detours of `copy.copy`."""
+    copied = object.__new__(type(value))
+    copied.__dict__.update(value.__dict__)
+    return copied
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
+from itertools import pairwise
 from math import cos, inf, isfinite, pi, remainder, sin, sqrt, tau
 import struct
 
@@ -354,27 +355,33 @@ class Grid:
 
     def check_cells(self, cells: NDArray[np.intp]) -> None:
         """Check that the cells of a path are free cells of this grid."""
-        outside = (cells < 0) | (cells >= self.cells)
-        if outside.any():
-            place = outside.argmax()
+        listed = cells.tolist()
+        if min(listed) < 0 or max(listed) >= self.cells:
+            place = int(np.argmax((cells < 0) | (cells >= self.cells)))
             raise ValueError(
                 f'path leaves the grid: its cell at index {place} is {cells[place]}, '
                 f'allowed are 0 to {self.cells - 1}'
             )
-        free = self.free[cells]
-        if not free.all():
-            place = free.argmin()
+        if not frozenset(self.blocked).isdisjoint(listed):
+            place = int(self.free[cells].argmin())
             raise ValueError(f'path enters a blocked cell: at index {place} it is {cells[place]}')
 
     def check_steps(self, cells: NDArray[np.intp]) -> None:
         """Check that each step of a path stays or leads to a neighbour."""
-        reached = (self.neighbor_table[cells[:-1]] == cells[1:, None]).any(axis=1)
-        if not reached.all():
-            step = reached.argmin()
-            raise ValueError(
-                f'path jumps at step {step + 1}, from cell {cells[step]} to {cells[step + 1]}: '
-                f'a step stays or leads to one of {self.neighbors(int(cells[step])).tolist()}'
-            )
+        for step, (here, there) in enumerate(pairwise(cells.tolist()), 1):
+            near = self._near.get(here)
+            if near is None:
+                near = self._near[here] = frozenset(self.neighbors(here).tolist())
+            if there not in near:
+                raise ValueError(
+                    f'path jumps at step {step}, from cell {here} to {there}: '
+                    f'a step stays or leads to one of {sorted(near)}'
+                )
+
+    @cached_property
+    def _near(self) -> dict[int, frozenset[int]]:
+        # The neighbours of cells, as they are needed: faster for paths than arrays.
+        return {}
 
     def check_any_path(self, path: ArrayLike) -> NDArray[np.intp]:
         """Return `path` as an array of cells, checked as a path from one of the bases."""

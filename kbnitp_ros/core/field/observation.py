@@ -86,7 +86,9 @@ class Observation(Value):
             raise ValueError(
                 f'path starts at cell {path[0]} and ends at {path[-1]}: it must return to its base'
             )
-        survived = bool(yes_or_no('survived', self.survived))
+        survived = self.survived
+        if not isinstance(survived, bool):
+            survived = bool(yes_or_no('survived', survived))
         vars(self).update(path=read_only(path), survived=survived)
         if self.entered is not None:
             self._check_entered(np.array(self.entered))
@@ -117,14 +119,15 @@ class Observation(Value):
         if self.entered is not None and given.shape == self.entered.shape:
             given = np.where(self.entered, given, -1)
         unseen = given == -1
-        yes_or_no('readings', given[~unseen])
+        if given.dtype != bool:
+            yes_or_no('readings', given[~unseen])
         if not self.survived:
             raise ValueError(
                 f'readings has {given.size} values: a robot that was lost brings none'
             )
         self._check_shape('readings', given)
         # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
-        readings = given.astype(np.int8 if unseen.any() else bool)
+        readings = given.astype(np.int8 if unseen.any() else bool, copy=False)
         vars(self).update(readings=read_only(readings))
 
     def _check_lost_at(self, lost_at: NDArray[np.float64]) -> None:

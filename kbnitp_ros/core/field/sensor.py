@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 from kbnitp_ros.core.field.check import cost, probability, read_only, whole_number
@@ -47,6 +47,12 @@ class SensorModel:
 
     def __post_init__(self) -> None:
         vars(self).update({name: probability(name, value) for name, value in vars(self).items()})
+
+    @property
+    def step_survival(self) -> tuple[float, float]:
+        """Return P(step survived | Z = z) for z = 0, 1 (:eq:`step-survival`)."""
+        intact = 1.0 - self.malfunction
+        return intact, intact * (1.0 - self.lethality * (1.0 - self.false_negative))
 
     def survival(self, hazard: ArrayLike) -> NDArray[np.float64]:
         """Return P(step survived | Z), per step (:eq:`step-survival`)."""
@@ -156,18 +162,21 @@ class RobotType:
     base: int | None = None
 
     def __post_init__(self) -> None:
-        for name, value in self.own.items():
+        for name, value in [*vars(self).items()]:
+            if value is None:
+                continue
             if name in LEAST:
                 vars(self)[name] = whole_number(name, value, LEAST[name])
             else:
                 vars(self)[name] = (probability if name in SENSORS else cost)(name, value)
 
-    @property
+    @cached_property
     def own(self) -> dict[str, Any]:
         """Return the values that the type sets itself, by name."""
-        return {name: value for name, value in vars(self).items() if value is not None}
+        given = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: value for name, value in given.items() if value is not None}
 
-    @property
+    @cached_property
     def sensors(self) -> dict[str, Any]:
         """Return the values of the sensor model that the type sets itself, by name."""
         return {name: value for name, value in self.own.items() if name in SENSORS}

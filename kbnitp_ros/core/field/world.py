@@ -155,13 +155,15 @@ class World(Value):
         dynamics.known_rates()
         entered = path[1:]
         drawn = rng.random((2, entered.size))
-        readings = drawn[1] < model.reading(self.target[entered])
+        chance = np.where(self.target[entered], model.true_positive, model.false_positive)
+        readings = drawn[1] < chance
+        safe, deadly = model.step_survival
         if dynamics.effect != 'used_up':
-            return drawn[0] < model.survival(self.hazard[entered]), readings, self
+            return drawn[0] < np.where(self.hazard[entered], deadly, safe), readings, self
         survived, hazard = np.ones(entered.size, np.bool_), self.hazard.copy()
         not_set_off = (1.0 - model.malfunction) * (1.0 - model.lethality)
         for step, cell in enumerate(entered.tolist()):
-            survived[step] = drawn[0, step] < model.survival(hazard[cell])
+            survived[step] = drawn[0, step] < (deadly if hazard[cell] else safe)
             if not_set_off <= drawn[0, step] < 1.0 - model.malfunction:
                 hazard[cell] = False
             if not survived[step]:
@@ -247,19 +249,36 @@ class Execution:
     ) -> Traverse:
         """Simulate a deployment; `contact` reports steps (:eq:`contact-probability`)."""
         ordered = grid.check_path(path)
-        rng = np.random.default_rng(rng)
-        own = rng.spawn(1)[0]
-        if changing is not None and dynamics.effect in ('changing', 'moving'):
-            world = world.after_change(dynamics, grid, changing, rng.spawn(1)[0])
-        walk, passed = self._walk(grid, ordered, own)
+        return self.follow(world, grid, ordered, model, generator(rng), dynamics, changing)
+
+    def follow(
+        self,
+        world: World,
+        grid: Grid,
+        ordered: NDArray[np.intp],
+        model: SensorModel,
+        rng: np.random.Generator,
+        dynamics: Dynamics,
+        changing: NDArray[np.bool_] | None,
+    ) -> Traverse:
+        """Simulate a deployment along a checked path."""
+        deviates = any(vars(self).values())
+        changes = changing is not None and dynamics.effect in ('changing', 'moving')
+        # Deviations are drawn by the first child, changes by the second; spawning takes its time.
+        children = rng.spawn(1 + changes) if deviates or changes else []
+        if changing is not None and changes:
+            world = world.after_change(dynamics, grid, changing, children[1])
+        walk, passed = self._walk(grid, ordered, children[0]) if deviates else (ordered, ordered)
         survived, readings, after = world.steps(walk, model, rng, dynamics)
         if survived.all():
-            seen = np.cumsum(own.random(survived.size) < self.camera_failure) == 0
-            read = np.where(seen, readings, -1)
-            return Traverse(walk, survived.size, Observation(walk, True, read), after)
-        steps_made = int(np.argmin(survived))
-        heard = np.flatnonzero(own.random(steps_made) < self.contact)
-        known = int(passed[heard[-1]]) if heard.size else 0
+            if self.camera_failure:
+                failed = np.cumsum(children[0].random(survived.size) < self.camera_failure) > 0
+                readings = np.where(failed, -1, readings)
+            return Traverse(walk, survived.size, Observation(walk, True, readings), after)
+        steps_made, known = int(np.argmin(survived)), 0
+        if self.contact:
+            heard = np.flatnonzero(children[0].random(steps_made) < self.contact)
+            known = int(passed[heard[-1]]) if heard.size else 0
         lost = lost_after_contact(ordered, known, self.contact)
         return Traverse(walk, steps_made, lost, after)
 

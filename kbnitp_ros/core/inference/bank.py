@@ -10,11 +10,11 @@ probability keeps its particles.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from functools import cached_property
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import shallow_copy
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import (
@@ -330,7 +330,7 @@ class Bank:
 
     def copy(self) -> Bank:
         """Return an independent copy; arrays are shared, since none is ever changed."""
-        return copy(self)
+        return shallow_copy(self)
 
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Weight the hypotheses by the evidence of one more deployment."""
@@ -342,7 +342,7 @@ class Bank:
         filters, ruled_out, predicted = dict(self._filters), set(self._ruled_out), []
         for kind, each in self._filters.items():
             if kind not in ruled_out:
-                filters[kind] = each = copy(each)
+                filters[kind] = each = shallow_copy(each)
                 try:
                     predicted.append(each.take(evidence, is_predicted))
                 except ValueError:

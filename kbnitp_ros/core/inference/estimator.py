@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
-from copy import copy
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import typed, whole_number
+from kbnitp_ros.core.field.check import shallow_copy, typed, whole_number
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
@@ -325,7 +324,7 @@ class Estimator:
 
     def copy(self) -> Estimator:
         """Return an independent copy; it shares arrays and takes little memory."""
-        other = copy(self)
+        other = shallow_copy(self)
         other._inference = self._inference.copy()
         return other
 

@@ -19,6 +19,9 @@ from kbnitp_ros.core.planning.label_kernels import (
 )
 import numpy as np
 
+# Number of readings of a cell, plus 1, whose information is kept for other paths.
+MAX_KEPT = 8
+
 
 class Readings(NamedTuple):
     """Readings of a cell; a state is the number of readings by each camera so far."""
@@ -101,26 +104,18 @@ def open_entropies(
     return entropy
 
 
-@compiled
-def left_open(steps: Places, hazard: Floats, entropies: Floats) -> float:
-    """Return E_z[h(P(survive | z))], given `open_entropies` (:eq:`outcome-entropy`)."""
-    visits = np.zeros(hazard.size, np.int64)
-    for cell in steps:
-        visits[cell] += 1
-    # Probability of each number of exposures in the cells processed so far.
-    chance = np.zeros(steps.size + 1)
-    chance[0] = 1.0
-    most = 0
-    for cell in steps:
-        z, n = hazard[cell], visits[cell]
-        if n == 0:
-            continue
-        visits[cell] = 0
-        most += n
-        for c in range(most, n - 1, -1):
-            chance[c] = (1.0 - z) * chance[c] + z * chance[c - n]
-        for c in range(n):
-            chance[c] *= 1.0 - z
+@inlined
+def expose(chance: Floats, most: int, hazard: float, visits: int) -> None:
+    """Add a cell's visits to the distribution of up to `most` exposures (:eq:`exposures`)."""
+    for c in range(most + visits, visits - 1, -1):
+        chance[c] = (1.0 - hazard) * chance[c] + hazard * chance[c - visits]
+    for c in range(visits):
+        chance[c] *= 1.0 - hazard
+
+
+@inlined
+def averaged(chance: Floats, entropies: Floats) -> float:
+    """Return the mean of `open_entropies` (:eq:`outcome-entropy`)."""
     entropy = 0.0
     for c in range(chance.size):
         entropy += chance[c] * entropies[c]
@@ -128,35 +123,103 @@ def left_open(steps: Places, hazard: Floats, entropies: Floats) -> float:
 
 
 @compiled
-def examine(
-    cells: Places, start: Places, count: int, neighbors: Places, is_closed: bool
-) -> tuple[int, int]:
-    """
-    Return the first invalid path, or -1, and the maximum number of visits to a cell.
+def left_open(steps: Places, hazard: Floats, entropies: Floats) -> float:
+    """Return E_z[h(P(survive | z))], given `open_entropies` (:eq:`outcome-entropy`)."""
+    visits = np.zeros(hazard.size, np.int64)
+    for cell in steps:
+        visits[cell] += 1
+    chance = np.zeros(steps.size + 1)
+    chance[0] = 1.0
+    most = 0
+    for cell in steps:
+        if visits[cell] > 0:
+            expose(chance, most, hazard[cell], visits[cell])
+            most += visits[cell]
+            visits[cell] = 0
+    return averaged(chance, entropies)
 
-    Paths stand one after another in `cells`: path k begins at `start[k]`. Steps are examined if
-    `neighbors` has a row for each of the `count` cells.
+
+@compiled
+def readings_information(
+    target: float, readings: int, camera: tuple[float, float], alpha: float, beta: float
+) -> float:
+    """Return the information of readings about a target (:eq:`reading-information`)."""
+    true_positive, false_positive = camera
+    # P(k positive readings | X = x) (:eq:`reading-counts`).
+    there, without = np.zeros(readings + 1), np.zeros(readings + 1)
+    there[0] = without[0] = 1.0
+    for n in range(1, readings + 1):
+        for k in range(n, 0, -1):
+            there[k] = (1.0 - true_positive) * there[k] + true_positive * there[k - 1]
+            without[k] = (1.0 - false_positive) * without[k] + false_positive * without[k - 1]
+        there[0] *= 1.0 - true_positive
+        without[0] *= 1.0 - false_positive
+    entropy = 0.0 if alpha == 1.0 else coin(target, 1.0 - target, alpha, beta)
+    for k in range(readings + 1):
+        none, one = (1.0 - target) * without[k], target * there[k]
+        p = none + one
+        if alpha == 1.0:
+            entropy += surprisal(p)
+            entropy -= (1.0 - target) * surprisal(without[k]) + target * surprisal(there[k])
+        elif p > 0.0:
+            entropy -= p * coin(one / p, none / p, alpha, beta)
+    return entropy
+
+
+@compiled
+def evaluate_path(
+    path: Places,
+    joint: Floats,
+    interest: Floats,
+    survival: tuple[float, float],
+    camera: tuple[float, float],
+    entropies: Floats,
+    alpha: float,
+    beta: float,
+    known: Floats,
+) -> tuple[float, float]:
     """
-    visits, most = np.zeros(count, np.int64), 0
-    for k in range(start.size - 1):
-        first, last = start[k], start[k + 1] - 1
-        for place in range(first, last + 1):
-            if cells[place] < 0 or cells[place] >= count:
-                return k, most
-        if is_closed and cells[first] != cells[last]:
-            return k, most
-        for place in range(first + 1, last + 1):
-            is_near = neighbors.shape[0] == 0
-            for column in range(neighbors.shape[1]):
-                if not is_near and neighbors[cells[place - 1], column] == cells[place]:
-                    is_near = True
-            if not is_near:
-                return k, most
-            visits[cells[place]] += 1
-            most = max(most, visits[cells[place]])
-        for place in range(first + 1, last + 1):
-            visits[cells[place]] = 0
-    return -1, most
+    Return the information and the survival of a path, given no other robots.
+
+    Equations :eq:`information` and :eq:`behavioral-information`. `known` keeps the information of
+    n readings of a cell, (cells, n), for other paths; it begins with NaN, and may have no row.
+    """
+    safe, deadly = survival
+    visits = np.zeros(joint.shape[0], np.int64)
+    for cell in path[1:]:
+        visits[cell] += 1
+    chance = np.zeros(path.size)
+    chance[0] = 1.0
+    most, p, brought = 0, 1.0, 0.0
+    for cell in path[1:]:
+        n = visits[cell]
+        if n == 0:
+            continue
+        visits[cell] = 0
+        z = min(joint[cell, 1, 0] + joint[cell, 1, 1], 1.0)
+        expose(chance, most, z, n)
+        most += n
+        if_safe, if_hazardous = 1.0, 1.0
+        for _ in range(n):
+            if_safe *= safe
+            if_hazardous *= deadly
+        p *= (1.0 - z) * if_safe + z * if_hazardous
+        is_kept = known.shape[0] > 0 and n < known.shape[1]
+        read = known[cell, n] if is_kept else nan
+        if isnan(read):
+            without = joint[cell, 0, 0] * if_safe + joint[cell, 1, 0] * if_hazardous
+            target = joint[cell, 0, 1] * if_safe + joint[cell, 1, 1] * if_hazardous
+            read = 0.0
+            if without + target > 0.0:
+                target /= without + target
+                read = readings_information(target, n, camera, alpha, beta)
+            if is_kept:
+                known[cell, n] = read
+        brought += interest[cell] * read
+    entropy = surprisal(p) + surprisal(1.0 - p)
+    if alpha != 1.0:
+        entropy = coin(p, 1.0 - p, alpha, beta)
+    return entropy + p * brought - averaged(chance, entropies), p
 
 
 @compiled
@@ -164,58 +227,53 @@ def evaluate_paths(
     cells: Places,
     start: Places,
     joint: Floats,
-    hazard: Floats,
     interest: Floats,
-    readings: Readings,
-    log_safe: float,
-    log_deadly: float,
+    survival: tuple[float, float],
+    log_survival: tuple[float, float],
+    camera: tuple[float, float],
     alpha: float,
     beta: float,
-    read: Floats,
     information: Floats,
-    survival: Floats,
-) -> None:
-    """
-    Compute the information and the survival of paths, given no other robots.
-
-    Equations :eq:`information` and :eq:`behavioral-information`. `read` keeps the information of n
-    readings of a cell, (cells, n), for paths with equal visits; it begins with NaN, and may have
-    no row.
-    """
-    visits = np.zeros(hazard.size, np.int64)
+) -> Floats:
+    """Compute the information of paths that stand one after another in `cells`; their survival."""
+    survived = np.empty(information.size)
+    known = np.full((joint.shape[0] if information.size > 1 else 0, MAX_KEPT), nan)
     entropies: Floats = np.empty(0)
+    for k in range(information.size):
+        path = cells[start[k] : start[k + 1]]
+        if entropies.size != path.size:
+            safe, deadly = log_survival
+            entropies = open_entropies(path.size - 1, safe, deadly, alpha, beta)
+        information[k], survived[k] = evaluate_path(
+            path, joint, interest, survival, camera, entropies, alpha, beta, known
+        )
+    return survived
+
+
+@compiled
+def first_invalid(
+    cells: Places, start: Places, count: int, neighbors: Places, is_closed: bool
+) -> int:
+    """
+    Return the first invalid path of those that stand one after another in `cells`, or -1.
+
+    Path k begins at `start[k]`. Steps are examined if `neighbors` has rows for the `count` cells.
+    """
     for k in range(start.size - 1):
-        path = cells[start[k] + 1 : start[k + 1]]
-        for cell in path:
-            visits[cell] += 1
-        p, brought = 1.0, 0.0
-        for cell in path:
-            n = visits[cell]
-            if n == 0:
-                continue
-            visits[cell] = 0
-            z = hazard[cell]
-            safe, deadly = readings.survival[n, 0], readings.survival[n, 1]
-            p *= (1.0 - z) * safe + z * deadly
-            known = read[cell, n] if read.shape[0] else nan
-            if isnan(known):
-                known = 0.0
-                without = joint[cell, 0, 0] * safe + joint[cell, 1, 0] * deadly
-                target = joint[cell, 0, 1] * safe + joint[cell, 1, 1] * deadly
-                if without + target > 0.0:
-                    target /= without + target
-                    state = readings.after[0, n]
-                    known = reading_information(target, state, readings, alpha, beta)
-                if read.shape[0]:
-                    read[cell, n] = known
-            brought += interest[cell] * known
-        if entropies.size != path.size + 1:
-            entropies = open_entropies(path.size, log_safe, log_deadly, alpha, beta)
-        entropy = surprisal(p) + surprisal(1.0 - p)
-        if alpha != 1.0:
-            entropy = coin(p, 1.0 - p, alpha, beta)
-        information[k] = entropy + p * brought - left_open(path, hazard, entropies)
-        survival[k] = p
+        first, last = start[k], start[k + 1] - 1
+        for place in range(first, last + 1):
+            if cells[place] < 0 or cells[place] >= count:
+                return k
+        if is_closed and cells[first] != cells[last]:
+            return k
+        for place in range(first, last if neighbors.shape[0] else first):
+            is_near = False
+            for neighbor in neighbors[cells[place]]:
+                if neighbor == cells[place + 1]:
+                    is_near = True
+            if not is_near:
+                return k
+    return -1
 
 
 @compiled

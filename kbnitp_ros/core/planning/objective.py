@@ -10,7 +10,7 @@ from math import lgamma, prod
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, surprisal
-from kbnitp_ros.core.field.check import in_short, typed
+from kbnitp_ros.core.field.check import in_short, read_only, typed
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import (
     log_predicted_survival,
@@ -23,7 +23,7 @@ from kbnitp_ros.core.inference.filter import condition, Evidence, known_effects
 from kbnitp_ros.core.planning.information_kernels import (
     coin,
     evaluate_paths,
-    examine,
+    first_invalid,
     left_open,
     new_readings,
     open_entropies,
@@ -197,10 +197,24 @@ class JointOutcomes:
         return joint, readings
 
 
+# Fields of the joint outcome of no robots: its probability, no cells, and nothing of them.
+NOBODY = (
+    read_only(np.ones(1)),
+    read_only(np.empty(0, dtype=np.intp)),
+    read_only(np.empty((1, 0, 2, 2))),
+    read_only(np.empty((1, 0))),
+)
+
+
 def nobody_deployed(belief: Belief) -> JointOutcomes:
     """Return the single joint outcome of no robots."""
-    no_cells, nothing_read = np.empty(0, dtype=np.intp), np.empty((1, 0))
-    return JointOutcomes(belief, np.ones(1), no_cells, np.empty((1, 0, 2, 2)), nothing_read)
+    return JointOutcomes(belief, *NOBODY)
+
+
+@lru_cache(maxsize=8)
+def all_cells(cells: int) -> Floats:
+    """Return the interest in readings of all cells alike."""
+    return read_only(np.ones(cells))
 
 
 def after_deployment(
@@ -334,8 +348,8 @@ class Objective:
     ) -> Objective:
         """Return the objective of a robot; by default information, and no robot sent before."""
         loss_cost, alpha = (options.loss_cost, options.alpha) if options else (0.0, SHANNON)
-        outcomes, interest = outcomes or nobody_deployed(belief), np.ones(belief.cells)
-        return cls(belief, model, outcomes, interest, loss_cost, alpha)
+        outcomes = outcomes or nobody_deployed(belief)
+        return cls(belief, model, outcomes, all_cells(belief.cells), loss_cost, alpha)
 
     def after(self, path: ArrayLike) -> JointOutcomes:
         """Return the joint outcomes after this robot is sent along `path`."""
@@ -356,25 +370,20 @@ class Objective:
         log_survival = log_predicted_survival(hazard, np.arange(most + 1), self.model.log_survival)
         return log_survival, new_information(readings, joint, earlier, self.alpha)
 
-    def of_paths(self, cells: Places, start: Places, most: int) -> tuple[Floats, Floats]:
+    def of_paths(self, cells: Places, start: Places) -> tuple[Floats, Floats]:
         """Return information and survival of paths that stand one after another in `cells`."""
-        belief, alpha, count = self.belief, self.alpha, start.size - 1
-        information, survival = np.empty(count), np.empty(count)
-        log_safe, log_deadly = self.model.log_survival.tolist()
-        evaluate_paths(
+        information, model = np.empty(start.size - 1), self.model
+        survival = evaluate_paths(
             cells,
             start,
-            belief.joint,
-            belief.hazard,
+            self.belief.joint,
             self.interest,
-            possible_readings(self.model, most, ()),
-            log_safe,
-            log_deadly,
-            alpha,
-            prelec_beta(alpha),
-            np.full((belief.cells if count > 1 else 0, most + 1), np.nan),
+            model.step_survival,
+            tuple(model.log_survival.tolist()),
+            camera_rates(model),
+            self.alpha,
+            prelec_beta(self.alpha),
             information,
-            survival,
         )
         return information, survival
 
@@ -386,14 +395,14 @@ class Objective:
         """
         belief, model, alpha = self.belief, self.model, self.alpha
         cells = as_path(path)
-        if cells.min() < 0 or cells.max() >= belief.cells:
+        listed = cells.tolist()
+        if min(listed) < 0 or max(listed) >= belief.cells:
             raise ValueError(
-                f'path has cells from {cells.min()} to {cells.max()}: '
+                f'path has cells from {min(listed)} to {max(listed)}: '
                 f'the belief has the cells 0 to {belief.cells - 1}'
             )
         if not self.outcomes.cells.size:
-            most = int(np.bincount(cells[1:]).max())
-            information, survival = self.of_paths(cells, np.array([0, cells.size]), most)
+            information, survival = self.of_paths(cells, np.array([0, cells.size]))
             return float(information[0]), survival
         visits = Visits.of(cells)
         log_survival, read = (
@@ -460,11 +469,11 @@ def path_information(
     grid = belief.grid
     is_one, cells, start = joined_paths(paths)
     neighbors = np.empty((0, 9), dtype=np.intp) if grid is None else grid.neighbor_table
-    wrong, most = examine(cells, start, belief.cells, neighbors, True)
+    wrong = first_invalid(cells, start, belief.cells, neighbors, True)
     if wrong >= 0:
         path = cells[start[wrong] : start[wrong + 1]]
         refuse_path(belief, path, 'path' if is_one else f'path[{wrong}]')
-    information, _ = Objective.of(belief, model, options).of_paths(cells, start, most)
+    information, _ = Objective.of(belief, model, options).of_paths(cells, start)
     return float(information[0]) if is_one else information
 
 
