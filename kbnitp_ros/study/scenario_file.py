@@ -12,6 +12,7 @@ from kbnitp_ros.core import Beta, Unknowns
 from kbnitp_ros.files import read_yaml, share
 from kbnitp_ros.plugins import Registry
 from kbnitp_ros.study.scenario import NUMBERS, Probability, Scenario
+import numpy as np
 
 KINDS = {int: 'a whole number', float: 'a number'}
 
@@ -55,12 +56,14 @@ def parse_scenario(content: Any) -> Scenario:
 
 def _read(annotation: Any, value: Any, key: str) -> Any:
     """Parse the YAML content of `key` by its annotation: a section, a list or a value."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
     if is_dataclass(annotation):
         return _read_section(annotation, value, key)
     if get_origin(annotation) in (Union, UnionType):
         return None if value is None else _read(get_args(annotation)[0], value, key)
     if get_origin(annotation) is tuple:
-        if not isinstance(value, list) or not value:
+        if not isinstance(value, list | tuple) or not value:
             raise ValueError(f'{key} is {value!r}: it must be a list of at least one value')
         values = tuple(_read(get_args(annotation)[0], one, key) for one in value)
         if len(set(values)) < len(values):

@@ -108,6 +108,8 @@ class MissionCase(Field):
     # Outcomes in one world that is possible under the prior, with and without last contacts, with
     # missing readings, and with steps that the robot cannot vouch for.
     deployments: tuple[tuple[Observation, RobotType], ...]
+    # Maximum error of a probability by the method.
+    tolerance: float = ROUNDING
 
     @property
     def returns(self) -> tuple[tuple[Observation, RobotType], ...]:
@@ -166,7 +168,7 @@ def draw_outcome(
     return Observation(path, False, steps_survived=contact)
 
 
-def draw_mission(seed: int, robots: int = 6) -> MissionCase:
+def draw_mission(seed: int, robots: int = 6, tolerance: float = ROUNDING) -> MissionCase:
     """Draw a mission; its last two robots are a lost robot and a returned robot."""
     rng = np.random.default_rng([MISSIONS, seed])
     field = draw_field(rng)
@@ -184,4 +186,5 @@ def draw_mission(seed: int, robots: int = 6) -> MissionCase:
     one, other = (draw_walk(rng, field.grid, int(rng.integers(2, 9))) for _ in range(2))
     back = Observation(other, True, rng.random(other.size - 1) < 0.5)
     deployments += [(Observation(one, False), ORDINARY), (back, ORDINARY)]
-    return MissionCase(field.grid, field.prior, field.model, seed, tuple(deployments))
+    case = field.grid, field.prior, field.model, seed, tuple(deployments)
+    return MissionCase(*case, tolerance)

@@ -5,6 +5,7 @@ from contextlib import suppress
 from itertools import count
 
 from kbnitp_ros.core import Belief, Candidate, KnownModel, PLANNERS, update
+from kbnitp_ros.core.field.sensor import times_log
 from kbnitp_ros.testing import check_allocation, check_method, check_planner
 from laws import for_each
 import numpy as np
@@ -123,6 +124,52 @@ class Moved(Sound):
             joint = self.belief.joint.copy()
             joint[observation.path] = self.belief.independent().joint[observation.path]
             self.belief = Belief(joint)
+
+
+class Particles(KnownModel):
+    """Whole fields, drawn once from the prior and weighted by all evidence."""
+
+    tolerance = 0.2
+
+    def __init__(self, belief, model, unknowns, seed):
+        super().__init__(belief, model)
+        drawn = np.random.default_rng(seed).random((20000, belief.cells, 1))
+        self._state = (drawn > belief.joint.reshape(-1, 4).cumsum(axis=1)).sum(axis=2).clip(max=3)
+        self._log_weights = np.zeros(len(drawn))
+
+    def assimilate(self, observation, robot_type):
+        model = robot_type.model(self.model)
+        path, readings = observation.evidence
+        if path.max() >= self.belief.cells:
+            raise ValueError('the path leaves the field')
+        hazard, target = self._state // 2, self._state % 2
+
+        def survived(cells):
+            visits = np.bincount(cells, minlength=self.belief.cells)
+            return times_log(hazard, np.diff(model.log_survival)) @ visits + len(cells) * safe
+
+        safe, known = model.log_survival[0], observation.steps_survived
+        log_weights = self._log_weights + survived(path[1 : known + 1])
+        if observation.survived:
+            log_weights += survived(path[1:])
+            for cell, read in zip(path[1:], readings):
+                log_weights += model.log_reading[read * 1, target[:, cell]] if read >= 0 else 0.0
+        else:
+            log_weights += np.log(-np.expm1(survived(path[known + 1 :])))
+        if log_weights.max() == -np.inf:
+            raise ValueError('the outcome is impossible')
+        weights = np.exp(log_weights - log_weights.max())
+        joint = [weights @ (self._state == state) / weights.sum() for state in range(4)]
+        self._log_weights = log_weights
+        self.belief = Belief(np.stack(joint, axis=1).reshape(-1, 2, 2))
+
+
+def test_a_method_that_samples_keeps_the_laws_within_its_tolerance():
+    check_method(Particles, cases=5)
+    with pytest.raises(AssertionError, match='cells without evidence'):
+        check_method(Particles, cases=5, tolerance=1e-9)
+    with pytest.raises(AssertionError, match='returns are assimilated exactly'):
+        check_method(Inverted, tolerance=0.2)
 
 
 METHODS = {

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
-from kbnitp_ros.core.field.check import probability, read_only, Value
+from kbnitp_ros.core.field.check import number, probability, read_only, Value
 from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 VALUES = 64
 # Number of points in a value's bin at which the prior density is summed.
 POINTS = 32
+
+EXPONENT = 'above 0 and finite'
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,8 @@ class Beta:
 
     def __post_init__(self) -> None:
         low, high = probability('low', self.low), probability('high', self.high)
-        a, b = float(self.a), float(self.b)
-        for name, value in (('a', a), ('b', b)):
-            if not (0.0 < value < np.inf or (name == 'a' and value == 0.0 < low)):
-                raise ValueError(f'{name} of a Beta is {value}: it must be above 0 and finite')
+        a = number('a of a Beta', self.a, EXPONENT, lambda a: 0.0 < a < np.inf or a == 0.0 < low)
+        b = number('b of a Beta', self.b, EXPONENT, lambda b: 0.0 < b < np.inf)
         vars(self).update(a=a, b=b, low=low, high=high)
         if low >= high:
             raise ValueError(
@@ -299,14 +299,15 @@ def as_rate(name: str, given: Rate) -> float | Beta:
     """Return a rate, or its prior if it is unknown."""
     if isinstance(given, Beta):
         return given
-    if isinstance(given, int | float | np.number):
-        return probability(name, given)
+    rate: Any = given
+    if np.ndim(rate) == 0 and not isinstance(rate, str):
+        return probability(name, rate)
     if name == 'appear' or np.shape(given) != (2,):
         raise ValueError(
             f'{name} is {given}: it must be a number'
             + (' or low and high' if name != 'appear' else '; at 0 it follows an unknown vanish')
         )
-    low, high = (probability(name, each) for each in given)
+    low, high = (probability(name, each) for each in rate)
     if not 0.0 < low < high:
         raise ValueError(f'{name} is unknown within {given}: it must satisfy 0 < low < high')
     return Beta(0.0, 1.0, low, high)
