@@ -12,7 +12,14 @@ from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.hazard_draws import HazardDraws
 from kbnitp_ros.core.decision.rounds import plan_round, Stop
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
-from kbnitp_ros.core.field.check import generator, typed, typed_fields, Value, whole_number
+from kbnitp_ros.core.field.check import (
+    generator,
+    in_short,
+    typed,
+    typed_fields,
+    Value,
+    whole_number,
+)
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
@@ -228,6 +235,9 @@ class Mission(Sequence[Deployment]):
         goal: Goal | None,
     ) -> None:
         """Set the state before the first robot to send."""
+        for each in before:
+            if not isinstance(each, Observation):
+                raise TypeError(f'before has {in_short(each)}: it must have Observation(...)')
         self.grid, self.estimator, self.world = grid, estimator, world
         self.rng, self.options, self.goal = generator(rng), options, goal
         world.check(grid)

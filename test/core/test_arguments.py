@@ -94,6 +94,26 @@ def forecast(**changes):
     return core.forecast(GRID, Estimator(PRIOR, MODEL), **usual | changes)
 
 
+def begun(grid=GRID, world=WORLD, rng=1, **others):
+    return core.Mission(grid, PRIOR, MODEL, world, rng, **others)
+
+
+def sent(path, *robot_type):
+    return begun().send(path, *robot_type)
+
+
+def informed(paths, *alpha):
+    return core.path_information(PRIOR, MODEL, paths, *alpha)
+
+
+def following(path):
+    return core.PathFinder(GRID, SearchOptions(max_steps=4)).next_cells(path)
+
+
+def planned(**options):
+    return core.plan(GRID, PRIOR, MODEL, SearchOptions(max_steps=4, **options))
+
+
 def observed(cells, survived, readings=None, **others):
     return partial(Observation, cells, survived, readings, **others)
 
@@ -291,8 +311,80 @@ NO_PROBABILITIES = [
      r'finds \[0, 1, 0\]: it must return a list of Candidate'),
     (lambda: mission(options=SearchOptions(lambda f, o: np.array([0, 1, 0]), 8)), PluginError,
      r'returns array\(\[0, 1, 0\]\): it must be a list of Candidate'),
+    # What users write loops with: missions, paths, cells, masks and generators.
+    (lambda: sent('beam'), ValueError, "path is 'beam': it must list at least two cells"),
+    (lambda: sent([[0, 1, 0]]), ValueError, r'path is \[\[0, 1, 0\]\]: it must list at least two'),
+    (lambda: sent([0, [1, 2], 0]), ValueError, 'path is .* it must list at least two cells'),
+    (lambda: sent([0, 1.5, 0]), ValueError, 'path is of type float64: cells are whole numbers'),
+    (lambda: sent([0, 1]), ValueError, 'path must end at the base 0, not at cell 1'),
+    (lambda: sent([0, 3, 0]), ValueError, r'path jumps at step 1.* one of \[0, 1, 4, 5\]'),
+    (lambda: sent([0, 16, 0]), ValueError, 'path leaves the grid.*16, allowed are 0 to 15'),
+    (lambda: sent([0, 1, 0], 'scout'), TypeError, r"robot_type is 'scout': it must be RobotType"),
+    (lambda: sent([0, 1, 0], core.RobotType(base=3)), ValueError, 'base 3 is not a base.*add it'),
+    (lambda: begun().run(-1), ValueError, 'robots is -1: .*at least 0'),
+    (lambda: begun().run(True), TypeError, 'robots is True: it must be a number'),
+    (lambda: begun().run(1, team=2), TypeError, r'team is 2: it must be Team\(...\)'),
+    (lambda: begun(options='beam'), TypeError, "options is 'beam': it must be SearchOptions"),
+    (lambda: begun(rng=None), TypeError, 'rng is None: .*default_rng'),
+    (lambda: begun(rng=True), TypeError, 'rng is True: it must be a seed'),
+    (lambda: begun(rng=np.random.RandomState(1)), TypeError,
+     'rng is RandomState.*: it must be a seed.* numpy.random.default_rng'),
+    (lambda: Estimator(PRIOR, MODEL).draws(2, np.random.RandomState(1)), TypeError, 'rng is Rand'),
+    (lambda: core.plan(GRID, PRIOR, MODEL, rng='x'), TypeError, "rng is 'x': it must be a seed"),
+    (lambda: begun(grid=Grid(2, 8), world=World(*np.zeros((2, 16)))), ValueError,
+     r'belief is of a grid of 4 x 4 cells: the grid has 2 x 8; make it with Belief.prior'),
+    (lambda: core.Mission.resume(GRID, PRIOR, WORLD, 1), TypeError, 'estimator is Belief'),
+    (lambda: core.Mission.resume(GRID, Estimator(PRIOR, MODEL), WORLD, 1, before=[[0, 1, 0]]),
+     TypeError, r'before has \[0, 1, 0\]: it must have Observation'),
+    (lambda: informed([0, 1]), ValueError, 'path starts at cell 0 and ends at 1: it must return'),
+    (lambda: informed([0, 3, 0]), ValueError, r'path jumps at step 1.*one of \[0, 1, 4, 5\]'),
+    (lambda: informed([0, 16, 0]), ValueError, 'path has the cell 16: .* 0 to 15'),
+    (lambda: informed([[0, 0], [0, 3, 0]]), ValueError, r'path\[1\] jumps at step 1'),
+    (lambda: informed([[0, 0], [0, 5, 6, 5, 0]]), ValueError, r'path\[1\] enters a blocked cell'),
+    (lambda: informed([[0, 0], [0, -1, 0]]), ValueError, r'path\[1\] has the cell -1'),
+    (lambda: informed([[0, 0], [0, 1.0, 0]]), ValueError, r'path\[1\] is of type float64'),
+    (lambda: informed([[0, 0], [0]]), ValueError, r'path\[1\] is \[0\]: it must list at least'),
+    (lambda: informed([[0, 0], 5]), ValueError, r'path\[1\] is 5: it must list at least'),
+    (lambda: informed(np.zeros((2, 3))), ValueError, r'path\[0\] is of type float64'),
+    (lambda: informed(np.zeros((0, 3), int)), ValueError, 'path is array.*or a list of paths'),
+    (lambda: informed([]), ValueError, r'path is \[\]: it must list at least two'),
+    (lambda: informed(None), ValueError, 'path is None: it must list at least two'),
+    (lambda: informed([0, 1, 0], 'x'), TypeError, "alpha is 'x': it must be a number"),
+    (lambda: informed([0, 1, 0], 9), ValueError, r'alpha is 9: it must be in \[0.2, 5.0\]'),
+    (lambda: GRID.cell(4, 0), ValueError, 'row is 4: it must be a whole number from 0 to 3'),
+    (lambda: GRID.cell(0, -1), ValueError, 'col is -1: .*from 0 to 3'),
+    (lambda: GRID.row_col(16), ValueError, 'cell is 16: .*from 0 to 15'),
+    (lambda: following([]), ValueError, r'path is \[\]: it must list cells, the base first'),
+    (lambda: following([1, 2]), ValueError, 'path is .*must start at the base 0'),
+    (lambda: following([0] * 6), ValueError, 'path is .*at most max_steps = 4'),
+    (lambda: following([0, 3]), ValueError, 'path jumps at step 1'),
+    (lambda: grid(blocked=np.zeros(11, bool)), ValueError,
+     r'blocked is a mask of shape \(11,\): it must be \(12,\) or \(3, 4\), or a list of cell'),
+    (lambda: grid(blocked=np.zeros((4, 3), bool)), ValueError, r'shape \(4, 3\).*\(3, 4\)'),
+    (lambda: grid(blocked=np.zeros(12)), ValueError, 'blocked is a mask of numbers.*astype.bool'),
+    (lambda: grid(blocked=[True, 3]), TypeError, 'blocked cell is True: it must be a number'),
+    (lambda: planned(keepout=np.zeros(15, bool)), ValueError, r'keepout is a mask.*\(16,\) or'),
+    (lambda: planned(keepout=[99]), ValueError, 'keepout cell is 99: .*from 0 to 15'),
+    (lambda: planned(keepout=[0]), ValueError, 'base is 0: it must be a free cell'),
+    (lambda: SearchOptions(keepout=3), TypeError, 'keepout is 3: it must be a list'),
+    (lambda: SearchOptions(width=0), ValueError, 'width is 0: .* labels of each cell and step'),
+    (lambda: SearchOptions(width=2.5), ValueError, 'width is 2.5: .* labels of each cell'),
+    (lambda: SensorModel(True), TypeError, 'lethality is True: it must be a number'),
+    (lambda: SensorModel(np.array([0.5])), TypeError, r'lethality is array\('),
+    (lambda: grid(resolution='a'), TypeError, "resolution is 'a': it must be a number"),
+    (lambda: grid(origin=3), ValueError, 'origin is 3: it must be two finite numbers'),
+    (lambda: grid(yaw=None), TypeError, 'yaw is None: it must be a number'),
+    (lambda: grid(through_corners='no'), ValueError, 'through_corners is no: it must be True or'),
+    (lambda: core.Beta('a'), TypeError, "a of a Beta is 'a': it must be a number"),
+    (lambda: Belief('x'), TypeError, "joint is 'x': it must be an array of numbers"),
+    (lambda: Belief(PRIOR.joint, Grid(3, 3)), ValueError, 'grid is Grid.*: .* 16 cells'),
+    (lambda: PRIOR.on(Grid(5, 5)), ValueError, 'belief has 16 cells: the grid has 25'),
+    (lambda: Team(2, types=['a', 'b']), TypeError, "robot type is 'a': it must be RobotType"),
+    (lambda: Team(types=3), TypeError, 'robot_types is 3: it must be a list of RobotType'),
+    (lambda: core.Plan.along([0, 1, 0], PRIOR, 0.5), TypeError, 'model is 0.5: it must be Sensor'),
     *NO_PROBABILITIES,
 ])  # fmt: skip
 def test_a_wrong_argument_is_refused(make, error, words):
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, match=words) as refused:
         make()
+    assert '\n' not in str(refused.value)

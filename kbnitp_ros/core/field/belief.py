@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from kbnitp_ros.core.field.check import (
+    as_floats,
     in_short,
     probability_map,
     read_only,
@@ -58,7 +59,7 @@ class Belief(Value):
     grid: Grid | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
-        joint = np.array(self.joint, dtype=np.float64)
+        joint = as_floats('joint', self.joint)
         given = getattr(self.joint, 'dtype', joint.dtype)
         if joint.ndim != 3 or joint.shape[1:] != (2, 2) or not len(joint):
             raise ValueError(f'joint has shape {joint.shape}: it must be (cells, 2, 2)')
@@ -71,6 +72,9 @@ class Belief(Value):
                 f'joint of cell {cell} is {joint[cell].tolist()}: '
                 'it must be four probabilities that sum to 1'
             )
+        grid = self.grid
+        if grid is not None and not (isinstance(grid, Grid) and grid.cells == len(joint)):
+            raise ValueError(f'grid is {in_short(grid)}: it must be a Grid of {len(joint)} cells')
         if given != np.float64:
             joint /= total[:, None, None]
         object.__setattr__(self, 'joint', read_only(joint))
@@ -157,8 +161,10 @@ class Belief(Value):
                 f'{grid.width} x {grid.height}; make it with Belief.prior(grid, ...)'
             )
 
+    @typed
     def on(self, grid: Grid) -> Belief:
         """Return the belief on a grid, with bases and blocked cells as in `prior`."""
+        self.check(grid)
         joint = self.joint.copy()
         for base in sorted(grid.bases):
             joint[base, 1] = 0.0

@@ -170,12 +170,23 @@ def cell_numbers(name: str, given: object, height: int, width: int) -> list[int]
                 f'({height}, {width}), or a list of cell numbers'
             )
         return [*map(int, np.flatnonzero(mask))]
-    return whole_numbers(name, mask.tolist(), f'{name} cell', 0, cells - 1)
+    numbers = whole_numbers(name, mask.tolist(), f'{name} cell', 0, cells - 1)
+    if len(numbers) == cells > 2 and set(numbers) <= {0, 1}:
+        raise ValueError(f'{name} is a mask of numbers: it must be of bools, as mask.astype(bool)')
+    return numbers
+
+
+def as_floats(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return a copy of `values` as an array of floats."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f'{name} is {in_short(values)}: it must be an array of numbers') from error
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:
     """Return `values` as one probability for each cell."""
-    array = np.array(values, dtype=np.float64)
+    array = as_floats(name, values)
     if array.ndim != 1 or not array.size or cells not in (None, array.size):
         wanted = 'one value a cell' if cells is None else f'shape ({cells},), one value a cell'
         raise ValueError(f'{name} has shape {array.shape}: it must have {wanted}')

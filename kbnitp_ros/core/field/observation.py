@@ -118,6 +118,8 @@ class Observation(Value):
     def _check_readings(self, given: NDArray[Any]) -> None:
         if self.entered is not None and given.shape == self.entered.shape:
             given = np.where(self.entered, given, -1)
+        if self.survived:
+            self._check_shape('readings', given)
         unseen = given == -1
         if given.dtype != bool:
             yes_or_no('readings', given[~unseen])
@@ -125,7 +127,6 @@ class Observation(Value):
             raise ValueError(
                 f'readings has {given.size} values: a robot that was lost brings none'
             )
-        self._check_shape('readings', given)
         # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
         readings = given.astype(np.int8 if unseen.any() else bool, copy=False)
         vars(self).update(readings=read_only(readings))

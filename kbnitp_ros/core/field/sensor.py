@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
-from kbnitp_ros.core.field.check import cost, probability, read_only, whole_number
+from kbnitp_ros.core.field.check import cost, in_short, probability, read_only, whole_number
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -192,6 +192,11 @@ ORDINARY = RobotType()
 
 def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, ...]:
     """Return the type of each robot."""
+    if not isinstance(robot_types, Sequence):
+        raise TypeError(f'robot_types is {in_short(robot_types)}: it must be a list of RobotType')
+    for each in robot_types:
+        if not isinstance(each, RobotType):
+            raise TypeError(f'robot type is {in_short(each)}: it must be RobotType(...)')
     if robot_types and len(robot_types) != robots:
         raise ValueError(
             f'robot_types has {len(robot_types)} values: it must have {robots}, one for each robot'

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import shallow_copy, typed, whole_number
+from kbnitp_ros.core.field.check import generator, shallow_copy, typed, whole_number
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
@@ -295,7 +295,7 @@ class Estimator:
             If a method of another package breaks the rules.
 
         """
-        count = whole_number('count', count, 1)
+        count, rng = whole_number('count', count, 1), generator(rng)
         draw = getattr(self._inference, 'draws', None)
         if draw is None:
             return rng.random((count, self.belief.cells)) < self.belief.hazard, float(count)

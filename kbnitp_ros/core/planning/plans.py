@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief, surprisal
-from kbnitp_ros.core.field.check import read_only, typed, Value, whole_number
+from kbnitp_ros.core.field.check import generator, read_only, typed, Value, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
@@ -59,6 +59,7 @@ class Plan(Value):
         object.__setattr__(self, 'path', read_only(as_path(self.path)))
 
     @classmethod
+    @typed
     def along(cls, path: ArrayLike, belief: Belief, model: SensorModel) -> Plan:
         """Return the plan of `path`, shape (steps + 1,)."""
         information, survival = Objective.of(belief, model).evaluate(path)
@@ -299,6 +300,7 @@ def plan_team(
     """
     ALLOCATIONS.find(team.allocation)
     belief.check(grid)
+    rng = None if rng is None else generator(rng)
     finder = PathFinder(grid, options, np.asarray(visited), rng)
     team_size(finder.grid, team.agents)
     types = {*team.types, *(robot_type for _, robot_type in in_flight)}
