@@ -65,8 +65,6 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     ) -> None:
         self.kind = kind
         self.check = check
-        # A function is checked once, not at each use.
-        self._checked = lru_cache(maxsize=64)(check)
         self.own: tuple[str, ...] = ()
         self._entries: dict[str, Entry] = {}
         self._sources: dict[str, str] = {}
@@ -152,8 +150,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         """Return the entry of a name; return an entry given in place of a name unchanged."""
         if callable(given):
             try:
-                hashable = isinstance(given, Hashable)
-                return self._checked(given) if hashable else self.check(given)
+                is_hashable = isinstance(given, Hashable)
+                return checked(self.check, given) if is_hashable else self.check(given)
             except TypeError as error:
                 raise TypeError(f'{self.kind} {entry_name(given)}: {error}') from error
         if given not in self:
@@ -214,6 +212,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             raise ValueError(f'{self._sources[name]} has a {self.kind} of this name')
         self._entries[name] = self.check(given)
         self._sources[name] = source
+
+
+# Cached, since a mission finds its planner before each robot.
+@lru_cache(maxsize=64)
+def checked(check: Callable[[object], Entry], given: Hashable) -> Entry:
+    """Return an entry that is given in place of a name, checked once."""
+    return check(given)
 
 
 def entry_name(given: str | Callable[..., Any]) -> str:
