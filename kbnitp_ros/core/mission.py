@@ -235,9 +235,10 @@ class Mission(Sequence[Deployment]):
         goal: Goal | None,
     ) -> None:
         """Set the state before the first robot to send."""
-        for each in before:
-            if not isinstance(each, Observation):
-                raise TypeError(f'before has {in_short(each)}: it must have Observation(...)')
+        for observation in before:
+            if not isinstance(observation, Observation):
+                words = f'before has {in_short(observation)}: it must have Observation(...)'
+                raise TypeError(words)
         self.grid, self.estimator, self.world = grid, estimator, world
         self.rng, self.options, self.goal = generator(rng), options, goal
         world.check(grid)

@@ -289,8 +289,8 @@ def test_a_list_stays_as_it_is():
     path_information(PRIOR, MODEL, path)
     assert path == kept
     path[1] = 6
-    for each in (mission[0].plan.path, mission[0].observation.path, planned.path, candidate.path):
-        assert each.tolist() == kept
+    held = mission[0].plan.path, mission[0].observation.path, planned.path, candidate.path
+    assert [each.tolist() for each in held] == [kept] * 4
 
 
 @for_each('kind', (np.float32, np.float16))

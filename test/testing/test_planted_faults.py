@@ -148,14 +148,14 @@ class Particles(KnownModel):
             visits = np.bincount(cells, minlength=self.belief.cells)
             return times_log(hazard, np.diff(model.log_survival)) @ visits + len(cells) * safe
 
-        safe, known = model.log_survival[0], observation.steps_survived
-        log_weights = self._log_weights + survived(path[1 : known + 1])
+        safe, first = model.log_survival[0], observation.steps_survived + 1
+        log_weights = self._log_weights + survived(path[1:first])
         if observation.survived:
             log_weights += survived(path[1:])
             for cell, read in zip(path[1:], readings):
                 log_weights += model.log_reading[read * 1, target[:, cell]] if read >= 0 else 0.0
         else:
-            log_weights += np.log(-np.expm1(survived(path[known + 1 :])))
+            log_weights += np.log(-np.expm1(survived(path[first:])))
         if log_weights.max() == -np.inf:
             raise ValueError('the outcome is impossible')
         weights = np.exp(log_weights - log_weights.max())

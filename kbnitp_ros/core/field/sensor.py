@@ -194,9 +194,9 @@ def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, .
     """Return the type of each robot."""
     if not isinstance(robot_types, Sequence):
         raise TypeError(f'robot_types is {in_short(robot_types)}: it must be a list of RobotType')
-    for each in robot_types:
-        if not isinstance(each, RobotType):
-            raise TypeError(f'robot type is {in_short(each)}: it must be RobotType(...)')
+    for robot_type in robot_types:
+        if not isinstance(robot_type, RobotType):
+            raise TypeError(f'robot type is {in_short(robot_type)}: it must be RobotType(...)')
     if robot_types and len(robot_types) != robots:
         raise ValueError(
             f'robot_types has {len(robot_types)} values: it must have {robots}, one for each robot'

@@ -240,7 +240,8 @@ def evaluate_paths(
     known = np.full((joint.shape[0] if information.size > 1 else 0, MAX_KEPT), nan)
     entropies: Floats = np.empty(0)
     for k in range(information.size):
-        path = cells[start[k] : start[k + 1]]
+        first, end = start[k], start[k + 1]
+        path = cells[first:end]
         if entropies.size != path.size:
             safe, deadly = log_survival
             entropies = open_entropies(path.size - 1, safe, deadly, alpha, beta)

@@ -471,8 +471,9 @@ def path_information(
     neighbors = np.empty((0, 9), dtype=np.intp) if grid is None else grid.neighbor_table
     wrong = first_invalid(cells, start, belief.cells, neighbors, True)
     if wrong >= 0:
-        path = cells[start[wrong] : start[wrong + 1]]
-        refuse_path(belief, path, 'path' if is_one else f'path[{wrong}]')
+        refuse_path(
+            belief, np.split(cells, start[1:-1])[wrong], 'path' if is_one else f'path[{wrong}]'
+        )
     information, _ = Objective.of(belief, model, options).of_paths(cells, start)
     return float(information[0]) if is_one else information
 
