@@ -65,6 +65,7 @@ setup(
         'test': ['pytest'],
         'study': [*shown, *studies],
         'report': [*shown, *logs],
+        'environments': ['gymnasium>=1.1'],
         'all': [*shown, *studies, *logs],
     },
     zip_safe=False,
@@ -77,5 +78,6 @@ setup(
             'kbnitp = kbnitp_ros.__main__:main',
             *(f'{name} = kbnitp_ros.starting:{name}' for name in executables),
         ],
+        'gymnasium.envs': ['__root__ = kbnitp_ros.environments:register_environments'],
     },
 )

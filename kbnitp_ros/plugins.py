@@ -25,7 +25,7 @@ def extra(name: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         words = f"No module named {error.name!r}; pip install 'kbnitp_ros[{name}]'"
-        words += '' if name == 'report' else ', or make study in the sources'
+        words += ', or make study in the sources' if name == 'study' else ''
         raise ModuleNotFoundError(words, name=error.name) from None
 
 

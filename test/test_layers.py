@@ -24,6 +24,7 @@ BELOW = {
     'core.decision': {'core.field', 'core.inference', 'core.planning', 'plugins'},
     'core': {'core.decision', 'core.field', 'core.inference', 'core.planning', 'plugins'},
     'testing': {'plugins', 'core'},
+    'environments': {'plugins', 'core'},
     'messages': {'core'},
     'maps': {'files', 'plugins', 'core'},
     'log': {'files', 'core', 'messages'},
