@@ -59,7 +59,7 @@ TYPES = {
 }
 
 # Imported only by optional parts.
-OPTIONAL = {'distributed', 'sphinx'}
+OPTIONAL = {'distributed', 'gymnasium', 'sphinx'}
 
 
 IMPORT = r'^ *(?:import (?=[\w.]+$|\w+ as )|from (?=[\w.]+ import ))(\w+)'
