@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import lgamma, prod
 from typing import Any, NamedTuple
@@ -337,6 +337,8 @@ class Objective:
     loss_cost: float
     # Alpha of the Prelec weight: 1 for Shannon's entropy, other values for behavioral entropies.
     alpha: float
+    # Results by path, since the path of a plan was evaluated in its search.
+    _evaluated: dict[bytes, tuple[float, Floats]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(
@@ -350,6 +352,13 @@ class Objective:
         loss_cost, alpha = (options.loss_cost, options.alpha) if options else (0.0, SHANNON)
         outcomes = outcomes or nobody_deployed(belief)
         return cls(belief, model, outcomes, all_cells(belief.cells), loss_cost, alpha)
+
+    def alone(self) -> Objective:
+        """Return the objective of all information, without other robots."""
+        is_alone = not self.outcomes.cells.size and self.alpha == SHANNON
+        if is_alone and self.interest is all_cells(self.belief.cells):
+            return self
+        return Objective.of(self.belief, self.model)
 
     def after(self, path: ArrayLike) -> JointOutcomes:
         """Return the joint outcomes after this robot is sent along `path`."""
@@ -402,8 +411,11 @@ class Objective:
                 f'the belief has the cells 0 to {belief.cells - 1}'
             )
         if not self.outcomes.cells.size:
-            information, survival = self.of_paths(cells, np.array([0, cells.size]))
-            return float(information[0]), survival
+            key = cells.tobytes()
+            if key not in self._evaluated:
+                information, survival = self.of_paths(cells, np.array([0, cells.size]))
+                self._evaluated[key] = float(information[0]), survival
+            return self._evaluated[key]
         visits = Visits.of(cells)
         log_survival, read = (
             each[:, np.arange(visits.cells.size), visits.counts]

@@ -62,7 +62,12 @@ class Plan(Value):
     @typed
     def along(cls, path: ArrayLike, belief: Belief, model: SensorModel) -> Plan:
         """Return the plan of `path`, shape (steps + 1,)."""
-        information, survival = Objective.of(belief, model).evaluate(path)
+        return cls.alone(path, Objective.of(belief, model))
+
+    @classmethod
+    def alone(cls, path: ArrayLike, objective: Objective) -> Plan:
+        """Return the plan of `path` for a robot alone."""
+        information, survival = objective.alone().evaluate(path)
         return cls(as_path(path), information, float(survival[0]))
 
 
@@ -318,7 +323,7 @@ def plan_team(
         }
         paths = allocated(team.allocation, [members[each] for each in team.types])
         return [
-            Plan.along(path, belief, robot_type.model(model))
+            Plan.alone(path, members[robot_type].objective)
             for path, robot_type in zip(paths, team.types)
         ]
 
@@ -369,7 +374,7 @@ def check_team(
 
 def team_size(grid: Grid, agents: int) -> int:
     """Return `agents`, checked to be at most one robot for each free cell."""
-    free = int(grid.free.sum())
+    free = grid.cells - len(frozenset(grid.blocked))
     try:
         return whole_number('agents', agents, 1, free)
     except ValueError as error:
