@@ -83,6 +83,13 @@ class Belief(Value):
         return f'Belief({self.cells} cells, {self.entropy():.4g} nats)'
 
     @classmethod
+    def computed(cls, joint: NDArray[np.float64], grid: Grid | None) -> Belief:
+        """Return the belief of computed joints, which need no check and are not changed."""
+        belief = object.__new__(cls)
+        vars(belief).update(joint=read_only(joint), grid=grid)
+        return belief
+
+    @classmethod
     def from_maps(cls, hazard: ArrayLike, target: ArrayLike, kappa: ArrayLike) -> Belief:
         """
         Return the belief with these maps.

@@ -111,15 +111,6 @@ def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], 
     return log_power, 0.0 - np.expm1(log_power), np.exp(log_power)
 
 
-def sum_of_others(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return, in place of each value, the sum of all other values, (..., n); -inf is allowed."""
-    none = np.zeros((*values.shape[:-1], 1))
-    before = np.concatenate([none, np.cumsum(values[..., :-1], axis=-1)], axis=-1)
-    after = np.cumsum(values[..., :0:-1], axis=-1)[..., ::-1]
-    sums: NDArray[np.float64] = before + np.concatenate([after, none], axis=-1)
-    return sums
-
-
 SENSORS = tuple(field.name for field in fields(SensorModel))
 
 # Minima of the fields of `RobotType` that are whole numbers.

@@ -389,7 +389,7 @@ class Bank:
         joint, *others = [each.joint() for each in self._filters.values()]
         if others:
             joint = sum(w * each for w, each in zip(self._weights, [joint, *others]))
-        return Belief(joint, self._prior.grid)
+        return Belief.computed(joint, self._prior.grid)
 
     @property
     def model(self) -> SensorModel:

@@ -239,10 +239,13 @@ class Estimator:
                 f'lost_at is given, and {entry_name(self.method)} does not use it',
             )
         inference = self._inference.copy()
-        with METHODS.blamed(self.method):
+        if self.method in METHODS.own:
             inference.assimilate(observation, robot_type)
-            is_ours = self.method in METHODS.own
-            self._inference = inference if is_ours else self._checked(inference)
+        else:
+            with METHODS.blamed(self.method):
+                inference.assimilate(observation, robot_type)
+                self._checked(inference)
+        self._inference = inference
         self._evidence = (*self._evidence, (observation, robot_type))
 
     def _checked(self, inference: Inference) -> Inference:

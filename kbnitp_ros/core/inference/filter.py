@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.observation import Observation, Visits
-from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel, sum_of_others, times_log
+from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import (
     Dynamics,
     joint_after_change,
@@ -68,8 +68,8 @@ def power(count: ArrayLike, log: Floats) -> Floats:
 
 def check_cells(belief: Belief, observation: Observation) -> None:
     """Check that a path lies in the field of a belief."""
-    beyond = observation.path[observation.path >= belief.cells]
-    if beyond.size:
+    if observation.path.max() >= belief.cells:
+        beyond = observation.path[observation.path >= belief.cells]
         raise ValueError(
             f'path has the cell {beyond[0]}: the belief has the cells 0 to {belief.cells - 1}'
         )
@@ -267,7 +267,8 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
     counts = evidence.visits.counts
     if not counts.size:
         return joint, np.zeros(joint.shape[-1])
-    stays, spared, kept, log_scale = outcome_likelihood(joint.sum(axis=2), evidence, effects)
+    hazard = joint[:, :, 0] + joint[:, :, 1]
+    stays, spared, kept, log_scale = outcome_likelihood(hazard, evidence, effects)
     after = np.empty_like(joint)
     np.multiply(joint[:, 0], stays[:, None], out=after[:, 0])
     np.multiply(joint[:, 1], kept[:, None], out=after[:, 1])
@@ -275,7 +276,7 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
         after[:, 0] += joint[:, 1] * spared[:, None]
     if evidence.has_readings:
         after *= reading_likelihood(evidence, effects)[:, None]
-    total = after.sum(axis=(1, 2))
+    total = after[:, 0, 0] + after[:, 0, 1] + after[:, 1, 0] + after[:, 1, 1]
     if total.min() > 0.0:
         after /= total[:, None, None]
         log_total = np.log(total)
@@ -367,7 +368,11 @@ def log_survival(hazard: Floats, counts: NDArray[np.intp], powers: Powers) -> Fl
 
 def others(logs: Floats) -> Floats:
     """Return, in place of each cell's value, the sum over all other cells, (..., n, h)."""
-    return sum_of_others(logs.swapaxes(-1, -2)).swapaxes(-1, -2)
+    before, after = np.zeros_like(logs), np.zeros_like(logs)
+    np.cumsum(logs[..., :-1, :], axis=-2, out=before[..., 1:, :])
+    np.cumsum(logs[..., :0:-1, :], axis=-2, out=after[..., -2::-1, :])
+    before += after
+    return before
 
 
 def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:

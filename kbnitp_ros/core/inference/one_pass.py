@@ -98,4 +98,4 @@ class OnePass:
         if log_chance[0] == -np.inf:
             raise ValueError(IMPOSSIBLE)
         joint[cells] = after[..., 0]
-        return Belief(joint, belief.grid)
+        return Belief.computed(joint, belief.grid)

@@ -242,10 +242,12 @@ class PathFinder(Value):
     def candidates(self, objective: Objective) -> list[Candidate]:
         """Return closed paths, the best first; raise NoPathError if none has enough survival."""
         planner = self.options.planner
-        with PLANNERS.blamed(planner):
-            candidates = PLANNERS.find(planner)(self, objective)
-            if planner not in PLANNERS.own:
-                candidates = self._checked(candidates)
+        search = PLANNERS.find(planner)
+        if planner in PLANNERS.own:
+            candidates = search(self, objective)
+        else:
+            with PLANNERS.blamed(planner):
+                candidates = self._checked(search(self, objective))
         if least := self.options.minimum_survival:
             candidates = [each for each in candidates if objective.survival(each.path) >= least]
         if not candidates:

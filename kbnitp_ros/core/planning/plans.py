@@ -192,10 +192,11 @@ ALLOCATIONS: Registry[Allocation] = Registry(
 
 def allocated(allocation: str | Callable[..., Any], robots: Sequence[TeamMember]) -> list[Places]:
     """Return a path for each robot, checked against the rules of allocations."""
+    allocate = ALLOCATIONS.find(allocation)
+    if allocation in ALLOCATIONS.own:
+        return allocate(robots)
     with ALLOCATIONS.blamed(allocation):
-        paths = ALLOCATIONS.find(allocation)(robots)
-        if allocation in ALLOCATIONS.own:
-            return paths
+        paths = allocate(robots)
         if len(paths) != len(robots):
             words = f'returns {len(paths)} paths for {len(robots)} robots'
             raise ALLOCATIONS.fault(allocation, words)
@@ -308,7 +309,7 @@ def plan_team(
     rng = None if rng is None else generator(rng)
     finder = PathFinder(grid, options, np.asarray(visited), rng)
     team_size(finder.grid, team.agents)
-    types = {*team.types, *(robot_type for _, robot_type in in_flight)}
+    types = dict.fromkeys((*team.types, *(robot_type for _, robot_type in in_flight)))
     cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
     check_team(finder, team.types, len(in_flight), len(cameras))
     outcomes = nobody_deployed(belief)
