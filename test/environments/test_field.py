@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The environment for gymnasium: its rules, its beliefs, and many fields as single ones."""
 
+from importlib import import_module
 import warnings
 
 from kbnitp_ros.core import (
@@ -20,11 +21,12 @@ import pytest
 
 gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
 
-from gymnasium.utils.env_checker import check_env  # noqa: E402
-from gymnasium.utils.seeding import np_random  # noqa: E402
-from gymnasium.vector import SyncVectorEnv  # noqa: E402
-from kbnitp_ros.environments import ID, register_environments  # noqa: E402
-from kbnitp_ros.environments.field import FieldEnv, FieldVectorEnv  # noqa: E402
+SyncVectorEnv = gymnasium.vector.SyncVectorEnv
+check_env = import_module('gymnasium.utils.env_checker').check_env
+np_random = import_module('gymnasium.utils.seeding').np_random
+environments = import_module('kbnitp_ros.environments')
+field = import_module('kbnitp_ros.environments.field')
+ID, FieldEnv, FieldVectorEnv = environments.ID, field.FieldEnv, field.FieldVectorEnv
 
 WALLED = Grid(5, 4, base=7, blocked=(3, 12), through_corners=False)
 MODEL = SensorModel(0.6, malfunction=0.02, false_negative=0.1, true_positive=0.9)
@@ -43,7 +45,7 @@ def flat(answer):
 
 
 def test_gymnasium_makes_it_by_its_name_and_accepts_it():
-    register_environments()
+    environments.register_environments()
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         check_env(gymnasium.make(ID, robots=2).unwrapped)

@@ -104,39 +104,30 @@ def open_entropies(
     return entropy
 
 
-@inlined
-def expose(chance: Floats, most: int, hazard: float, visits: int) -> None:
-    """Add a cell's visits to the distribution of up to `most` exposures (:eq:`exposures`)."""
-    for c in range(most + visits, visits - 1, -1):
-        chance[c] = (1.0 - hazard) * chance[c] + hazard * chance[c - visits]
-    for c in range(visits):
-        chance[c] *= 1.0 - hazard
-
-
-@inlined
-def averaged(chance: Floats, entropies: Floats) -> float:
-    """Return the mean of `open_entropies` (:eq:`outcome-entropy`)."""
+@compiled
+def left_open(path: Places, hazard: Floats, entropies: Floats) -> float:
+    """Return E_z[h(P(survive | z))] (:eq:`outcome-entropy`), given `open_entropies`."""
+    visits = np.zeros(hazard.size, np.int64)
+    for cell in path:
+        visits[cell] += 1
+    # Probability of each number of exposures in the cells processed so far (:eq:`exposures`).
+    chance = np.zeros(path.size + 1)
+    chance[0] = 1.0
+    most = 0
+    for cell in path:
+        z, n = hazard[cell], visits[cell]
+        if n == 0:
+            continue
+        visits[cell] = 0
+        most += n
+        for c in range(most, n - 1, -1):
+            chance[c] = (1.0 - z) * chance[c] + z * chance[c - n]
+        for c in range(n):
+            chance[c] *= 1.0 - z
     entropy = 0.0
     for c in range(chance.size):
         entropy += chance[c] * entropies[c]
     return entropy
-
-
-@compiled
-def left_open(steps: Places, hazard: Floats, entropies: Floats) -> float:
-    """Return E_z[h(P(survive | z))], given `open_entropies` (:eq:`outcome-entropy`)."""
-    visits = np.zeros(hazard.size, np.int64)
-    for cell in steps:
-        visits[cell] += 1
-    chance = np.zeros(steps.size + 1)
-    chance[0] = 1.0
-    most = 0
-    for cell in steps:
-        if visits[cell] > 0:
-            expose(chance, most, hazard[cell], visits[cell])
-            most += visits[cell]
-            visits[cell] = 0
-    return averaged(chance, entropies)
 
 
 @compiled
@@ -167,66 +158,11 @@ def readings_information(
 
 
 @compiled
-def evaluate_path(
-    path: Places,
-    joint: Floats,
-    interest: Floats,
-    survival: tuple[float, float],
-    camera: tuple[float, float],
-    entropies: Floats,
-    alpha: float,
-    beta: float,
-    known: Floats,
-) -> tuple[float, float]:
-    """
-    Return the information and the survival of a path, given no other robots.
-
-    Equations :eq:`information` and :eq:`behavioral-information`. `known` keeps the information of
-    n readings of a cell, (cells, n), for other paths; it begins with NaN, and may have no row.
-    """
-    safe, deadly = survival
-    visits = np.zeros(joint.shape[0], np.int64)
-    for cell in path[1:]:
-        visits[cell] += 1
-    chance = np.zeros(path.size)
-    chance[0] = 1.0
-    most, p, brought = 0, 1.0, 0.0
-    for cell in path[1:]:
-        n = visits[cell]
-        if n == 0:
-            continue
-        visits[cell] = 0
-        z = min(joint[cell, 1, 0] + joint[cell, 1, 1], 1.0)
-        expose(chance, most, z, n)
-        most += n
-        if_safe, if_hazardous = 1.0, 1.0
-        for _ in range(n):
-            if_safe *= safe
-            if_hazardous *= deadly
-        p *= (1.0 - z) * if_safe + z * if_hazardous
-        is_kept = known.shape[0] > 0 and n < known.shape[1]
-        read = known[cell, n] if is_kept else nan
-        if isnan(read):
-            without = joint[cell, 0, 0] * if_safe + joint[cell, 1, 0] * if_hazardous
-            target = joint[cell, 0, 1] * if_safe + joint[cell, 1, 1] * if_hazardous
-            read = 0.0
-            if without + target > 0.0:
-                target /= without + target
-                read = readings_information(target, n, camera, alpha, beta)
-            if is_kept:
-                known[cell, n] = read
-        brought += interest[cell] * read
-    entropy = surprisal(p) + surprisal(1.0 - p)
-    if alpha != 1.0:
-        entropy = coin(p, 1.0 - p, alpha, beta)
-    return entropy + p * brought - averaged(chance, entropies), p
-
-
-@compiled
 def evaluate_paths(
     cells: Places,
     start: Places,
     joint: Floats,
+    hazard: Floats,
     interest: Floats,
     survival: tuple[float, float],
     log_survival: tuple[float, float],
@@ -235,37 +171,64 @@ def evaluate_paths(
     beta: float,
     information: Floats,
 ) -> Floats:
-    """Compute the information of paths that stand one after another in `cells`; their survival."""
-    survived = np.empty(information.size)
-    known = np.full((joint.shape[0] if information.size > 1 else 0, MAX_KEPT), nan)
+    """
+    Compute the information of paths, given no other robots; return their survival.
+
+    Equations :eq:`information` and :eq:`behavioral-information`. Paths stand one after another in
+    `cells`: path k begins at `start[k]`.
+    """
+    survived, visits = np.empty(information.size), np.zeros(hazard.size, np.int64)
+    # Information of n readings of a cell, (cells, n), kept for other paths.
+    kept = np.full((hazard.size if information.size > 1 else 0, MAX_KEPT), nan)
     entropies: Floats = np.empty(0)
     for k in range(information.size):
-        first, end = start[k], start[k + 1]
-        path = cells[first:end]
-        if entropies.size != path.size:
-            safe, deadly = log_survival
-            entropies = open_entropies(path.size - 1, safe, deadly, alpha, beta)
-        information[k], survived[k] = evaluate_path(
-            path, joint, interest, survival, camera, entropies, alpha, beta, known
-        )
+        first, end = start[k] + 1, start[k + 1]
+        path, p, brought = cells[first:end], 1.0, 0.0
+        if entropies.size != path.size + 1:
+            entropies = open_entropies(path.size, log_survival[0], log_survival[1], alpha, beta)
+        for cell in path:
+            visits[cell] += 1
+        for cell in path:
+            n, safe, deadly = visits[cell], 1.0, 1.0
+            if n == 0:
+                continue
+            visits[cell] = 0
+            for _ in range(n):
+                safe *= survival[0]
+                deadly *= survival[1]
+            p *= (1.0 - hazard[cell]) * safe + hazard[cell] * deadly
+            is_kept = kept.shape[0] > 0 and n < MAX_KEPT
+            read = kept[cell, n] if is_kept else nan
+            if isnan(read):
+                without = joint[cell, 0, 0] * safe + joint[cell, 1, 0] * deadly
+                target, read = joint[cell, 0, 1] * safe + joint[cell, 1, 1] * deadly, 0.0
+                if without + target > 0.0:
+                    target /= without + target
+                    read = readings_information(target, n, camera, alpha, beta)
+                if is_kept:
+                    kept[cell, n] = read
+            brought += interest[cell] * read
+        entropy = surprisal(p) + surprisal(1.0 - p)
+        if alpha != 1.0:
+            entropy = coin(p, 1.0 - p, alpha, beta)
+        information[k] = entropy + p * brought - left_open(path, hazard, entropies)
+        survived[k] = p
     return survived
 
 
 @compiled
-def first_invalid(
-    cells: Places, start: Places, count: int, neighbors: Places, is_closed: bool
-) -> int:
+def first_invalid(cells: Places, start: Places, count: int, neighbors: Places) -> int:
     """
-    Return the first invalid path of those that stand one after another in `cells`, or -1.
+    Return the first path that is not closed or leaves the `count` cells, or -1.
 
-    Path k begins at `start[k]`. Steps are examined if `neighbors` has rows for the `count` cells.
+    If `neighbors` has rows, steps are examined as well. Paths are as in `evaluate_paths`.
     """
     for k in range(start.size - 1):
         first, last = start[k], start[k + 1] - 1
         for place in range(first, last + 1):
             if cells[place] < 0 or cells[place] >= count:
                 return k
-        if is_closed and cells[first] != cells[last]:
+        if cells[first] != cells[last]:
             return k
         for place in range(first, last if neighbors.shape[0] else first):
             is_near = False

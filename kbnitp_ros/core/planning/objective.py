@@ -197,18 +197,10 @@ class JointOutcomes:
         return joint, readings
 
 
-# Fields of the joint outcome of no robots: its probability, no cells, and nothing of them.
-NOBODY = (
-    read_only(np.ones(1)),
-    read_only(np.empty(0, dtype=np.intp)),
-    read_only(np.empty((1, 0, 2, 2))),
-    read_only(np.empty((1, 0))),
-)
-
-
 def nobody_deployed(belief: Belief) -> JointOutcomes:
     """Return the single joint outcome of no robots."""
-    return JointOutcomes(belief, *NOBODY)
+    no_cells, nothing_read = np.empty(0, dtype=np.intp), np.empty((1, 0))
+    return JointOutcomes(belief, np.ones(1), no_cells, np.empty((1, 0, 2, 2)), nothing_read)
 
 
 @lru_cache(maxsize=8)
@@ -386,6 +378,7 @@ class Objective:
             cells,
             start,
             self.belief.joint,
+            self.belief.hazard,
             self.interest,
             model.step_survival,
             tuple(model.log_survival.tolist()),
@@ -478,14 +471,8 @@ def path_information(
     """
     behavioral = alpha is not SHANNON
     options = SearchOptions(objective='behavioral', alpha=alpha) if behavioral else None
-    grid = belief.grid
     is_one, cells, start = joined_paths(paths)
-    neighbors = np.empty((0, 9), dtype=np.intp) if grid is None else grid.neighbor_table
-    wrong = first_invalid(cells, start, belief.cells, neighbors, True)
-    if wrong >= 0:
-        refuse_path(
-            belief, np.split(cells, start[1:-1])[wrong], 'path' if is_one else f'path[{wrong}]'
-        )
+    check_paths(belief, cells, start, 'path' if is_one else 'path[{}]')
     information, _ = Objective.of(belief, model, options).of_paths(cells, start)
     return float(information[0]) if is_one else information
 
@@ -510,8 +497,14 @@ def joined_paths(paths: Any) -> tuple[bool, Places, Places]:
     return False, cells.astype(np.intp), np.append(0, sizes.cumsum())
 
 
-def refuse_path(belief: Belief, path: Places, name: str) -> None:
-    """Raise a ValueError for a path that is not closed, or not one of the belief's field."""
+def check_paths(belief: Belief, cells: Places, start: Places, name: str) -> None:
+    """Check that paths are closed, and those of the belief's field; `name` takes a number."""
+    grid = belief.grid
+    neighbors = np.empty((0, 9), dtype=np.intp) if grid is None else grid.neighbor_table
+    number = first_invalid(cells, start, belief.cells, neighbors)
+    if number < 0:
+        return
+    path, name = np.split(cells, start[1:-1])[number], name.format(number)
     outside = path[(path < 0) | (path >= belief.cells)]
     if outside.size:
         raise ValueError(
@@ -521,10 +514,10 @@ def refuse_path(belief: Belief, path: Places, name: str) -> None:
         raise ValueError(
             f'{name} starts at cell {path[0]} and ends at {path[-1]}: it must return to its base'
         )
-    if belief.grid is not None:
+    if grid is not None:
         try:
-            belief.grid.check_cells(path)
-            belief.grid.check_steps(path)
+            grid.check_cells(path)
+            grid.check_steps(path)
         except ValueError as error:
             raise ValueError(f'{name}{str(error).removeprefix("path")}') from error
 

@@ -297,11 +297,10 @@ def plan_team(
     NoPathError
         If no path with the minimum survival is found.
     ValueError
-        If the belief is of another grid, the planner does not support the
-        objective or the limit of distance, the distance allows no step, the allocation is unknown,
-        there are more robots than free cells, a path in flight is invalid, a base is not one of
-        the grid's, the robots have too many different cameras, or the search needs too much
-        memory.
+        If the belief is of another grid, the planner does not support the objective or the limit
+        of distance, the distance allows no step, the allocation is unknown, there are more robots
+        than free cells, a path in flight is invalid, a base is not one of the grid's, the robots
+        have too many different cameras, or the search needs too much memory.
 
     """
     ALLOCATIONS.find(team.allocation)
