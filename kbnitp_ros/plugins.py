@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from functools import lru_cache
+from contextlib import contextmanager, suppress
+from functools import lru_cache, partial
 from importlib import import_module
 from importlib.metadata import entry_points, EntryPoint
 from inspect import signature
@@ -149,9 +149,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def find(self, given: str | Callable[..., Any]) -> Entry:
         """Return the entry of a name; return an entry given in place of a name unchanged."""
         if callable(given):
+            check = self.check
+            # Objects with arrays have no hash.
+            with suppress(TypeError):
+                hash(given)
+                check = partial(checked, self.check)
             try:
-                is_hashable = isinstance(given, Hashable)
-                return checked(self.check, given) if is_hashable else self.check(given)
+                return check(given)
             except TypeError as error:
                 raise TypeError(f'{self.kind} {entry_name(given)}: {error}') from error
         if given not in self:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The core in the hands of its users: loops, planners and methods of their own."""
 
+from dataclasses import dataclass
 from itertools import pairwise, product
 
 import brute_force
@@ -262,6 +263,22 @@ def test_a_planner_is_inspected_once(monkeypatch):
     few = len(looked)
     run_mission(GRID, PRIOR, MODEL, WORLD, 20, 1, options=SearchOptions(mine, 8))
     assert len(looked) == few <= 3
+
+
+@dataclass(frozen=True)
+class ByTable:
+    """A planner with an array, which has no hash."""
+
+    paths: np.ndarray
+
+    def __call__(self, finder, objective):
+        return [Candidate.along(self.paths[0], objective)]
+
+
+def test_a_planner_may_be_an_object():
+    options = SearchOptions(ByTable(np.array([[7, 8, 7]])), 8)
+    mission = run_mission(GRID, PRIOR, MODEL, WORLD, 2, 1, options=options)
+    assert mission[1].plan.path.tolist() == [7, 8, 7]
 
 
 class Forgetful(KnownModel):
