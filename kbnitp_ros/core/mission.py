@@ -288,10 +288,14 @@ class Mission(Sequence[Deployment]):
         cells = grid.check_path(path.path if isinstance(path, Plan) else path)
         if not isinstance(path, Plan):
             path = Plan.along(cells, self.belief, robot_type.model(self.model))
+        return self._send(path, robot_type)
+
+    def _send(self, plan: Plan, robot_type: RobotType) -> Observation:
+        """Send a robot along a checked path."""
         made = self._execution.follow(
             self.world,
-            grid,
-            cells,
+            self.grid.at(robot_type.base),
+            plan.path,
             robot_type.model(self._model),
             self.rng.spawn(1)[0],
             self._dynamics,
@@ -299,7 +303,7 @@ class Mission(Sequence[Deployment]):
         )
         self.estimator.assimilate(made.observation, robot_type)
         self.world = made.world
-        self.visited = self.visited + count_visits(self.grid, [path.path])
+        self.visited = self.visited + count_visits(self.grid, [plan.path])
         self.sent += 1
         self.lost += not made.observation.survived
         self._draws, self.decision = decided(
@@ -307,7 +311,7 @@ class Mission(Sequence[Deployment]):
         )
         after = self.belief, self.model, dict(self.estimator.parameters)
         self._deployments.append(
-            Deployment(path, made.observation, *after, self.world, self.decision)
+            Deployment(plan, made.observation, *after, self.world, self.decision)
         )
         return made.observation
 
@@ -352,7 +356,7 @@ class Mission(Sequence[Deployment]):
             if stop.why_not_worth(plans):
                 break
             for planned, robot_type in zip(plans, leaving.types):
-                self.send(planned, robot_type)
+                self._send(planned, robot_type)
         return self
 
     def __getitem__(self, place: Any) -> Any:

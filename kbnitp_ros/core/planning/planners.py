@@ -261,8 +261,7 @@ class PathFinder(Value):
         """Return a path as an array of cells, shape (steps + 1,), checked against the limits."""
         options = self.options
         cells = self.grid.check_path(path, options.max_steps, options.max_distance)
-        visits = count_visits(self.grid, [cells])
-        most = options.max_visits
+        visits, most = count_visits(self.grid, [cells]), options.max_visits
         if visits.max() > most:
             raise ValueError(
                 f'path enters cell {visits.argmax()} {visits.max()} times: '
