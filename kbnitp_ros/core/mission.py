@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any, TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
 from kbnitp_ros.core.field.check import (
     generator,
     in_short,
+    read_only,
     typed,
     typed_fields,
     Value,
@@ -120,11 +122,13 @@ class Mission(Sequence[Deployment]):
     """
     A mission in a simulated field, and a sequence of its deployments.
 
-    Any loop may send the robots; `run` sends them along planned paths::
+    Any loop may send the robots along any closed paths::
 
         mission = Mission(grid, belief, model, world, rng=1)
         while len(mission) < 20:
             mission.send(plan(grid, mission.belief, mission.model))
+
+    `run` plans with the options, the visits and the generator of the mission.
 
     Parameters
     ----------
@@ -209,7 +213,8 @@ class Mission(Sequence[Deployment]):
         estimator : Estimator
             Estimator after the deployments `before`; it is not changed.
         before : sequence of Observation
-            Outcomes of the deployments that the estimator has assimilated.
+            Outcomes of the deployments that the estimator has assimilated; they count as sent, for
+            the visits of planners, and for changes of the field.
         truth : Truth, optional
             True behaviour of the robots; by default as in the estimator.
 
@@ -239,10 +244,17 @@ class Mission(Sequence[Deployment]):
             if not isinstance(observation, Observation):
                 words = f'before has {in_short(observation)}: it must have Observation(...)'
                 raise TypeError(words)
+            grid.check_any_path(observation.path)
         self.grid, self.estimator, self.world = grid, estimator, world
         self.rng, self.options, self.goal = generator(rng), options, goal
         world.check(grid)
         estimator.prior.check(grid)
+        own = estimator.prior.grid or grid
+        if own.bases != grid.bases:
+            raise ValueError(
+                f'belief is of a grid with the bases {sorted(own.bases)}: the grid has '
+                f'{sorted(grid.bases)}; make it with Belief.prior(grid, ...), or belief.on(grid)'
+            )
         self._model = truth.model or estimator.model
         self._execution = truth.execution
         self._dynamics = truth.dynamics or estimator.probable_dynamics
@@ -251,7 +263,7 @@ class Mission(Sequence[Deployment]):
         if goal is not None:
             goal.check(grid, options.max_steps)
         self._deployments: list[Deployment] = []
-        self.visited = count_visits(grid, [each.path for each in before])
+        self.visited = read_only(count_visits(grid, [each.path for each in before]))
         self.sent, self.lost = len(before), sum(not each.survived for each in before)
         self._draws, self.decision = decided(goal, grid, estimator, self.sent, options)
 
@@ -273,7 +285,8 @@ class Mission(Sequence[Deployment]):
         Parameters
         ----------
         path : array_like of int, shape (steps + 1,), or Plan
-            Cells, the base first and last.
+            Cells, the base first and last; the options of the search do not limit them. The
+            information of a `Plan` is kept as it is given.
         robot_type : RobotType
             Type of the robot; numbers that it sets are both believed and true.
 
@@ -303,7 +316,7 @@ class Mission(Sequence[Deployment]):
         )
         self.estimator.assimilate(made.observation, robot_type)
         self.world = made.world
-        self.visited = self.visited + count_visits(self.grid, [plan.path])
+        self.visited = read_only(self.visited + count_visits(self.grid, [plan.path]))
         self.sent += 1
         self.lost += not made.observation.survived
         self._draws, self.decision = decided(
@@ -367,6 +380,12 @@ class Mission(Sequence[Deployment]):
 
     def __len__(self) -> int:
         return len(self._deployments)
+
+    def __copy__(self) -> Mission:
+        other = type(self).__new__(type(self))
+        own = {'estimator': self.estimator.copy(), 'rng': deepcopy(self.rng)}
+        vars(other).update(vars(self) | own | {'_deployments': self._deployments.copy()})
+        return other
 
     def __repr__(self) -> str:
         return f'Mission({self.sent} robots, {self.lost} lost)'

@@ -8,11 +8,12 @@ from typing import Any, ClassVar
 
 import gymnasium
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, create_empty_array
 from kbnitp_ros.core import Belief, Grid, SensorModel, World
-from kbnitp_ros.core.field.check import cost, probability, typed, whole_number
+from kbnitp_ros.core.field.check import cost, in_short, probability, typed, whole_number
 from kbnitp_ros.environments.deployment_kernels import conclude
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
     An observation has the maps of hazard, target and kappa, (3, height, width), row 0 at the
     bottom; the cell of the robot; and the steps and the robots left. Action 3 * row + col moves by
     row - 1 and col - 1; 4 is to stay. ``info['action_mask']`` has the moves that the grid allows
-    and that leave enough steps home; any other action is a step home.
+    and that leave enough steps home; any other action is a step home. ``info['returned']`` is
+    false in the step in which a robot turned out to be lost.
 
     Parameters
     ----------
@@ -63,7 +65,10 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
         kappa: float = 0.8,
         target_background: float = 0.05,
         loss_cost: float = 0.0,
+        render_mode: None = None,
     ) -> None:
+        if render_mode is not None:
+            raise ValueError(f'render_mode is {render_mode!r}: it must be None')
         self.num_envs = count = whole_number('num_envs', num_envs, 1)
         self.robots = whole_number('robots', robots, 1)
         self.max_steps = whole_number('max_steps', max_steps, 2)
@@ -99,8 +104,11 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
         self, *, seed: int | Sequence[int | None] | None = None, options: Answer | None = None
     ) -> tuple[Answer, Answer]:
         """Begin missions in fields drawn anew; without a seed, by the same generators."""
+        if options:
+            raise ValueError(f'options are {options!r}: this environment has none')
         count = self.num_envs
-        seeds = [*range(seed, seed + count)] if isinstance(seed, int) else seed
+        seeds = [*range(seed, seed + count)] if isinstance(seed, int | np.integer) else seed
+        seeds = seeds if seeds is None else [each if each is None else int(each) for each in seeds]
         if seeds is not None and len(seeds) != count:
             raise ValueError(f'seed has {len(seeds)} values: it must have {count}, or be a number')
         if seeds is not None or not self.rngs:
@@ -110,6 +118,15 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
 
     def step(self, actions: Any) -> tuple[Answer, Any, Any, Any, Answer]:
         """Make one step of the robot in each field."""
+        if not self.rngs:
+            raise ResetNeeded('call reset before step')
+        given, actions = actions, np.asarray(actions)
+        is_listed = actions.shape == (self.num_envs,) and actions.dtype.kind in 'iu'
+        if not is_listed or actions.min() < 0 or actions.max() > 8:
+            raise ValueError(
+                f'action is {in_short(given)}: it must be a whole number from 0 to 8 for each of '
+                f'{self.num_envs} fields'
+            )
         seen, base, is_over = self._seen, self.grid.base, self._seen['robots_left'] == 0
         masked = ~self._mask[self._rows, actions]
         if masked.any():
@@ -183,7 +200,7 @@ class FieldEnv(gymnasium.Env):  # type: ignore[misc]
         """Begin a mission in a field drawn anew."""
         super().reset(seed=seed)
         self.fields.rngs = [self.np_random]
-        seen, info = self.fields.reset()
+        seen, info = self.fields.reset(options=options)
         return first(seen), first(info)
 
     def step(self, action: int) -> tuple[Answer, float, bool, bool, Answer]:

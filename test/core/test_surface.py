@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The core in the hands of its users: loops, planners and methods of their own."""
 
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise, product
 
@@ -18,6 +19,7 @@ from kbnitp_ros.core import (
     Learning,
     METHODS,
     Mission,
+    Observation,
     path_information,
     PathFinder,
     Plan,
@@ -143,6 +145,14 @@ def test_many_paths_have_the_information_of_each(alpha):
         assert information == pytest.approx(expected, rel=0, abs=1e-9)
 
 
+def test_paths_may_be_of_several_kinds():
+    paths = [[7, 8, 7], np.array([7, 6, 6, 7], np.uint64)]
+    each = [path_information(PRIOR, MODEL, path) for path in paths]
+    for given in (paths, iter(paths), dict(enumerate(paths)).values()):
+        assert path_information(PRIOR, MODEL, given).tolist() == pytest.approx(each, rel=1e-12)
+    assert path_information(PRIOR, MODEL, np.empty((0, 5), int)).shape == (0,)
+
+
 def test_a_thousand_paths_have_the_information_of_each():
     grid, rng = Grid(9, 9), np.random.default_rng(2)
     belief = update(
@@ -196,6 +206,41 @@ def test_next_cells_are_those_of_all_closed_paths(max_visits, max_distance, keep
     for path in closed_paths(grid, 4) - goes_on.keys():
         if path in allowed:
             assert finder.next_cells(path).size == 0
+
+
+@for_each('grid, options', [
+    (Grid(6, 1), SearchOptions()),
+    (Grid(5, 5, base=12), SearchOptions(max_steps=40, max_visits=1)),
+    (Grid(9, 9), SearchOptions(max_distance=7.3)),
+    (Grid(9, 9, connectivity=4), SearchOptions(max_distance=7.3)),
+    (Grid(9, 9), SearchOptions(max_distance=4.5, max_visits=1)),
+])  # fmt: skip
+def test_every_walk_by_next_cells_is_closed_within_the_limits(grid, options):
+    finder, rng = PathFinder(grid, options), np.random.default_rng(1)
+    for _ in range(150):
+        path = np.array([grid.base], dtype=np.uint8)
+        while (following := finder.next_cells(path)).size:
+            path = np.append(path, rng.choice(following).astype(np.uint8))
+        finder.check_path(path.tolist())
+
+
+def test_a_copy_is_a_mission_of_its_own():
+    mission = Mission(GRID, PRIOR, MODEL, WORLD, 1, options=OPTIONS).run(2)
+    other = copy(mission)
+    same(mission.run(2), other.run(2))
+    assert mission.rng is not other.rng
+    with pytest.raises(ValueError, match='read-only'):
+        mission.visited[0] = 1
+
+
+def test_a_belief_of_other_bases_is_refused():
+    with pytest.raises(
+        ValueError, match=r'with the bases \[7\]: the grid has \[8\]; make it with'
+    ):
+        Mission(Grid(5, 4, base=8), PRIOR, MODEL, WORLD, 1)
+    before = [Observation([7, 19, 7], False)]
+    with pytest.raises(ValueError, match='path jumps at step 1'):
+        Mission.resume(GRID, Estimator(PRIOR, MODEL), WORLD, 1, before=before)
 
 
 def test_cells_are_named_by_row_and_column():

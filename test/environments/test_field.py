@@ -156,6 +156,21 @@ def test_wrong_parameters_are_refused(given, words):
         FieldEnv(**given)
 
 
+@for_each('action', [-1, 9, True, 1.0, [4], np.array([[4, 4]]), 'up', None])
+def test_wrong_actions_are_refused_and_change_nothing(action):
+    one, many = FieldEnv(), FieldVectorEnv(2)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        many.step([4, 4])
+    seen, _ = one.reset(seed=1)
+    many.reset(seed=1)
+    for env, given in ((one, action), (many, action), (many, [action])):
+        with pytest.raises(ValueError, match='it must be a whole number from 0 to 8 for each of'):
+            env.step(given)
+    assert one.step(8)[0]['steps_left'] == seen['steps_left'] - 1
+    with pytest.raises(ValueError, match='this environment has none'):
+        many.reset(options={'reset_mask': [True, False]})
+
+
 def test_seeds_are_one_for_each_field():
     with pytest.raises(ValueError, match='seed has 2 values: it must have 3'):
         FieldVectorEnv(3).reset(seed=[1, 2])

@@ -326,7 +326,7 @@ class Grid:
 
     def path_length(self, path: NDArray[np.intp]) -> float:
         """Return the length of a path, shape (steps + 1,), in metres."""
-        row, col = np.divmod(path, self.width)
+        row, col = np.divmod(np.asarray(path, dtype=np.intp), self.width)
         moves = np.abs(np.diff(row)) + np.abs(np.diff(col))
         straight, diagonal = (moves == 1).sum(), (moves == 2).sum()
         return float((straight + sqrt(2.0) * diagonal) * self.resolution)

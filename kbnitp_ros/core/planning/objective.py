@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import lgamma, prod
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, surprisal
-from kbnitp_ros.core.field.check import in_short, read_only, typed
+from kbnitp_ros.core.field.check import read_only, typed
 from kbnitp_ros.core.field.observation import as_path, Visits
 from kbnitp_ros.core.field.sensor import (
     log_predicted_survival,
@@ -479,6 +479,10 @@ def path_information(
 
 def joined_paths(paths: Any) -> tuple[bool, Places, Places]:
     """Return if it is one path, and the cells of one or several paths with the start of each."""
+    if isinstance(paths, np.ndarray):
+        paths = np.asarray(paths)
+    elif isinstance(paths, Iterable) and not isinstance(paths, Sequence):
+        paths = [*paths]
     is_array = isinstance(paths, np.ndarray)
     are_several = isinstance(paths, Sequence) and len(paths) > 0 and np.ndim(paths[0]) == 1
     if not (are_several or (is_array and paths.ndim == 2)):
@@ -487,13 +491,11 @@ def joined_paths(paths: Any) -> tuple[bool, Places, Places]:
     try:
         cells = paths.ravel() if is_array else np.concatenate(paths)
         sizes = np.array([*map(len, paths)], dtype=np.intp)
-        is_valid = cells.ndim == 1 and cells.dtype.kind in 'iu' and sizes.min() > 1
+        is_valid = cells.ndim == 1 and cells.dtype.kind in 'iu' and sizes.min(initial=2) > 1
     except (TypeError, ValueError):
         is_valid = False
     if not is_valid:
-        for number, path in enumerate(paths):
-            as_path(path, f'path[{number}]')
-        raise ValueError(f'path is {in_short(paths)}: it must be one path, or a list of paths')
+        cells = np.concatenate([as_path(each, f'path[{k}]') for k, each in enumerate(paths)])
     return False, cells.astype(np.intp), np.append(0, sizes.cumsum())
 
 

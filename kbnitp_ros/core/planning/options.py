@@ -47,10 +47,12 @@ ALPHAS = (0.2, 5.0)
 
 def as_tuples(name: str, values: Any) -> tuple[Any, ...]:
     """Return numbers or a mask as nested tuples, which can be compared and hashed."""
-    listed = values.tolist() if isinstance(values, np.ndarray) else values
-    if not isinstance(listed, Iterable):
+    listed = values.tolist() if isinstance(values, np.ndarray | np.generic) else values
+    if not isinstance(listed, Iterable) or isinstance(listed, str):
         raise TypeError(f'{name} is {in_short(values)}: it must be a list')
-    return tuple(as_tuples(name, each) if np.ndim(each) else each for each in listed)
+    return tuple(
+        as_tuples(name, each) if np.ndim(each) else np.asarray(each).item() for each in listed
+    )
 
 
 def prelec_beta(alpha: float) -> float:

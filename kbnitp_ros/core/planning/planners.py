@@ -212,10 +212,10 @@ class PathFinder(Value):
             steps or visits.
 
         """
-        grid, options = self.grid, self.options
-        cells = np.asarray(path)
+        grid, options, cells = self.grid, self.options, np.asarray(path)
         if cells.ndim != 1 or not cells.size or cells.dtype.kind not in 'iu':
             raise ValueError(f'path is {in_short(path)}: it must list cells, the base first')
+        cells = cells.astype(np.intp)
         grid.check_cells(cells)
         grid.check_steps(cells)
         left = options.max_steps - len(cells)
@@ -228,16 +228,30 @@ class PathFinder(Value):
         around = grid.neighbors(int(cells[-1]))
         if not is_open[grid.base]:
             return around[:0]
-        steps = grid.steps_to_base
-        if not is_open.all():
-            steps = grid.steps_from(grid.base, is_open & grid.free)
-        possible = is_open[around] & (steps[around] <= left)
         if options.max_distance:
-            table = grid.neighbor_table[cells[-1]]
-            metres = grid.path_length(cells) + grid.step_lengths[table >= 0]
-            metres += grid.distance_to_base[around]
-            possible &= metres <= longest(options.max_distance)
-        return around[possible]
+            metres = grid.path_length(cells)
+            metres += grid.step_lengths[grid.neighbor_table[cells[-1]] >= 0]
+            metres += self._metres_home(is_open, left)[around]
+            is_in_reach = metres <= longest(options.max_distance)
+        else:
+            steps = grid.steps_to_base
+            if not is_open.all():
+                steps = grid.steps_from(grid.base, is_open & grid.free)
+            is_in_reach = (steps[around] <= left) & (steps[around] < grid.cells)
+        found: Places = around[is_open[around] & is_in_reach]
+        return found
+
+    def _metres_home(self, is_open: NDArray[np.bool_], most: int) -> Floats:
+        """Return the shortest way of each cell to the base in at most `most` steps, metres."""
+        table, cells = self.grid.neighbor_table, self.grid.cells
+        # The last entry stands for cells off the grid.
+        home: Floats = np.full(cells + 1, np.inf)
+        home[self.grid.base] = 0.0
+        is_closed = np.append(~is_open, True)
+        for _ in range(most):
+            onward = np.where(is_closed, np.inf, home)[table] + self.grid.step_lengths
+            home[:-1] = np.minimum(home[:-1], onward.min(axis=1))
+        return home
 
     def candidates(self, objective: Objective) -> list[Candidate]:
         """Return closed paths, the best first; raise NoPathError if none has enough survival."""
