@@ -406,9 +406,9 @@ def main() -> None:
     """Print the bound, the value of a plan and their gap, nats, for each frozen belief."""
     # Studies load matplotlib, which takes longer than a bound.
     from kbnitp_ros.study.benchmark import frozen, NAME
-    from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
+    from kbnitp_ros.study.scenario_file import read_study, scenario_file
 
-    scenario = read_scenario(scenario_file(NAME))
+    scenario = read_study(scenario_file(NAME)).first
     grid, options = scenario.field(), SearchOptions(max_steps=scenario.planning.max_steps)
     print('| lethality | frozen bound | bound | value | gap |\n|---|---|---|---|---|')
     for belief, model, recorded in frozen():

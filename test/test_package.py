@@ -324,7 +324,7 @@ def test_ros_is_tested_with_packages_unknown_to_rosdep():
     [
         ('configuration', 'grid_of', 'make_grid'),
         ('maps', 'levels_of', 'quantise_belief'),
-        ('study', 'tables_of', 'study_tables'),
+        ('study', 'figures_of', 'study_figures'),
     ],
 )
 def test_an_old_name_is_refused_with_the_new_one(module, old, new):

@@ -23,7 +23,7 @@ from kbnitp_ros.core import Grid, log_loss
 from kbnitp_ros.log import write as log_writer
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.study.scenario import Scenario
-from kbnitp_ros.study.scenario_file import read_scenario
+from kbnitp_ros.study.scenario_file import read_study
 from kbnitp_ros.study.trial import list_trials
 from laws import for_each
 import pytest
@@ -158,7 +158,7 @@ def test_files_are_read_as_the_page_shows_them(tmp_path):
     world = read_world(tmp_path / 'world.yaml', Grid(4, 3))
     assert world.hazard.nonzero()[0].tolist() == [1, 10]
     assert world.target.nonzero()[0].tolist() == [1, 4, 10]
-    trials = len(list_trials(read_scenario(tmp_path / 'scenario.yaml')))
+    trials = len(list_trials(read_study(tmp_path / 'scenario.yaml')))
     assert f'= {trials} missions' in words('docs/files.md')
     missing = [key for key in keys_in(Scenario) if not re.search(rf'\b{key}:', shown('scenario'))]
     assert missing == []

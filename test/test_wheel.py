@@ -153,7 +153,7 @@ SCRIPT = """
 from kbnitp_ros.core import Belief, Estimator, Grid, plan, run_mission, SensorModel, World
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.maps import read_map
-from kbnitp_ros.study import compare, study_tables
+from kbnitp_ros.study import compare
 
 grid = Grid(4, 4)
 prior = Belief.prior(grid, hazard=0.15, target=0.2, kappa=0.8)
@@ -166,7 +166,7 @@ reveal_type(Estimator(prior, model, 'kappa_bnitp').belief)
 reveal_type(read_history)
 reveal_type(read_map('field.yaml').grid())
 reveal_type(compare(planners=['beam', lambda finder, objective: []]))
-reveal_type(study_tables(compare())['summary'].latex())
+reveal_type(compare().latex())
 Grid('4', 4)
 """
 

@@ -32,10 +32,11 @@ from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.folder import check_is_free
-from kbnitp_ros.study.results import Cell, Table
+from kbnitp_ros.study.results import markdown_table
 from kbnitp_ros.study.workers import Workers, workers
 import numpy as np
 from numpy.typing import NDArray
+from pandas import DataFrame
 from tqdm import tqdm
 
 DESCRIPTION = """
@@ -261,7 +262,7 @@ def lines(found: Forecast) -> Iterator[str]:
 
 def in_markdown(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a caption and a table in Markdown."""
-    return Table(caption, heads, [[Cell(each, each) for each in row] for row in rows]).markdown()
+    return markdown_table(caption, DataFrame(rows, columns=heads))
 
 
 def quantiles(values: NDArray[np.float64]) -> list[float]:

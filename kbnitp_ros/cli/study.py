@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.files import share
@@ -29,6 +30,7 @@ compares planners and methods, including plug-ins, on frozen beliefs and in the 
 EXAMPLES = (
     'python3 -m kbnitp_ros study paper --out runs/paper',
     'python3 -m kbnitp_ros study mine.yaml --out runs/mine --workers 4',
+    'python3 -m kbnitp_ros study paper --out runs/kappa --trials 10 --set prior.kappa=0.5,0.8',
     'python3 -m kbnitp_ros study benchmark --out runs/benchmark',
 )
 
@@ -65,6 +67,20 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='folder for the results; trials whose results it holds are not run again',
     )
     parser.add_argument(
+        '--trials',
+        metavar='N',
+        type=count,
+        help='number of worlds, at least 1; default that of the scenario',
+    )
+    parser.add_argument(
+        '--set',
+        metavar='NAME=VALUE',
+        action='append',
+        default=[],
+        help='value of the scenario, such as max_visits=3 or prior.kappa=0.5; several with commas '
+        'are choices, each of which is run; may be repeated',
+    )
+    parser.add_argument(
         '--backend',
         choices=('loky', 'dask'),
         default='loky',
@@ -91,6 +107,14 @@ def count(text: str, least: int = 1) -> int:
     return int(text)
 
 
+def changes(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the values that replace those of the scenario."""
+    from kbnitp_ros.study.scenario_file import read_changes
+
+    trials = {} if options.trials is None else {'trials': options.trials}
+    return trials | read_changes(options.set)
+
+
 def run_benchmark(options: argparse.Namespace) -> int:
     """Run the benchmark; return the exit code."""
     from kbnitp_ros.study import benchmark
@@ -99,7 +123,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
         complain('study', f'backend is {options.backend}: the benchmark runs on this machine')
         return 2
     try:
-        written = benchmark.run_benchmark(options.out, options.workers)
+        written = benchmark.run_benchmark(options.out, options.workers, changes(options))
     except ValueError as error:
         complain('study', error)
         return 2
@@ -112,15 +136,15 @@ def run_benchmark(options: argparse.Namespace) -> int:
 
 def study(options: argparse.Namespace) -> int:
     """Run the missing trials, then write the report; return the exit code."""
-    from kbnitp_ros.study.comparison import write_report
-    from kbnitp_ros.study.results import check_memory, Results
-    from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
-    from kbnitp_ros.study.trial import list_trials, run_trial
+    from kbnitp_ros.study.comparing import write_report
+    from kbnitp_ros.study.results import Results
+    from kbnitp_ros.study.scenario_file import read_study, scenario_file
+    from kbnitp_ros.study.trial import check_memory, list_trials, run_trial
     from kbnitp_ros.study.workers import Folder, workers
 
     with ExitStack() as stack:
         try:
-            scenario = read_scenario(scenario_file(options.scenario))
+            scenario = read_study(scenario_file(options.scenario), changes(options))
             check_memory(scenario)
             folder = Folder(options.out, scenario)
             pool = stack.enter_context(
@@ -146,7 +170,7 @@ def study(options: argparse.Namespace) -> int:
                     folder.save(trial, outcome)
                     outcomes[trial] = outcome
                     bar.update()
-            written = write_report(Results(scenario, outcomes), options.out)
+            written = write_report(Results.of(scenario, outcomes), options.out)
         except (RuntimeError, OSError) as error:
             complain('study', error)
             return 1

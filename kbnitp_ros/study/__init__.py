@@ -4,10 +4,21 @@
 from kbnitp_ros.plugins import extra, renamed
 
 with extra('study'):
+    from kbnitp_ros.study.charts import curves, differences, final_values, study_figures
     from kbnitp_ros.study.comparing import compare
-    from kbnitp_ros.study.comparison import study_figures, study_tables
-    from kbnitp_ros.study.results import Results, Table
+    from kbnitp_ros.study.results import bootstrap, Results
 
-__all__ = ['Results', 'Table', 'compare', 'study_figures', 'study_tables']
+__all__ = [
+    'Results',
+    'bootstrap',
+    'compare',
+    'curves',
+    'differences',
+    'final_values',
+    'study_figures',
+]
 
-__getattr__ = renamed(__name__, {'figures_of': 'study_figures', 'tables_of': 'study_tables'})
+__getattr__ = renamed(
+    __name__,
+    {'figures_of': 'study_figures', 'study_tables': 'Results.summary', 'Table': 'Results'},
+)

@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import process_time
-from typing import NamedTuple
+from typing import Any
 
 from kbnitp_ros.core import (
     Belief,
@@ -20,46 +20,31 @@ from kbnitp_ros.core import (
     SensorModel,
     World,
 )
-from kbnitp_ros.figures import FORMATS, LETTERS, save, WIDTH
+from kbnitp_ros.figures import FORMATS, LETTERS, save
 from kbnitp_ros.files import naming, share
-from kbnitp_ros.study.charts import draw_mean, LOG_LOSS_LABEL
+from kbnitp_ros.study.charts import curves
 from kbnitp_ros.study.comparing import compare
 from kbnitp_ros.study.results import (
-    as_json,
-    bootstrap_mean,
-    Cell,
-    LOG_LOSS,
-    Mean,
+    bootstrap,
+    by,
+    in_words,
+    latex_table,
+    markdown_table,
     Results,
-    shown,
-    Table,
 )
 from kbnitp_ros.study.scenario import Scenario
-from kbnitp_ros.study.scenario_file import read_scenario, scenario_file
-from kbnitp_ros.styles import SERIES
+from kbnitp_ros.study.scenario_file import full_name, read_study, scenario_file
 from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 import numpy as np
 from numpy.typing import NDArray
+import pandas
+from pandas import DataFrame
 from tqdm import tqdm
 
 # Version of the frozen data: raised whenever a belief, a world or a parameter of the missions
 # changes.
 VERSION = 2
 NAME = 'benchmark'
-
-HEADS = (
-    'planner',
-    'method',
-    'value / bound',
-    'least',
-    'ms a plan',
-    'log loss',
-    'entropy',
-    'robots lost',
-    'ms an update',
-)
 
 # The planner with which all methods run, and the method with which all planners run.
 PLANNER, METHOD = 'beam', 'kappa_bnitp'
@@ -68,24 +53,6 @@ PLANNER, METHOD = 'beam', 'kappa_bnitp'
 # A belief of a mission, the believed sensor model, and a proven upper bound on the information of
 # any path, nats.
 FrozenBelief = tuple[Belief, SensorModel, float]
-
-
-class Entry(NamedTuple):
-    """A row of the table: a planner and a method, with their missions."""
-
-    planner: str
-    method: str
-    results: Results
-
-    def final(self, *measures: str) -> Mean:
-        """Return the mean over trials of a sum of measures after the last robot."""
-        return bootstrap_mean(self.series(*measures)[:, -1])
-
-    def series(self, *measures: str) -> NDArray[np.float64]:
-        """Return the sum of measures, shape (trials, robots + 1)."""
-        scenario = self.results.scenario
-        (team,) = (each for each in scenario.teams if each.planner == self.planner)
-        return self.results.series(scenario.lethalities[0], self.method, *measures, team=team)
 
 
 def frozen() -> list[FrozenBelief]:
@@ -136,91 +103,75 @@ def time_method(method: str, scenario: Scenario) -> float:
 
 
 def missions(
-    planners: Iterable[str], methods: Iterable[str], workers: int | None, **changes: int
-) -> Iterator[Entry]:
+    planners: Sequence[str],
+    methods: Sequence[str],
+    workers: int | None,
+    changes: Mapping[str, Any],
+) -> Results:
     """Run the missions of every planner with one method, and of every method with one planner."""
     others = [each for each in methods if each != METHOD]
-    by_planner = compare(NAME, planners=[*planners], methods=[METHOD], workers=workers, **changes)
-    by_method = compare(NAME, planners=[PLANNER], methods=others, workers=workers, **changes)
-    for planner in planners:
-        yield Entry(planner, METHOD, by_planner)
-    for method in others:
-        yield Entry(PLANNER, method, by_method)
+    by_planner, by_method = (
+        compare(NAME, planners=one, methods=other, workers=workers, **changes).to_dataframe()
+        for one, other in (([*planners], [METHOD]), ([PLANNER], others))
+    )
+    by_planner['strategy'] = [f'{each}, {METHOD}' for each in by_planner['strategy']]
+    by_method['strategy'] = [f'{PLANNER}, {each}' for each in by_method['strategy']]
+    return Results(pandas.concat([by_planner, by_method], ignore_index=True))
 
 
 def benchmark_table(
-    entries: Sequence[Entry], worths: dict[str, NDArray[np.float64]], seconds: dict[str, float]
-) -> Table:
-    """Return the table of the benchmark."""
-
-    def mean(value: Mean, decimals: int = 1) -> Cell:
-        return Cell(as_json(value), shown(as_json(value), decimals))
-
-    def number(value: float, decimals: int) -> Cell:
-        return Cell(value, f'{value:.{decimals}f}')
-
+    results: Results, worths: dict[str, NDArray[np.float64]], seconds: dict[str, float]
+) -> DataFrame:
+    """Return the table of the benchmark: a row for each planner, method and choice."""
+    means = results.means('log_loss', 'entropy', 'robots_lost')
+    chosen = [name for name in results.axes if means[name].nunique() > 1]
     rows = []
-    for entry in entries:
-        ratio, times = worths[entry.planner]
+    for named, own in by(means, ['strategy', *chosen]):
+        planner, method = named.pop('strategy').split(', ')
+        ratio, times = worths[planner]
         rows.append(
-            [
-                Cell(entry.planner, f'`{entry.planner}`'),
-                Cell(entry.method, f'`{entry.method}`'),
-                mean(bootstrap_mean(ratio), 3),
-                number(float(ratio.min()), 3),
-                number(1e3 * float(np.median(times)), 1),
-                mean(entry.final(*LOG_LOSS)),
-                mean(entry.final('entropy')),
-                mean(entry.final('robots_lost')),
-                number(1e3 * seconds[entry.method], 2),
-            ]
+            {
+                'planner': f'`{planner}`',
+                'method': f'`{method}`',
+                **named,
+                'value / bound': in_words(bootstrap(ratio)._asdict(), 3),
+                'least': f'{ratio.min():.3f}',
+                'ms a plan': f'{1e3 * np.median(times):.1f}',
+                **{row['measure'].replace('_', ' '): in_words(row) for _, row in own.iterrows()},
+                'ms an update': f'{1e3 * seconds[method]:.2f}',
+            }
         )
-    beliefs = worths[PLANNER].shape[1]
-    caption = (
-        f'Benchmark, version {VERSION}. Value / bound: the information of a plan divided by a '
-        f'proven upper bound for any path, mean and least over {beliefs} frozen beliefs. Log loss '
-        'and entropy (nats) and robots lost: after the last robot of missions in the same worlds, '
-        'with 95 % bootstrap intervals. Times are processor times on this machine: medians for '
-        'plans and means for updates.'
-    )
-    return Table(caption, HEADS, rows)
+    return DataFrame(rows)
 
 
-def benchmark_figure(entries: Sequence[Entry]) -> Figure:
-    """Draw the log loss after each robot, with a panel for planners and a panel for methods."""
-    with rc_context(LETTERS):
-        figure = Figure(figsize=(WIDTH, 0.45 * WIDTH), layout='constrained')
-        left, right = figure.subplots(1, 2, sharey=True)
-        draw(left, {each.planner: each for each in entries if each.method == METHOD})
-        draw(right, {each.method: each for each in entries if each.planner == PLANNER})
-        left.set_title(f'planners, by {METHOD}')
-        right.set_title(f'methods, by {PLANNER}')
-        left.set_ylabel(LOG_LOSS_LABEL)
-        figure.supxlabel('deployment')
-    return figure
-
-
-def draw(axes: Axes, entries: dict[str, Entry]) -> None:
-    """Draw the mean log loss of each entry, with its interval."""
-    for place, (name, entry) in enumerate(entries.items()):
-        draw_mean(axes, entry.series(*LOG_LOSS), SERIES[place % len(SERIES)], name)
-    axes.grid(alpha=0.3)
-    axes.legend()
-
-
-def run_benchmark(folder: Path, workers: int | None = None, **changes: int) -> list[Path]:
-    """Run the benchmark and write its table and its figure."""
+def run_benchmark(folder: Path, workers: int | None, changes: Mapping[str, Any]) -> list[Path]:
+    """Run the benchmark and write its tables and its figure."""
+    for name in changes:
+        if full_name(name) in ('methods', 'teams'):
+            raise ValueError(f'{name} cannot be set: the benchmark compares all that there are')
     with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
     planners, methods = entered()
-    scenario, beliefs = read_scenario(scenario_file(NAME)), frozen()
+    scenario, beliefs = read_study(scenario_file(NAME), changes).first, frozen()
     field, steps = scenario.field(), scenario.planning.max_steps
     worths = {each: plan_worths(each, field, steps, beliefs) for each in planners}
     seconds = {each: time_method(each, scenario) for each in methods}
-    entries = list(missions(planners, methods, workers, **changes))
-    table = benchmark_table(entries, worths, seconds)
-    written = save(benchmark_figure(entries), folder / NAME, *FORMATS)
-    for suffix, text in (('md', table.markdown()), ('tex', table.latex())):
+    results = missions(planners, methods, workers, changes)
+    table = benchmark_table(results, worths, seconds)
+    caption = (
+        f'Benchmark, version {VERSION}. Value / bound: the information of a plan divided by a '
+        f'proven upper bound for any path, mean and least over {len(beliefs)} frozen beliefs. Log '
+        'loss and entropy (nats) and robots lost: after the last robot of missions in the same '
+        'worlds, with 95 % bootstrap intervals. Times are processor times on this machine: '
+        'medians for plans and means for updates.'
+    )
+    with rc_context(LETTERS):
+        written = save(curves(results, 'log_loss', 'log'), folder / NAME, *FORMATS)
+    texts = {
+        'md': markdown_table(caption, table),
+        'tex': latex_table(caption, table),
+    }
+    for suffix, text in texts.items():
         written.append(folder / f'{NAME}.{suffix}')
         written[-1].write_text(text)
-    return written
+    return [*written, *results.write(folder)]

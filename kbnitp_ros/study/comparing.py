@@ -10,13 +10,15 @@ from pickle import PicklingError
 from typing import Any
 
 from kbnitp_ros.core import METHODS, PLANNERS
-from kbnitp_ros.files import read_yaml
+from kbnitp_ros.figures import FORMATS, save
+from kbnitp_ros.files import naming, read_yaml
 from kbnitp_ros.plugins import entry_name
-from kbnitp_ros.study.results import check_memory, Results
-from kbnitp_ros.study.scenario import Scenario
-from kbnitp_ros.study.scenario_file import parse_scenario, scenario_file
-from kbnitp_ros.study.trial import list_trials, MissionResult, run_trial, Trial
+from kbnitp_ros.study.charts import study_figures
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario_file import parse_study, scenario_file, Study
+from kbnitp_ros.study.trial import check_memory, list_trials, run_trial, Trial
 from kbnitp_ros.study.workers import workers as worker_processes
+from pandas import DataFrame
 from tqdm import tqdm
 
 Given = Iterable[str | Callable[..., Any]] | Mapping[str, Callable[..., Any]]
@@ -30,11 +32,18 @@ def compare(
     workers: int | None = None,
     **changes: Any,
 ) -> Results:
-    """Run missions with every planner and method, at every lethality, in the same worlds."""
+    """
+    Run missions with every planner and method, at every lethality, in the same worlds.
+
+    `scenario` is a name, a file or the content of a file; planners and methods are names,
+    functions or classes, and a mapping names them. `changes` are values of the scenario by their
+    names, such as ``trials=4`` or ``**{'prior.kappa': [0.5, 0.8]}``; a list is an axis of choices.
+    """
     if not isinstance(scenario, str | Path | Mapping):
         raise TypeError(f'scenario is {scenario!r}: it must be a name, a file or a mapping')
-    given = scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(str(scenario)))
-    content = {**given, **changes}
+    content = dict(
+        scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(str(scenario)))
+    )
     paths, updates = by_name('planner', planners), by_name('method', methods)
     if updates:
         content['methods'] = list(updates)
@@ -46,14 +55,14 @@ def compare(
         for named in (paths, updates)
     ]
     with PLANNERS.including(own[0]), METHODS.including(own[1]):
-        study = parse_scenario(content)
+        study = parse_study(content, changes)
     check_memory(study)
     trials = list_trials(study)
     try:
         with worker_processes('loky', workers) as pool:
             done = pool.run(partial(run_own, own[0], own[1], study), trials)
             bar = tqdm(done, total=len(trials), unit='mission', disable=None)
-            return Results(study, dict(bar))
+            return Results.of(study, dict(bar))
     except PicklingError as error:
         raise TypeError(
             'a planner or a method cannot be sent to other processes: define it in a module, or '
@@ -64,12 +73,12 @@ def compare(
 def run_own(
     planners: Mapping[str, Callable[..., Any]],
     methods: Mapping[str, Callable[..., Any]],
-    scenario: Scenario,
+    study: Study,
     trial: Trial,
-) -> MissionResult:
+) -> DataFrame:
     """Run a trial; planners and methods are passed to the process as objects."""
     with PLANNERS.including(planners), METHODS.including(methods):
-        return run_trial(scenario, trial)
+        return run_trial(study, trial)
 
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
@@ -88,3 +97,16 @@ def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
             )
         named[name] = entry
     return named
+
+
+def write_report(results: Results, folder: Path) -> list[Path]:
+    """Write the table, the figures and the summary of a study."""
+    written = results.write(folder)
+    for name, figure in study_figures(results).items():
+        with naming(folder):
+            written += save(figure, folder / name, *FORMATS)
+    for ending, text in (('md', results.markdown()), ('tex', results.latex())):
+        written.append(folder / f'summary.{ending}')
+        with naming(written[-1]):
+            written[-1].write_text(text)
+    return written

@@ -1,341 +1,298 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The results of a study, and their summary in tables."""
+"""The results of a study: one tidy table, with paired intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
-from itertools import product
-from operator import attrgetter
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
 import re
-from typing import Any, NamedTuple, TYPE_CHECKING
+from typing import Any, NamedTuple
 
-from kbnitp_ros.study.scenario import (
-    ALONE,
-    in_short,
-    LEARNING,
-    NUMBERS,
-    Scenario,
-    Strategy,
-    team_labels,
-)
-from kbnitp_ros.study.trial import LEARNT, list_trials, measure_names, MissionResult, Trial
+from kbnitp_ros.files import naming, nearest
+from kbnitp_ros.study.scenario_file import Study
+from kbnitp_ros.study.trial import list_trials, Trial
 import numpy as np
 from numpy.typing import NDArray
 import pandas
-import pyarrow as pa
+from pandas import DataFrame
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
+# Columns of the table besides the choices.
+KEYS = ('world', 'strategy', 'robot', 'measure', 'value')
 
+# Measures of the summary, as far as a study has them.
+SUMMARISED = (
+    'log_loss',
+    'hazard_log_loss',
+    'target_log_loss',
+    'entropy',
+    'robots_lost',
+    'false_targets',
+    'p_free',
+    'free',
+    'declared',
+)
 
-# Function that returns the sum of named measures in the missions of `team`, (trials, robots + 1).
-Series = Callable[..., NDArray[np.float64]]
-
-# Maximum bytes of the mission in each worker, and of all results.
-MAX_MISSION_BYTES = 1 << 30
-MAX_BYTES = 1 << 32
-
-
-def check_memory(scenario: Scenario) -> None:
-    """Check that a study fits in memory."""
-    number = 8
-    cells, deployments = scenario.field().cells, scenario.robots + 1
-    missions = len(scenario.lethalities) * len(scenario.contenders) * scenario.trials
-    # A mission keeps all beliefs; an outcome keeps the last maps, the truth and the measures.
-    mission = 4 * number * cells * deployments
-    outcome = 2 * (number + 1) * cells + len(measure_names(scenario)) * number * deployments
-    for what, bytes_taken, most in (
-        ('a mission', mission, MAX_MISSION_BYTES),
-        (f'{missions} missions', 2 * missions * outcome, MAX_BYTES),
-    ):
-        if bytes_taken > most:
-            raise ValueError(
-                f'{what} of {scenario.robots} robots on {cells} cells takes about '
-                f'{bytes_taken / 1e9:.1f} GB, and {most / 1e9:.1f} GB are allowed: lower '
-                'grid.width, grid.height, robots or trials'
-            )
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Results:
-    """The outcomes of all trials of a scenario, in any order."""
-
-    scenario: Scenario
-    outcomes: Mapping[Trial, MissionResult]
-
-    def __repr__(self) -> str:
-        methods = ', '.join(self.scenario.methods)
-        return (
-            f'Results({len(self.outcomes)} missions of {self.scenario.robots} robots: {methods})'
-        )
-
-    def table(self) -> pa.Table:
-        """Return one row for each deployment of each trial."""
-        trials = list_trials(self.scenario)
-        rows = self.scenario.robots + 1
-        measures = np.concatenate([self.outcomes[trial].measures for trial in trials])
-        columns = {
-            'trial': np.repeat([trial.number for trial in trials], rows),
-            'method': np.repeat([trial.method for trial in trials], rows),
-            'lethality': np.repeat([trial.lethality for trial in trials], rows),
-            'deployment': np.tile(np.arange(rows), len(trials)),
-            **{
-                field.name: np.repeat([getattr(trial.team, field.name) for trial in trials], rows)
-                for field in fields(Strategy)
-            },
-            **dict(zip(measure_names(self.scenario), measures.T)),
-        }
-        columns['lethality'] = pa.array(columns['lethality'].tolist(), pa.float64())
-        columns['robots_lost'] = columns['robots_lost'].astype(np.int64)
-        return pa.table(columns)
-
-    def to_dataframe(self) -> DataFrame:
-        """Return `table` as a pandas DataFrame."""
-        return self.table().to_pandas()
-
-    def series(
-        self, lethality: float | None, method: str, *measures: str, team: Strategy = ALONE
-    ) -> NDArray[np.float64]:
-        """Return the sum of some measures, shape (trials, robots + 1)."""
-        places = [measure_names(self.scenario).index(measure) for measure in measures]
-        outcomes = self._missions(lethality, method, team)
-        return np.stack([outcome.measures[:, places].sum(axis=1) for outcome in outcomes])
-
-    def missions(
-        self, teams: Sequence[Strategy] | None = None
-    ) -> Iterator[tuple[dict[str, Any], Strategy, Series]]:
-        """Yield lethality and method, the team, and the `Series` function of its missions."""
-        scenario = self.scenario
-        for lethality, method, team in product(
-            scenario.lethalities, scenario.methods, scenario.teams if teams is None else teams
-        ):
-            series = partial(self.series, lethality, method, team=team)
-            yield {'lethality': lethality, 'method': method}, team, series
-
-    def final_maps(
-        self, lethality: float | None, method: str, team: Strategy = ALONE
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the hazard and target maps at the end, and the truth, each (trials, 2, cells)."""
-        outcomes = self._missions(lethality, method, team)
-        believed = np.stack([outcome.believed for outcome in outcomes])
-        return believed, np.stack([outcome.truth for outcome in outcomes])
-
-    def learnt(
-        self, lethality: float | None, team: Strategy = ALONE
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the statistics `LEARNT` of all numbers in each mission, and the true numbers."""
-        outcomes = self._missions(lethality, LEARNING, team)
-        known = np.stack([outcome.learnt for outcome in outcomes])
-        return known, np.stack([outcome.numbers for outcome in outcomes])
-
-    def _missions(
-        self, lethality: float | None, method: str, team: Strategy
-    ) -> list[MissionResult]:
-        numbers = range(self.scenario.trials)
-        return [self.outcomes[Trial(lethality, method, number, team)] for number in numbers]
-
-
-ESCAPED = str.maketrans({each: f'\\{each}' for each in '&%$#_{}'})
-
-
-class Cell(NamedTuple):
-    """A table cell: a value, or a mean with its interval as a dict, and its text in Markdown."""
-
-    value: Any
-    text: str
-
-
-class Table:
-    """A table of cells with a caption."""
-
-    def __init__(self, caption: str, heads: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
-        self.caption = caption
-        self._cells = pandas.DataFrame(rows, columns=heads, dtype=object)
-        self._texts = self._cells.map(attrgetter('text'))
-
-    def markdown(self) -> str:
-        """Return the table in Markdown."""
-        heads = self._texts.columns
-        head, *rows = (f'| {" | ".join(row)} |' for row in (heads, *self._texts.to_numpy()))
-        return '\n'.join([self.caption, '', head, '|' + '---|' * len(heads), *rows, ''])
-
-    def latex(self) -> str:
-        """Return the table as a ``table`` of LaTeX, which needs the package booktabs."""
-        texts = self._texts.map(in_latex).rename(columns=in_latex)
-        return str(texts.to_latex(index=False, caption=in_latex(self.caption)))
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """Return the table for pandas; the interval of a mean `x` is in `x low` and `x high`."""
-        rows = self._cells.map(attrgetter('value')).to_dict('records')
-        known = [{head: value for head, value in row.items() if value is not None} for row in rows]
-        return pandas.json_normalize(known, sep=' ').rename(
-            columns=lambda name: name.removesuffix(' mean')
-        )
-
-
-def in_latex(text: str) -> str:
-    """Return a line of Markdown in LaTeX."""
-    return re.sub('`([^`]*)`', r'\\texttt{\1}', text.translate(ESCAPED))
-
-
-# Measures whose sum is the total log loss.
-LOG_LOSS = ('hazard_log_loss', 'target_log_loss')
-
-SUMMARISED = {
-    'log_loss': LOG_LOSS,
-    'hazard_log_loss': LOG_LOSS[:1],
-    'target_log_loss': LOG_LOSS[1:],
-    'entropy': ('entropy',),
-    'robots_lost': ('robots_lost',),
-}
+# Decimals of means of measures that are not in nats or robots.
+DECIMALS = {'p_free': 3, 'free': 3, 'declared': 3}
 
 RESAMPLES = 2000
 
-# Decimals of a summary; further decimals depend on the rounding of sums.
-DECIMALS = 6
+# Series of a measure, (worlds, robots + 1), by strategy.
+Series = dict[str, DataFrame]
 
 
-# Row of a table, by column: a value, a mean over trials, or a list of either.
-Row = dict[str, Any]
-
-
-class Mean(NamedTuple):
-    """A mean over trials with its 95 % interval; all three fields have the same shape."""
+class Interval(NamedTuple):
+    """A mean over worlds with its 95 % interval; all three fields have the same shape."""
 
     mean: NDArray[np.float64]
     low: NDArray[np.float64]
     high: NDArray[np.float64]
 
 
-def bootstrap_mean(samples: NDArray[np.float64]) -> Mean:
-    """Return the mean over trials with its 95 % bootstrap interval."""
-    return interval(samples.mean(axis=0), resampled_means(samples))
-
-
-def after_robots(robots: Iterable[int], all_of_them: int) -> list[int]:
-    """Return the numbers of robots below `all_of_them`, and `all_of_them`, ascending."""
-    return sorted({*(each for each in robots if each < all_of_them), all_of_them})
-
-
-def means_after(
-    series: NDArray[np.float64], robots: Sequence[int]
-) -> list[dict[str, float | None]]:
-    """Return the means of a series after each number of robots, as JSON values."""
-    return [as_json(bootstrap_mean(series[:, after])) for after in robots]
-
-
-def resampled_means(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the means of bootstrap resamples of the trials."""
-    trials = len(samples)
-    resamples = RESAMPLES if trials > 1 else 0
-    drawn = np.random.default_rng(0).multinomial(trials, np.full(trials, 1 / trials), resamples)
-    return np.asarray(np.tensordot(drawn / trials, samples, 1), dtype=np.float64)
-
-
-def interval(mean: NDArray[np.float64], resampled: NDArray[np.float64]) -> Mean:
-    """Return a mean with the 95 % interval of its resamples."""
-    if not len(resampled):
-        return Mean(mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan))
+def bootstrap(samples: Any, rng: np.random.Generator | None = None) -> Interval:
+    """Return the mean over worlds (the first axis) with its 95 % interval; `rng` resamples."""
+    values = np.asarray(samples, np.float64)
+    worlds = len(values)
+    if worlds < 2:
+        mean = values.mean(axis=0)
+        return Interval(mean, mean * np.nan, mean * np.nan)
+    rng = np.random.default_rng(0) if rng is None else rng
+    drawn = rng.multinomial(worlds, np.full(worlds, 1.0 / worlds), RESAMPLES)
+    resampled = np.tensordot(drawn / worlds, values, 1)
     low, high = np.quantile(resampled, (0.025, 0.975), axis=0)
-    return Mean(mean, low, high)
+    return Interval(values.mean(axis=0), low, high)
 
 
-def summarise(results: Results) -> dict[str, Any]:
-    """Summarize every method after the last robot, as JSON values."""
-    scenario = results.scenario
-    reference = scenario.methods[-1]
-    labels = team_labels(scenario)
-    rows = []
-    for row, team, series in results.missions():
-        lethality, method = row.values()
-        row |= {**vars(team), 'label': labels[team]}
-        for name, measures in SUMMARISED.items():
-            row[name] = bootstrap_mean(series(*measures)[:, -1])
-        believed, truth = results.final_maps(lethality, method, team)
-        hazard_alone = truth[:, 0] & ~truth[:, 1]
-        row['false_targets'] = bootstrap_mean((believed[:, 1] * hazard_alone).sum(axis=1))
-        if method != reference:
-            nearest = results.series(lethality, reference, *LOG_LOSS, team=team)
-            row['difference'] = bootstrap_mean((nearest - series(*LOG_LOSS))[:, -1])
-        rows.append(json_row(row))
-    return {
-        'trials': scenario.trials,
-        'robots': scenario.robots,
-        'reference': reference,
-        'rows': rows,
-    }
+class Results:
+    """
+    The results of a study: a tidy table.
 
+    It has a row for each value, with the columns world, strategy, robot, measure and value. Any
+    other column, such as the lethality, is an axis of choices. Robot 0 is the prior.
+    """
 
-def as_json(mean: Mean) -> dict[str, float | None]:
-    """Return a mean and its interval as JSON values."""
-    return {
-        name: None if np.isnan(value) else round(float(value), DECIMALS)
-        for name, value in mean._asdict().items()
-    }
-
-
-def json_row(row: Row) -> Row:
-    """Return a row as JSON values."""
-    return {
-        name: as_json(value) if isinstance(value, Mean) else value for name, value in row.items()
-    }
-
-
-def summary_table(summary: dict[str, Any]) -> Table:
-    """Return a summary as a table."""
-    columns = [*SUMMARISED, 'false_targets']
-    caption = (
-        f'After {summary["robots"]} robots: means of {summary["trials"]} trials with 95 % '
-        'bootstrap intervals. Losses and entropy are in nats, summed over the cells. '
-        'False targets: the number believed to be in cells with a hazard and no target.'
-    )
-    if any('difference' in row for row in summary['rows']):
-        columns.append('difference')
-        caption += (
-            f' Difference: the log loss of `{summary["reference"]}` minus the log loss of the '
-            'method, paired by world.'
+    def __init__(self, table: DataFrame) -> None:
+        missing = [name for name in KEYS if name not in table]
+        if missing:
+            raise ValueError(f'the table has no column {missing[0]}: it needs {", ".join(KEYS)}')
+        # Categories in the order of the table, which is that of the scenario.
+        texts = table.select_dtypes(['object', 'category'])
+        categories = {
+            name: pandas.Categorical(of, list(of.unique())) for name, of in texts.items()
+        }
+        self._table = table.assign(
+            **{name: each.rename_categories(str) for name, each in categories.items()}
         )
-    rows = []
-    for row in summary['rows']:
-        method = [row['method'], *filter(None, [row['label']])]
-        cells = [Cell(row[n], shown(row[n])) if n in row else Cell(None, '') for n in columns]
-        contender = Cell(', '.join(method), ', '.join([f'`{method[0]}`', *method[1:]]))
-        rows.append([lethality_cell(row), contender, *cells])
-    heads = ['lethality', 'method', *(name.replace('_', ' ') for name in columns)]
-    return Table(caption, heads, rows)
+        self.axes = [name for name in table if name not in KEYS]
+        self.strategies = list(self._table['strategy'].cat.categories)
+        self.measures = list(self._table['measure'].cat.categories)
+
+    def __repr__(self) -> str:
+        worlds, robots = self._table['world'].nunique(), self._table['robot'].max()
+        return f'Results({worlds} worlds of {robots} robots: {", ".join(self.strategies)})'
+
+    @classmethod
+    def read(cls, path: str | Path) -> Results:
+        """Read the table of a study's folder, or a CSV (also .gz) or Parquet file."""
+        path = Path(path)
+        files = [path / name for name in table_files()] if path.is_dir() else [path]
+        for file in files:
+            if file.exists():
+                with naming(file):
+                    if file.suffix == '.parquet':
+                        return cls(pandas.read_parquet(file))
+                    return cls(pandas.read_csv(file, keep_default_na=False))
+        raise ValueError(f'{path} has no table.csv: run the study again, which completes it')
+
+    @classmethod
+    def of(cls, study: Study, outcomes: Mapping[Trial, DataFrame]) -> Results:
+        """Return the results of all trials of a study."""
+        wide = pandas.concat(
+            {
+                (
+                    trial.number,
+                    study.scenarios[trial.choices].contenders[trial.method, trial.team],
+                    *(
+                        'null' if each is None else each
+                        for each in (trial.lethality, *trial.choices)
+                    ),
+                ): outcomes[trial]
+                for trial in list_trials(study)
+            },
+            names=['world', 'strategy', 'lethality', *study.axes, 'robot'],
+        )
+        keys = wide.index.to_frame(index=False).astype({'strategy': 'category'})
+        values = wide.to_numpy()
+        row, place = np.nonzero(~np.isnan(values))
+        measure = pandas.Categorical.from_codes(place, wide.columns)
+        table = keys.iloc[row].assign(measure=measure, value=values[row, place])
+        return cls(table.reset_index(drop=True))
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the tidy table."""
+        texts = self._table.select_dtypes('category')
+        return self._table.astype(dict.fromkeys(texts, object))
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the table as CSV and, where pyarrow is installed, as Parquet."""
+        written = [folder / name for name in table_files()]
+        for file in written:
+            with naming(file):
+                if file.suffix == '.parquet':
+                    self._table.to_parquet(file, index=False)
+                else:
+                    self._table.to_csv(file, index=False, float_format='%.10g')
+        return written
+
+    def series(self, measure: str) -> Iterator[tuple[dict[str, Any], Series]]:
+        """Yield, for each combination of choices, a measure of each strategy, worlds x robots."""
+        if measure not in self.measures:
+            raise ValueError(
+                f'measure is {measure!r}: {nearest(measure, self.measures)}see .measures'
+            )
+        rows = self._table[self._table['measure'] == measure]
+        for choices, group in by(rows, self.axes):
+            yield (
+                choices,
+                {
+                    named['strategy']: of.pivot(index='world', columns='robot', values='value')
+                    for named, of in by(group, ['strategy'])
+                },
+            )
+
+    def means(
+        self,
+        *measures: str,
+        robot: int | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> DataFrame:
+        """Return the means over worlds after a robot, by default the last, with 95 % intervals."""
+        return DataFrame(
+            {**choices, 'strategy': strategy, 'measure': measure}
+            | bootstrap(after(values, robot), rng)._asdict()
+            for measure in measures or [each for each in SUMMARISED if each in self.measures]
+            for choices, series in self.series(measure)
+            for strategy, values in series.items()
+        )
+
+    def difference(
+        self,
+        strategy: str,
+        other: str,
+        measure: str = 'log_loss',
+        robot: int | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> DataFrame:
+        """
+        Return a measure of a strategy minus that of another one, paired by world.
+
+        A row for each combination of choices has mean, low and high (95 %) and worlds. `robot` is
+        the number of robots, by default all; `rng` draws the resamples, by default with seed 0.
+        """
+        for name in (strategy, other):
+            if name not in self.strategies:
+                known = ', '.join(self.strategies)
+                raise ValueError(f'strategy {name!r} is unknown: the table has {known}')
+        rows = []
+        for choices, series in self.series(measure):
+            if strategy in series and other in series:
+                paired = (after(series[strategy], robot) - after(series[other], robot)).dropna()
+                interval = bootstrap(paired, rng)._asdict()
+                rows.append({**choices, **interval, 'worlds': len(paired)})
+        return DataFrame(rows)
+
+    def summary(self, rng: np.random.Generator | None = None) -> DataFrame:
+        """Return the table to print: means after the last robot, in words, with intervals."""
+        keys = [*self.axes, 'strategy']
+        means = self.means(rng=rng)
+        means['text'] = [
+            in_words(row, DECIMALS.get(row['measure'], 1)) for _, row in means.iterrows()
+        ]
+        rows = []
+        for named, own in by(means, keys):
+            texts = {
+                each.replace('_', ' '): text for each, text in zip(own['measure'], own['text'])
+            }
+            rows.append({**named, **texts})
+        table = DataFrame(rows)
+        first, *others = self.strategies
+        if others:
+            apart = [
+                self.difference(each, first, rng=rng).assign(strategy=each) for each in others
+            ]
+            paired = pandas.concat(apart)
+            paired['difference'] = [in_words(row) for _, row in paired.iterrows()]
+            table = table.merge(paired[[*keys, 'difference']], 'left', keys).fillna('')
+        return table
+
+    def caption(self) -> str:
+        """Return the caption of the summary."""
+        worlds, robots = self._table['world'].nunique(), self._table['robot'].max()
+        text = (
+            f'After {robots} robots: means of {worlds} worlds with 95 % bootstrap intervals. '
+            'Losses and entropy are in nats, summed over the cells. False targets: the number '
+            'believed to be in cells with a hazard and no target.'
+        )
+        if len(self.strategies) > 1:
+            text += (
+                f' Difference: the log loss minus that of `{self.strategies[0]}`, paired by world.'
+            )
+        return text
+
+    def markdown(self) -> str:
+        """Return the summary in Markdown."""
+        return markdown_table(self.caption(), self.summary())
+
+    def latex(self) -> str:
+        """Return the summary as a ``table`` of LaTeX, which needs the package booktabs."""
+        return latex_table(self.caption(), self.summary())
 
 
-def lethality_cell(row: Row) -> Cell:
-    """Return the table cell of a row's lethality."""
-    return Cell(row['lethality'], in_short(row['lethality']))
+def table_files() -> list[str]:
+    """Return the names of the files of a table, the most exact first."""
+    return ['table.parquet'] * (find_spec('pyarrow') is not None) + ['table.csv']
 
 
-def shown(entry: dict[str, float | None], decimals: int = 1) -> str:
-    """Format a mean, with its interval if it has one."""
-    mean, *ends = (f'{value:.{decimals}f}' for value in entry.values() if value is not None)
-    return f'{mean} [{", ".join(ends)}]' if ends else mean
+def by(rows: DataFrame, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], DataFrame]]:
+    """Yield the rows of each combination of values, in the order of the table."""
+    if not names:
+        yield {}, rows
+        return
+    for values, group in rows.groupby(list(names), sort=False, observed=True):
+        yield dict(zip(names, values)), group
 
 
-def after_rounds(series: NDArray[np.float64], agents: int) -> NDArray[np.float64]:
-    """Return a series before the first round and after each round, (trials, rounds + 1)."""
-    robots = series.shape[1] - 1
-    return series[:, [*range(0, robots, agents), robots]]
+def after(series: DataFrame, robot: int | None) -> pandas.Series[float]:
+    """Return a measure after a number of robots, by default all."""
+    robots = series.columns.max()
+    if robot is not None and robot not in series:
+        raise ValueError(f'robot is {robot}: it must be one of the table, such as {robots}')
+    return series[robots if robot is None else robot]
 
 
-def trade(series: Series, team: Strategy) -> NDArray[np.float64]:
-    """Return the robots lost and the total log loss of a team, (trials, 2, robots + 1)."""
-    return np.stack([series('robots_lost', team=team), series(*LOG_LOSS, team=team)], axis=1)
+def in_words(row: Mapping[str, Any], decimals: int = 1) -> str:
+    """Return a mean with its interval, if it has one."""
+    mean, *ends = (f'{row[name]:.{decimals}f}' for name in ('mean', 'low', 'high'))
+    return mean if ends == ['nan', 'nan'] else f'{mean} [{", ".join(ends)}]'
 
 
-MEAN, SD, LOW, HIGH = (LEARNT.index(name) for name in ('mean', 'sd', 0.05, 0.95))
+def markdown_table(caption: str, table: DataFrame) -> str:
+    """Return a table in Markdown."""
+    rows = ([str(each) for each in row] for row in table.itertuples(index=False))
+    head, *lines = (f'| {" | ".join(row)} |' for row in (list(table), *rows))
+    return '\n'.join([caption, '', head, '|' + '---|' * len(table.columns), *lines, ''])
 
 
-def of_number(
-    results: Results, lethality: float | None, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a number's statistics `LEARNT`, (trials, robots + 1, learnt), and its true values."""
-    known, truth = results.learnt(lethality, results.scenario.teams[0])
-    place = NUMBERS.index(name)
-    return known[:, :, place], truth[:, place, None]
+def latex_table(caption: str, table: DataFrame) -> str:
+    """Return a table in LaTeX."""
+    texts = table.astype(str).map(in_latex).rename(columns=in_latex)
+    return str(texts.to_latex(index=False, caption=in_latex(caption)))
+
+
+ESCAPED = str.maketrans({each: f'\\{each}' for each in '&%$#_{}'})
+
+
+def in_latex(text: str) -> str:
+    """Return a line of Markdown in LaTeX."""
+    return re.sub('`([^`]*)`', r'\\texttt{\1}', text.translate(ESCAPED))

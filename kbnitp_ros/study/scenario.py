@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from itertools import product
 from typing import Annotated
 
 from kbnitp_ros.core import (
@@ -104,6 +105,9 @@ LAYOUTS = ('independent', 'blobs', 'rows')
 # Beliefs on which paths are planned.
 PATHS = ('own', 'static')
 
+# Rules that choose among equally good paths.
+TIES = ('first', 'random')
+
 # Seed key of drawn numbers, distinct from the keys of worlds.
 DRAWN = 0x4452574E
 
@@ -168,11 +172,6 @@ class Strategy:
     second_base: Annotated[int, (-1, 999_999)] = -1
     # Goal of the flights: of `GOALS`, or 'safest_lane'.
     goal: Annotated[str, GOALS, SAFEST_LANE] = 'map'
-
-    @property
-    def sought(self) -> str:
-        """Return the name of the objective; of a behavioral objective its alpha."""
-        return f'alpha {self.alpha:.4g}' if self.objective == 'behavioral' else self.objective
 
     def leaving(self) -> Team:
         """Return the team of a round."""
@@ -281,11 +280,26 @@ class Scenario:
     hazards: Hazards = INDEPENDENT
     # Decision requested of missions; None: the field is mapped.
     asked: DecisionRequest | None = None
+    # 'first': of equally good paths the planner takes the first. 'random': factors of
+    # 1 + 1e-6 u, drawn for each world, break ties of the prior.
+    ties: Annotated[str, TIES] = 'first'
 
     @property
-    def contenders(self) -> tuple[Contender, ...]:
-        """Return all pairs of a method and a team."""
-        return tuple((method, team) for method in self.methods for team in self.teams)
+    def contenders(self) -> dict[Contender, str]:
+        """Return the name of the strategy of each method and team: the values that differ."""
+        teams = {team: vars(team) for team in self.teams}
+        differ = [key for key in vars(ALONE) if len({own[key] for own in teams.values()}) > 1]
+        defaults = {'planner': self.planning.planner, 'dynamics': self.hazards.dynamics}
+        names = {}
+        for method, (team, own) in product(self.methods, teams.items()):
+            values = {key: own[key] if own[key] != '' else defaults.get(key) for key in differ}
+            parts = [
+                str(value) if key == 'planner' else f'{key.replace("_", " ")} {value}'
+                for key, value in values.items()
+            ]
+            is_named = len(self.methods) > 1 or not parts
+            names[method, team] = ', '.join([method] * is_named + parts)
+        return names
 
     def check_teams(self) -> None:
         """Check that each team fits the grid, and has a robot for each base."""
@@ -403,65 +417,3 @@ class Scenario:
     def model(truth: Mapping[str, float]) -> SensorModel:
         """Return the sensor model with these numbers."""
         return SensorModel(**{field.name: truth[field.name] for field in fields(SensorModel)})
-
-
-def differ_only_in(scenario: Scenario, *names: str) -> bool:
-    """Return whether the teams of a scenario differ, and only in these fields."""
-    others = {
-        tuple(value for name, value in vars(team).items() if name not in names)
-        for team in scenario.teams
-    }
-    return len(scenario.teams) > 1 and len(others) == 1
-
-
-def team_labels(scenario: Scenario) -> dict[Strategy, str]:
-    """Return a label of each team, with the fields in which teams differ; empty for one team."""
-    differ = {
-        field.name
-        for field in fields(Strategy)
-        if len({getattr(team, field.name) for team in scenario.teams}) > 1
-    }
-    return {team: ', '.join(_differing(team, scenario, differ)) for team in scenario.teams}
-
-
-def _differing(team: Strategy, scenario: Scenario, differ: set[str]) -> Iterator[str]:
-    """Yield the parts of a team's label."""
-    if differ & {'agents', 'allocation'}:
-        yield 'one by one' if team.agents == 1 else f'{team.agents} {team.allocation}'
-    if 'loss_cost' in differ:
-        yield f'loss cost {team.loss_cost:.4g}'
-    if 'last_contact' in differ:
-        yield f'last contact {team.last_contact:.4g}'
-    if 'planner' in differ:
-        yield team.planner or scenario.planning.planner
-    if differ & {'objective', 'alpha'}:
-        yield team.sought
-    if 'dynamics' in differ:
-        yield (team.dynamics or scenario.hazards.dynamics).replace('_', ' ')
-    if 'clustering' in differ:
-        yield 'clustered' if team.clustering else 'independent'
-    if 'paths' in differ:
-        yield f'{team.paths} paths'
-    if 'second_base' in differ:
-        yield 'one base' if team.second_base < 0 else f'second base {team.second_base}'
-    if 'goal' in differ:
-        yield f'goal {team.goal}'
-    if differ & {'survey', 'trusted'}:
-        trusted = f' trusted as {team.trusted:.4g}' if team.trusted else ''
-        yield f'map {team.survey:.4g}{trusted}' if team.survey else 'no map'
-
-
-def in_percent(lethality: float | None) -> str:
-    """Format a lethality in percent."""
-    return 'drawn' if lethality is None else f'{100 * lethality:.4g} %'
-
-
-def in_short(lethality: float | None) -> str:
-    """Format a lethality for a table."""
-    return 'drawn' if lethality is None else f'{lethality:.4g}'
-
-
-def asks_for(scenario: Scenario, goal: str) -> bool:
-    """Return whether missions decide on this goal without ending at a confidence."""
-    asked = scenario.asked
-    return asked is not None and asked.goal == goal and not asked.confidence

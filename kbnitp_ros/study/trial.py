@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kbnitp_ros.core import (
     Belief,
@@ -19,15 +19,21 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.field.belief import binary_entropy, log_losses, surprisal
 from kbnitp_ros.core.field.unknowns import Learnt
-from kbnitp_ros.study.scenario import ALONE, DecisionRequest, NUMBERS, Scenario, Strategy
+from kbnitp_ros.study.scenario import ALONE, Scenario, Strategy
+from kbnitp_ros.study.scenario_file import Study
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+import pandas
+from pandas import DataFrame
 
 # Seed key of random layouts, distinct from the keys of worlds and robots.
 LAID_OUT = 0x4C41594F
 
 # Seed key of errors in prior maps, distinct from the keys of worlds and robots.
 MAPPED = 0x4D415053
+
+# Seed key of factors that break ties, distinct from the keys of worlds and robots.
+TIED = 0x54494544
 
 # Correlation length of blobs, in cells: the standard deviation of a Gaussian kernel.
 REACH = 1.0
@@ -89,24 +95,11 @@ def surveyed(prior: Belief, world: World, team: Strategy, seed: int, trial: int)
     return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
 
 
-# Measures before the first robot and after each; entropies and losses are sums over cells.
-MEASURES = (
-    'entropy_hazard',
-    'entropy_target',
-    'entropy',
-    'joint_entropy',
-    'hazard_log_loss',
-    'target_log_loss',
-    'hazard_brier',
-    'target_brier',
-    'robots_lost',
-    'planned_information',
-    'realised_information',
-)
+# Number of classes of probabilities, each as wide, in which beliefs are compared with the truth.
+CLASSES = 10
 
-# Statistics saved of the posterior of a number.
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-LEARNT = ('mean', 'sd', *QUANTILES)
+# Probability at which a cell is declared free of hazards.
+DECLARED = 0.95
 
 
 class Trial(NamedTuple):
@@ -120,42 +113,53 @@ class Trial(NamedTuple):
     number: int
     # Strategy of the mission.
     team: Strategy = ALONE
+    # Values of the study's choices.
+    choices: tuple[Any, ...] = ()
 
 
-class MissionResult(NamedTuple):
-    """The saved result of a mission."""
-
-    # The measures of `measure_names` before the first robot and after each, shape (robots + 1,
-    # measures); constant after the end of a mission. Information is NaN in the first row.
-    measures: NDArray[np.float64]
-    # The hazard and the target map after the last robot, shape (2, cells).
-    believed: NDArray[np.float64]
-    # The true hazards and targets after the last robot, shape (2, cells).
-    truth: NDArray[np.bool_]
-    # Statistics `LEARNT` of the posterior of each of `NUMBERS`, shape (robots + 1, numbers,
-    # learnt); NaN for known numbers.
-    learnt: NDArray[np.float64]
-    # The world's `NUMBERS`, shape (numbers,).
-    numbers: NDArray[np.float64]
-
-
-def measure_names(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of a scenario's measures."""
-    return MEASURES if scenario.asked is None else MEASURES + OF_GOALS
-
-
-def list_trials(scenario: Scenario) -> list[Trial]:
-    """Return all missions of a scenario in the order of its table."""
+def list_trials(study: Study) -> list[Trial]:
+    """Return all missions of a study in the order of its table."""
     return [
-        Trial(lethality, method, number, team)
+        Trial(lethality, method, number, team, choices)
+        for choices, scenario in study.scenarios.items()
         for lethality in scenario.lethalities
         for method, team in scenario.contenders
         for number in range(scenario.trials)
     ]
 
 
-def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
-    """Run one mission; equal arguments give equal bits."""
+# Maximum bytes of the mission in each worker, and of all results.
+MAX_MISSION_BYTES = 1 << 30
+MAX_BYTES = 1 << 32
+
+
+def check_memory(study: Study) -> None:
+    """Check that a study fits in memory."""
+    scenario = study.first
+    cells, rows = scenario.field().cells, scenario.robots + 1
+    missions = len(list_trials(study))
+    # A mission keeps all beliefs; it has some 15 measures a robot and 60 at the end, each of which
+    # takes 200 bytes while the table is made.
+    for what, numbers, most in (
+        ('a mission', 4 * cells * rows, MAX_MISSION_BYTES),
+        (f'{missions} missions', missions * 25 * (15 * rows + 60), MAX_BYTES),
+    ):
+        if 8 * numbers > most:
+            raise ValueError(
+                f'{what} of {scenario.robots} robots on {cells} cells takes about '
+                f'{8 * numbers / 1e9:.1f} GB, and {most / 1e9:.1f} GB are allowed: lower '
+                'grid.width, grid.height, robots or trials'
+            )
+
+
+def run_trial(study: Study, trial: Trial) -> DataFrame:
+    """
+    Run one mission; equal arguments give equal bits.
+
+    Returns a row before the first robot and after each, which is constant after the end of a
+    mission, with a column for each measure, NaN where there is none.
+    """
+    scenario = study.scenarios[trial.choices]
     rng = np.random.default_rng([scenario.seed, trial.number])
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
@@ -164,6 +168,8 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     if scenario.believed_lethality is not None:
         believed['lethality'] = scenario.believed_lethality
     prior, model = scenario.belief(truth), scenario.model(believed)
+    if scenario.ties == 'random':
+        prior = without_ties(prior, scenario.seed, trial.number)
     prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
     start = scenario.estimator(trial.method, trial.team, prior, model, trial.number)
     is_own = trial.team.paths == 'own'
@@ -180,7 +186,8 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
         ),
         goal=scenario.goal(trial.team),
     ).run(scenario.robots, team=trial.team.leaving())
-    beliefs, known = zip(*knowledge(start, mission, is_own))
+    known = list(knowledge(scenario, start, mission, is_own))
+    beliefs = [each.belief for each in known]
     worlds = [world, *(deployment.world for deployment in mission)]
     lost = [not deployment.observation.survived for deployment in mission]
     # Maps before the first robot and after each, shape (robots + 1, cells).
@@ -189,6 +196,7 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
     hazardous = np.stack([world.hazard for world in worlds])
     with_target = np.stack([world.target for world in worlds])
     of_hazard, of_target = (binary_entropy(maps).sum(axis=1) for maps in (hazard, target))
+    hazard_loss, target_loss = log_losses(hazard, hazardous), log_losses(target, with_target)
     joint = np.stack([belief.joint.ravel() for belief in beliefs])
     joint_entropy = surprisal(joint).sum(axis=1)
     measured: dict[str, Iterable[float]] = {
@@ -196,105 +204,116 @@ def run_trial(scenario: Scenario, trial: Trial) -> MissionResult:
         'entropy_target': of_target,
         'entropy': of_hazard + of_target,
         'joint_entropy': joint_entropy,
-        'hazard_log_loss': log_losses(hazard, hazardous),
-        'target_log_loss': log_losses(target, with_target),
+        'hazard_log_loss': hazard_loss,
+        'target_log_loss': target_loss,
+        'log_loss': hazard_loss + target_loss,
         'hazard_brier': ((hazard - hazardous) ** 2).sum(axis=1),
         'target_brier': ((target - with_target) ** 2).sum(axis=1),
         'robots_lost': np.cumsum([0, *lost]),
+        'false_targets': (target * (hazardous & ~with_target)).sum(axis=1),
         'planned_information': [np.nan, *(each.plan.information for each in mission)],
         'realised_information': -np.diff(joint_entropy, prepend=np.nan),
+        **learnt_numbers([each.parameters for each in known], truth),
     }
     if scenario.asked is not None:
-        measured |= measured_for(
-            scenario.asked,
-            grid,
-            scenario.planning.max_steps,
-            start,
-            mission,
-            is_own,
-            beliefs,
-            worlds,
-        )
-    return MissionResult(
-        carried([*zip(*(measured[name] for name in measure_names(scenario)))], scenario.robots),
-        np.stack([hazard[-1], target[-1]]),
-        np.stack([hazardous[-1], with_target[-1]]),
-        carried(
-            [[as_learnt(numbers.get(name)) for name in NUMBERS] for numbers in known],
-            scenario.robots,
-        ),
-        np.array([truth[name] for name in NUMBERS]),
-    )
+        decisions = [each.decision for each in known if each.decision is not None]
+        measured |= measure_goal(list(scenario.asked.cells), decisions, hazard, hazardous)
+    measures = DataFrame(measured, dtype=np.float64)
+    at_end = {
+        **calibration('hazard', hazard[-1], hazardous[-1]),
+        **calibration('target', target[-1], with_target[-1]),
+    }
+    # A mission that ended keeps its last measures.
+    measures = measures.reindex(range(scenario.robots + 1), method='ffill')
+    return pandas.concat([measures, DataFrame(at_end, [scenario.robots])], axis=1)
+
+
+def without_ties(prior: Belief, seed: int, trial: int) -> Belief:
+    """Return a prior that differs enough from cell to cell that no two plans are equally good."""
+    drawn = np.random.default_rng([TIED, seed, trial]).random(prior.joint.shape)
+    joint = prior.joint * (1.0 + 1e-6 * drawn)
+    return Belief(joint / joint.sum(axis=(1, 2), keepdims=True))
+
+
+def calibration(
+    name: str, believed: NDArray[np.float64], true: NDArray[np.bool_]
+) -> dict[str, float]:
+    """Return the cells of each class, the number expected in them, and the true one."""
+    place = np.minimum((CLASSES * believed).astype(np.intp), CLASSES - 1)
+    return {
+        f'{name}_{what}_{number}': float(count)
+        for what, weights in (('cells', None), ('expected', believed), ('true', true))
+        for number, count in enumerate(np.bincount(place, weights, CLASSES))
+    }
+
+
+class Knowledge(NamedTuple):
+    """Knowledge of a strategy at a time; without a goal the decision is None."""
+
+    belief: Belief
+    parameters: Mapping[str, Learnt]
+    decision: Decision | None
 
 
 def knowledge(
-    start: Estimator, mission: Mission, is_own: bool
-) -> Iterator[tuple[Belief, Mapping[str, Learnt]]]:
-    """Yield the belief and the posteriors of numbers, before the first robot and after each."""
-    yield start.belief, start.parameters
-    estimator = start.copy()
-    for deployment in mission:
-        if is_own:
-            yield deployment.belief, deployment.parameters
+    scenario: Scenario, start: Estimator, mission: Mission, is_own: bool
+) -> Iterator[Knowledge]:
+    """Yield what a strategy knows before the first robot and after each."""
+    goal = None if scenario.asked is None else scenario.asked.sought()
+    grid, steps, estimator = scenario.field(), scenario.planning.max_steps, start.copy()
+
+    def known(robots: int) -> Knowledge:
+        decision = None
+        if goal is not None:
+            draws = HazardDraws.of(estimator, robots)
+            decision = goal.decide(grid, draws, estimator.model, steps)
+        return Knowledge(estimator.belief, estimator.parameters, decision)
+
+    yield known(0)
+    for robots, deployment in enumerate(mission, 1):
+        if is_own and (goal is None or deployment.decision is not None):
+            yield Knowledge(deployment.belief, deployment.parameters, deployment.decision)
         else:
             estimator.assimilate(deployment.observation)
-            yield estimator.belief, estimator.parameters
+            yield known(robots)
 
 
-def carried(rows: ArrayLike, robots: int) -> NDArray[np.float64]:
-    """Return `robots` + 1 rows: after an early end the last row is repeated."""
-    array = np.array(rows, dtype=np.float64)
-    after_the_last = (0, robots + 1 - len(array)), *[(0, 0)] * (array.ndim - 1)
-    return np.pad(array, after_the_last, 'edge')
+def learnt_numbers(
+    known: Sequence[Mapping[str, Learnt]], truth: Mapping[str, float]
+) -> dict[str, Sequence[float]]:
+    """Return mean, sd, 5 and 95 % quantiles of the learnt numbers, and the truth."""
+    learnt = {name: [each[name] for each in known] for name in truth if name in known[0]}
+    return {
+        key: values
+        for name, each in learnt.items()
+        for key, values in {
+            f'{name}_mean': [number.mean for number in each],
+            f'{name}_sd': [number.sd for number in each],
+            f'{name}_5': [number.quantile(0.05) for number in each],
+            f'{name}_95': [number.quantile(0.95) for number in each],
+            f'{name}_true': [truth[name]] * len(each),
+        }.items()
+    }
 
 
-def as_learnt(number: Learnt | None) -> tuple[float, ...]:
-    """Return the statistics `LEARNT` of a number; NaN if it is known."""
-    if number is None:
-        return (np.nan,) * len(LEARNT)
-    return number.mean, number.sd, *map(number.quantile, QUANTILES)
-
-
-# Probability at which a cell is declared free of hazards.
-DECLARED = 0.95
-
-
-# Measures of decisions: robots sent; believed probability that the goal is free, and whether it is
-# free; independent draws; shares of the goal's cells declared free, and rightly declared free.
-OF_GOALS = ('sent', 'p_free', 'free', 'independent_draws', 'declared', 'declared_free')
-
-
-def measured_for(
-    asked: DecisionRequest,
-    grid: Grid,
-    max_steps: int,
-    estimator: Estimator,
-    mission: Mission,
-    is_own: bool,
-    beliefs: Sequence[Belief],
-    worlds: Sequence[World],
+def measure_goal(
+    cells: list[int],
+    decisions: Sequence[Decision],
+    hazard: NDArray[np.float64],
+    hazardous: NDArray[np.bool_],
 ) -> dict[str, Iterable[float]]:
-    """Return the measures `OF_GOALS` before the first robot and after each."""
-    goal = asked.sought()
+    """
+    Return the measures of decisions before the first robot and after each.
 
-    def decide(deployments: int) -> Decision:
-        draws = HazardDraws.of(estimator, deployments)
-        return goal.decide(grid, draws, estimator.model, max_steps)
-
-    decisions = [decide(0)]
-    for number, deployment in enumerate(mission, 1):
-        if is_own and deployment.decision is not None:
-            decisions.append(deployment.decision)
-        else:
-            estimator.assimilate(deployment.observation)
-            decisions.append(decide(number))
-    cells, hazard = list(asked.cells), np.stack([world.hazard for world in worlds])
-    declared = np.stack([belief.hazard[cells] <= 1.0 - DECLARED for belief in beliefs])
+    Robots sent; believed probability that the goal is free, and whether it is free; independent
+    draws; shares of the goal's cells declared free, and rightly declared free.
+    """
+    declared = hazard[:, cells] <= 1.0 - DECLARED
     return {
         'sent': range(len(decisions)),
         'p_free': [decision.p_free for decision in decisions],
-        'free': [float(not true[each.cells].any()) for true, each in zip(hazard, decisions)],
+        'free': [float(not true[each.cells].any()) for true, each in zip(hazardous, decisions)],
         'independent_draws': [decision.independent_draws for decision in decisions],
         'declared': declared.mean(axis=1),
-        'declared_free': (declared & ~hazard[:, cells]).mean(axis=1),
+        'declared_free': (declared & ~hazardous[:, cells]).mean(axis=1),
     }

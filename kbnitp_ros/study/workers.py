@@ -6,7 +6,6 @@ from __future__ import annotations
 from asyncio import TimeoutError as AsyncTimeoutError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
-from dataclasses import asdict
 import fcntl
 from functools import partial
 import gc
@@ -21,28 +20,28 @@ from typing import Any, BinaryIO, TypeVar
 from joblib import cpu_count, delayed, Parallel
 from kbnitp_ros.files import in_words, naming, yaml_text
 from kbnitp_ros.plugins import REGISTRIES
-from kbnitp_ros.study.scenario import ALONE, NUMBERS, Scenario
-from kbnitp_ros.study.scenario_file import read_scenario
-from kbnitp_ros.study.trial import LEARNT, list_trials, measure_names, MissionResult, Trial
+from kbnitp_ros.study.scenario import ALONE
+from kbnitp_ros.study.scenario_file import read_study, Study
+from kbnitp_ros.study.trial import list_trials, Trial
 import numpy as np
+from pandas import DataFrame
 from threadpoolctl import threadpool_limits
 
 
 class Folder:
-    """The saved outcomes of a scenario's trials."""
+    """The saved outcomes of a study's trials."""
 
-    def __init__(self, path: Path, scenario: Scenario) -> None:
-        self._scenario = scenario
+    def __init__(self, path: Path, study: Study) -> None:
+        self._study = study
         self._trials = path / 'trials'
         kept = path / 'scenario.yaml'
         if kept.exists():
-            asked = asdict(scenario)
-            for key, value in asdict(read_scenario(kept)).items():
+            for key, value in read_study(kept).content.items():
                 # The number of trials may differ: it does not affect a trial.
-                if key != 'trials' and value != asked[key]:
+                if key != 'trials' and value != study.content[key]:
                     raise ValueError(
                         f'{path} holds results of another scenario, with {key} {value} '
-                        f'and not {asked[key]}: name another folder'
+                        f'and not {study.content[key]}: name another folder'
                     )
         elif self._trials.exists():
             raise ValueError(f'{path} holds results of an unknown scenario: name another folder')
@@ -54,53 +53,38 @@ class Folder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ValueError(f'{path} is in use by another study: name another folder') from error
-        text = yaml_text(asdict(scenario))
+        text = yaml_text(study.content)
         _write(kept, lambda file: file.write(text.encode()))
         self._trials.mkdir(exist_ok=True)
 
-    def save(self, trial: Trial, outcome: MissionResult) -> None:
+    def save(self, trial: Trial, outcome: DataFrame) -> None:
         """Save the outcome of a trial; returns once it is on disk."""
-        _write(self._file(trial), lambda file: np.savez(file, **outcome._asdict()))
+        arrays = {'names': outcome.columns.to_numpy(np.str_), 'values': outcome.to_numpy()}
+        _write(self._file(trial), lambda file: np.savez_compressed(file, **arrays))
 
-    def outcomes(self) -> dict[Trial, MissionResult]:
+    def outcomes(self) -> dict[Trial, DataFrame]:
         """Return the outcomes of all trials with readable files."""
         outcomes = {}
-        for trial in list_trials(self._scenario):
+        for trial in list_trials(self._study):
             try:
                 file = self._file(trial).open('rb')
             except FileNotFoundError:
                 continue
             # zipfile and numpy raise many types of exceptions on corrupt files.
-            with file, suppress(Exception):
-                outcomes[trial] = self._read(file)
+            with file, suppress(Exception), np.load(file, allow_pickle=False) as arrays:
+                outcome = DataFrame(arrays['values'], columns=arrays['names'])
+                if len(outcome) == self._study.scenarios[trial.choices].robots + 1:
+                    outcomes[trial] = outcome
         return outcomes
 
-    def _read(self, file: BinaryIO) -> MissionResult:
-        """Read an outcome; raises if the file is corrupt or belongs to another scenario."""
-        extent = self._scenario.grid
-        maps = 2, extent.width * extent.height
-        rows, numbers = self._scenario.robots + 1, len(NUMBERS)
-        measures = rows, len(measure_names(self._scenario))
-        shapes = [measures, maps, maps, (rows, numbers, len(LEARNT)), (numbers,)]
-        types = ['<f8', '<f8', '|b1', '<f8', '<f8']
-        with np.load(file, allow_pickle=False) as arrays:
-            outcome = MissionResult(**arrays)
-        if [(array.shape, array.dtype.str) for array in outcome] != [*zip(shapes, types)]:
-            raise ValueError("its arrays do not have the scenario's shapes")
-        return outcome
-
     def _file(self, trial: Trial) -> Path:
-        strategy = vars(trial.team).items()
-        # Further fields are in names only if not default: files of earlier studies keep their
-        # names.
-        earlier = ('agents', 'allocation', 'loss_cost')
-        unnamed = (*earlier, 'last_contact', 'planner')
-        team = '-'.join(
-            f'{"" if name in unnamed else name}{value}'
-            for name, value in strategy
-            if name in earlier or value != getattr(ALONE, name)
-        )
-        return self._trials / f'{trial.lethality}-{trial.method}-{team}-{trial.number}.npz'
+        own = {
+            **{n: value for n, value in vars(trial.team).items() if value != getattr(ALONE, n)},
+            **dict(zip(self._study.axes, trial.choices)),
+        }
+        named = (f'{name}={value}' for name, value in own.items())
+        name = ','.join([f'{trial.number},{trial.lethality},{trial.method}', *named])
+        return self._trials / f'{name.replace("/", "_")}.npz'
 
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:

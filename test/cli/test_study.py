@@ -2,7 +2,6 @@
 """The study command: complete, interrupted and refused studies."""
 
 import contextlib
-import json
 import os
 from pathlib import Path
 import random
@@ -15,10 +14,10 @@ import time
 
 from extent import FULL, some
 from kbnitp_ros.cli.study import parse, study
+from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import ALONE, INDEPENDENT, NUMBERS
 from launches import run_on_terminal
 from laws import for_each
-from pyarrow import parquet
 import pytest
 import small_study
 import yaml
@@ -27,11 +26,10 @@ STUDY = [sys.executable, '-m', 'kbnitp_ros', 'study']
 PATIENCE = 300.0
 PICTURES = [
     f'{name}.{suffix}'
-    for name in ('entropy', 'log_loss', 'reliability')
+    for name in ('entropy', 'log_loss', 'differences', 'final')
     for suffix in ('png', 'pdf')
 ]
-LEFT = ['table.parquet', *PICTURES, 'summary.json']
-LEFT += ['summary.md', 'scenario.yaml']
+LEFT = ['table.csv', 'table.parquet', *PICTURES, 'summary.md', 'summary.tex', 'scenario.yaml']
 
 SCENARIO = {
     **small_study.CONTENT,
@@ -117,7 +115,7 @@ def test_a_study_beyond_memory_is_refused_with_an_estimate(capsys, tmp_path):
             {**large, 'robots': 100},
             r'a mission of 100 robots on 1000000 cells takes about 3\.2 GB',
         ),
-        ({**large, 'trials': 1000}, r'4000 missions of 12 robots .* GB.*lower'),
+        ({'trials': 10**5}, r'400000 missions of 12 robots .* GB.*lower'),
         ({'planning': planning}, 'planning: .*max_steps = 1000000.* takes about .* GB'),
     ):
         out = tmp_path / 'out'
@@ -128,16 +126,14 @@ def test_a_study_beyond_memory_is_refused_with_an_estimate(capsys, tmp_path):
 
 @pytest.mark.processes
 def test_a_study_leaves_its_table_figures_and_summary_and_runs_no_trial_again(scenario, whole):
-    table = parquet.read_table(whole / 'table.parquet')
-    assert table.num_rows == TRIALS * 13
-    assert table.column_names[:4] == ['trial', 'method', 'lethality', 'deployment']
-    assert set(table['trial'].to_pylist()) == set(range(10))
-    assert set(table['deployment'].to_pylist()) == set(range(13))
-    for name in ('entropy.png', 'log_loss.png', 'reliability.png'):
+    results = Results.read(whole)
+    assert results.axes == ['lethality']
+    table = results.to_dataframe()
+    assert set(table['world']) == set(range(10))
+    assert set(table['robot']) == set(range(13))
+    for name in ('entropy.png', 'log_loss.png', 'differences.png', 'final.png'):
         assert (whole / name).read_bytes().startswith(b'\x89PNG')
-    summary = json.loads((whole / 'summary.json').read_text())
-    assert len(summary['rows']) == 4
-    assert '| 0.9 | `kappa_bnitp_published` |' in (whole / 'summary.md').read_text()
+    assert '| 0.9 | kappa_bnitp_published |' in (whole / 'summary.md').read_text()
     written = {path: path.stat().st_mtime_ns for path in whole.glob('trials/*')}
     assert len(written) == TRIALS
     assert study(parse([str(scenario), '--out', str(whole)])) == 0
@@ -185,7 +181,7 @@ def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
     told = yaml.safe_load(shipped.read_text())
     told['planning']['max_distance'] = 0.0
     told['learn'] = dict.fromkeys(NUMBERS)
-    told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)]}
+    told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)], 'ties': 'first'}
     assert kept == told | {'hazards': vars(INDEPENDENT)}
 
 
@@ -207,7 +203,7 @@ def test_workers_leave_interrupts_to_the_study(start, tmp_path):
 def test_the_bar_shows_finished_trials_and_the_time_left(scenario, whole, tmp_path):
     out = tmp_path / 'out'
     shutil.copytree(whole, out)
-    for file in sorted(out.glob('trials/*-kappa_bnitp-*')):
+    for file in sorted(out.glob('trials/*,kappa_bnitp.npz')):
         file.unlink()
     code, shown = run_on_terminal(command(scenario, out, '--workers', 1))
     assert code == 0
@@ -217,10 +213,21 @@ def test_the_bar_shows_finished_trials_and_the_time_left(scenario, whole, tmp_pa
     assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
 
 
+@pytest.mark.processes
+def test_choices_of_the_command_line_are_columns(tmp_path, scenario):
+    options = ['--trials', '1', '--set', 'robots=3', '--set', 'max_visits=1,2', '--workers', '1']
+    assert study(parse([str(scenario), '--out', str(tmp_path / 'out'), *options])) == 0
+    results = Results.read(tmp_path / 'out')
+    assert results.axes == ['lethality', 'max_visits']
+    assert set(results.to_dataframe()['robot']) == {0, 1, 2, 3}
+
+
 @for_each('changes, options, complaint', [
     ({'colour': 'red'}, [], 'colour is unknown'),
     ({'lethalities': [1.5]}, [], r'lethalities is 1\.5.*from 0\.0 to 1\.0'),
     ({'trials': 0}, [], 'trials is 0.*from 1'),
+    ({}, ['--trials', '2', '--set', 'max_visit=3'], 'max_visit is unknown: did you mean planning'),
+    ({}, ['--set', 'max_visits'], 'max_visits has no value: write max_visits=VALUE'),
     ({}, ['--workers', '99999999999'], 'workers is 99999999999.*from 1 to 1024'),
     ({}, ['--scheduler', 'localhost:8786'], 'scheduler is localhost:8786.*dask'),
 ])  # fmt: skip
@@ -239,7 +246,9 @@ def test_an_unknown_scenario_is_named_with_the_known_ones(capsys, tmp_path):
     assert re.fullmatch(told, refusal(capsys, 'magic', tmp_path / 'out'))
 
 
-@for_each('options', [['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic']])
+@for_each('options', [
+    ['--workers', '0'], ['--workers', 'many'], ['--backend', 'magic'], ['--trials', '0'],
+])  # fmt: skip
 def test_unusable_options_are_named(capsys, scenario, tmp_path, options):
     with pytest.raises(SystemExit) as ended:
         refusal(capsys, scenario, tmp_path / 'out', *options)

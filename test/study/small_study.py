@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A study of a few short missions."""
 
-from dataclasses import replace
-import json
+from dataclasses import asdict
 
-from kbnitp_ros.study.comparison import write_report
-from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario_file import Study
 from kbnitp_ros.study.trial import list_trials, run_trial
 import yaml
 
@@ -47,22 +45,11 @@ def write(path, content=CONTENT):
     return path
 
 
-def run(scenario):
-    """Return the results of all trials."""
-    return Results(
-        scenario, {trial: run_trial(scenario, trial) for trial in list_trials(scenario)}
-    )
+def single(scenario):
+    """Return a study of one scenario without choices."""
+    return Study(asdict(scenario), (), {(): scenario})
 
 
-def compared_by(scenario, teams):
-    """Return the results of missions by strategies, of one method at one lethality."""
-    return run(replace(scenario, teams=teams, methods=('kappa_bnitp',), lethalities=(0.9,)))
-
-
-def written(results, comparison, folder):
-    write_report(results, folder)
-    summary = json.loads((folder / 'summary.json').read_text())
-    told = comparison.table(summary[comparison.name]).markdown()
-    assert (folder / 'summary.md').read_text().endswith(told)
-    lines = (line.strip('| ').split(' | ') for line in told.splitlines()[4:])
-    return summary, list(zip(summary[comparison.name]['rows'], lines, strict=True))
+def run(study):
+    """Return the outcomes of all trials."""
+    return {trial: run_trial(study, trial) for trial in list_trials(study)}

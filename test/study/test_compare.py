@@ -7,8 +7,8 @@ from threading import Lock
 
 from kbnitp_ros.core import METHODS, PLANNERS, World
 from kbnitp_ros.core.planning.planners import coverage
-from kbnitp_ros.study import benchmark, compare, study_figures, study_tables
-from kbnitp_ros.study.scenario_file import read_scenario
+from kbnitp_ros.study import benchmark, compare
+from kbnitp_ros.study.scenario_file import read_study
 from laws import for_each
 import numpy as np
 import pytest
@@ -30,27 +30,43 @@ def results():
 
 def test_a_function_equals_the_named_planner(results):
     named = compare(SMALL, planners=['random', 'coverage'], methods=['kappa_bnitp'], workers=1)
+    assert results.strategies == [
+        f'{method}, {planner}'
+        for method in ('Ignorant', 'kappa_bnitp')
+        for planner in ('random', 'sweep')
+    ]
     one, other = (
-        each.to_dataframe().query("planner != 'random' and method == 'kappa_bnitp'")
-        for each in (results, named)
+        each.to_dataframe().query(f"strategy == '{name}'")['value'].tolist()
+        for each, name in ((results, 'kappa_bnitp, sweep'), (named, 'coverage'))
     )
-    assert set(one['planner']) == {'sweep'}
-    assert one['entropy'].tolist() == other['entropy'].tolist()
+    assert one == other
 
 
 def test_results_are_shown_in_a_line(results):
-    assert repr(results) == 'Results(8 missions of 3 robots: Ignorant, kappa_bnitp)'
+    assert repr(results).startswith('Results(2 worlds of 3 robots: Ignorant, random, Ignorant, sw')
 
 
 def test_a_class_is_the_method(results):
-    table = results.to_dataframe()
-    assert table['method'].unique().tolist() == ['Ignorant', 'kappa_bnitp']
-    ignorant = table.query("method == 'Ignorant'")
-    lost = ignorant['robots_lost'].diff() == 1
-    assert lost.any()
-    assert (ignorant['hazard_log_loss'].diff()[lost] == 0.0).all()
+    table = results.to_dataframe().query("strategy == 'Ignorant, sweep'")
+    lost, loss = (
+        table[table['measure'] == measure].groupby('world')['value'].diff()
+        for measure in ('robots_lost', 'hazard_log_loss')
+    )
+    assert (lost == 1).any()
+    assert (loss.to_numpy()[lost.to_numpy() == 1] == 0.0).all()
     assert 'Ignorant' not in METHODS
     assert 'sweep' not in PLANNERS
+
+
+def test_choices_are_axes():
+    changes = {'max_visits': [1, 2], 'prior.kappa': 0.5}
+    found = compare(SMALL, methods=['kappa_bnitp'], workers=1, trials=1, **changes)
+    assert found.axes == ['lethality', 'max_visits']
+    planning, prior = ({**SMALL['planning'], 'max_visits': 2}, {**SMALL['prior'], 'kappa': 0.5})
+    same = {**SMALL, 'planning': planning, 'prior': prior, 'trials': 1}
+    alone = compare(same, methods=['kappa_bnitp'], workers=1).to_dataframe()
+    chosen = found.to_dataframe().query('max_visits == 2')
+    assert chosen['value'].tolist() == alone['value'].tolist()
 
 
 @pytest.mark.processes
@@ -60,33 +76,6 @@ def test_other_processes_get_functions_without_a_module():
         compare(SMALL, planners=planners, workers=count).to_dataframe() for count in (1, 2)
     )
     assert here.equals(there)
-    assert set(here['planner']) == {'mine'}
-
-
-def test_tables_and_figures_have_their_names(results):
-    tables = study_tables(results)
-    assert list(tables) == ['summary', 'planners']
-    (first, second) = tables['planners'].to_dataframe().to_dict('records')
-    assert (first['method'], second['method']) == ('Ignorant', 'kappa_bnitp')
-    assert first['planner'] == 'sweep'
-    at_end = results.to_dataframe().query("deployment == 3 and method == 'Ignorant'")
-    means = at_end.groupby('planner')['robots_lost'].mean()
-    assert first['lost'] == means['sweep']
-    assert first['more lost'] == means['sweep'] - means['random']
-    assert first['lost low'] <= first['lost'] <= first['lost high']
-    assert 'log_loss' in study_figures(results)
-
-
-def test_a_table_in_latex_has_the_cells_of_that_in_markdown(results):
-    table = study_tables(results)['planners']
-    latex = table.latex()
-    assert latex.count('{') == latex.count('}')
-    rows = latex.partition('\\midrule\n')[2].partition('\\bottomrule')[0].splitlines()
-    lines = table.markdown().splitlines()[4:]
-    for row, line in zip(rows, lines, strict=True):
-        cells = row.removesuffix(r' \\').split(' & ')
-        plain = [cell.replace(r'\texttt{', '`').replace('}', '`') for cell in cells]
-        assert [cell.replace(r'\_', '_') for cell in plain] == line.strip('| ').split(' | ')
 
 
 def locked(lock):
@@ -104,7 +93,8 @@ def locked(lock):
     ({'planners': sweep}, TypeError, 'planners is <function sweep.*: it must be a list'),
     ({'scenario': 3}, TypeError, 'scenario is 3: it must be a name, a file or a mapping'),
     ({'trials': 0}, ValueError, 'trials is 0: it must be a whole number from 1'),
-    ({'trails': 3}, ValueError, 'trails is unknown: it has seed, trials'),
+    ({'trails': 3}, ValueError, 'trails is unknown: did you mean trials'),
+    ({'kappa': 0.5}, ValueError, 'kappa may be world.kappa or prior.kappa: give one'),
 ])  # fmt: skip
 def test_bad_comparisons_are_refused(given, error, words):
     with pytest.raises(error, match=words):
@@ -129,7 +119,7 @@ WORLDS = 'f0be80f0c0315837c1891eaa64a5fc9e92606b97f9e234872efb4c4fc5770066'
 
 @pytest.fixture(scope='module')
 def scenario():
-    return read_scenario(SCENARIOS / 'benchmark.yaml')
+    return read_study(SCENARIOS / 'benchmark.yaml').first
 
 
 def test_the_benchmark_is_frozen(scenario):
@@ -166,23 +156,33 @@ def test_planners_of_others_are_entered():
     assert 'relaxed_bnitp' in methods
 
 
+@for_each('name, complaint', [
+    ('methods', 'methods cannot be set'), ('workers', 'workers is unknown'),
+])  # fmt: skip
+def test_the_benchmark_chooses_what_it_compares(tmp_path, name, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        benchmark.run_benchmark(tmp_path, 1, {name: 'beam'})
+
+
 @pytest.mark.slow
 def test_the_table_has_a_row_for_each(monkeypatch, tmp_path):
     entered = ['random', 'beam', 'mine'], ['relaxed_itp', benchmark.METHOD]
     monkeypatch.setattr(benchmark, 'entered', lambda: entered)
     with PLANNERS.including({'mine': mine}):
-        written = benchmark.run_benchmark(tmp_path, 1, trials=1, robots=2)
+        written = benchmark.run_benchmark(tmp_path, 1, {'trials': 1, 'robots': [2, 3]})
     assert {each.name for each in written} == {
-        f'benchmark.{each}' for each in ('md', 'tex', 'pdf', 'png', 'svg')
+        *(f'benchmark.{each}' for each in ('md', 'tex', 'pdf', 'png', 'svg')),
+        *('table.csv', 'table.parquet'),
     }
     _, _, *rows = [
         line for line in (tmp_path / 'benchmark.md').read_text().splitlines() if '|' in line
     ]
     cells = [[cell.strip(' `') for cell in row.strip('|').split('|')] for row in rows]
-    assert [each[:2] for each in cells] == [
-        *([planner, benchmark.METHOD] for planner in entered[0]),
-        ['beam', 'relaxed_itp'],
-    ]
-    assert all(0.0 < float(each[3]) <= 1.0 for each in cells)
-    assert float(cells[1][3]) > float(cells[0][3])
-    assert all(float(each[5]) > 0.0 and 0 <= float(each[7]) <= 2 for each in cells)
+    pairs = [(planner, benchmark.METHOD) for planner in entered[0]] + [('beam', 'relaxed_itp')]
+    assert sorted(each[:3] for each in cells) == sorted(
+        [*pair, robots] for pair in pairs for robots in ('2', '3')
+    )
+    assert all(0.0 < float(each[4]) <= 1.0 for each in cells)
+    least = {each[0]: float(each[4]) for each in cells}
+    assert least['beam'] > least['random']
+    assert all(float(each[6]) > 0.0 and 0 <= float(each[8]) <= float(each[2]) for each in cells)

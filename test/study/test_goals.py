@@ -3,36 +3,17 @@
 
 from dataclasses import replace
 from itertools import product
-import json
 
 from kbnitp_ros.core import Estimator, Grid, HazardDraws, Lane, log_loss, Mission
 from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
-from kbnitp_ros.study import trial as running
-from kbnitp_ros.study.comparison import (
-    AREAS,
-    BY_KIND,
-    CERTIFICATES,
-    LANES,
-    OF_HAZARDS,
-    write_report,
-)
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import DecisionRequest, Hazards, Strategy, team_labels
+from kbnitp_ros.study.scenario import DecisionRequest, Hazards, Strategy
 from kbnitp_ros.study.scenario_file import parse_scenario
-from kbnitp_ros.study.trial import (
-    blobs,
-    DECLARED,
-    draw_world,
-    list_trials,
-    measure_names,
-    rows,
-    run_trial,
-    Trial,
-)
+from kbnitp_ros.study.trial import blobs, DECLARED, draw_world, rows, run_trial, Trial
 from laws import for_each
 import numpy as np
 import pytest
-from small_study import changed, CONTENT, run
+from small_study import changed, CONTENT, run, single
 
 GOAL = 11
 LANE = (Strategy(), Strategy(goal='safest_lane'), Strategy(goal='lane'))
@@ -54,141 +35,82 @@ def asked(scenario):
 
 @pytest.fixture(scope='module')
 def lanes(asked):
-    return run(asked)
+    return run(single(asked))
 
 
 @pytest.fixture(scope='module')
-def certificates(asked):
-    sure = replace(asked, trials=12, teams=LANE[2:], asked=DecisionRequest('lane', (GOAL,), 0.95))
-    return run(sure)
-
-
-def series(results, name, team):
-    return results.series(0.5, METHOD, name, team=team)
+def certified(asked):
+    """Return a study of missions that end at a confidence, and its outcomes."""
+    study = single(
+        replace(asked, trials=12, teams=LANE[2:], asked=DecisionRequest('lane', (GOAL,), 0.95))
+    )
+    return study, run(study)
 
 
 @pytest.mark.slow
 def test_every_strategy_is_asked_for_the_same_decision(asked, lanes):
     for number, team in product(range(asked.trials), asked.teams):
-        outcome = lanes.outcomes[Trial(0.5, METHOD, number, team)]
-        measured = dict(zip(measure_names(asked), outcome.measures.T))
-        hazard = outcome.truth[0]
+        outcome = lanes[Trial(0.5, METHOD, number, team)]
+        names = ('p_free', 'free', 'declared', 'declared_free', 'sent')
+        p_free, free, declared, declared_free, sent = (outcome[name] for name in names)
         truth = asked.truth(0.5, number)
+        rng = np.random.default_rng([asked.seed, number])
+        hazard = draw_world(asked, asked.field(), truth, rng, number).hazard
         prior = Estimator(asked.belief(truth), asked.model(truth), METHOD, seed=number)
         draws = HazardDraws.of(prior, 0)
         first = Lane(GOAL).decide(asked.field(), draws, prior.model, asked.planning.max_steps)
-        assert measured['p_free'][0] == first.p_free
-        assert measured['free'][0] == (not hazard[first.path].any())
-        assert set(measured['free']) <= {0.0, 1.0}
+        assert p_free[0] == first.p_free
+        assert free[0] == (not hazard[first.path].any())
+        assert set(free) <= {0.0, 1.0}
         if hazard[GOAL]:
-            assert not measured['free'].any()
-        # A cell is declared free only, at the required probability.
-        declared = outcome.believed[0, GOAL] <= 1.0 - DECLARED
-        assert measured['declared'][-1] == declared
-        assert measured['declared_free'][-1] == (declared and not hazard[GOAL])
-        assert measured['sent'].tolist() == list(range(13))
+            assert not free.any()
+        # Before the first robot no cell is declared free, and later rightly or wrongly.
+        assert declared[0] == (prior.belief.hazard[GOAL] <= 1.0 - DECLARED) == 0.0
+        assert (declared_free == declared * (not hazard[GOAL])).all()
+        assert sent.tolist() == list(range(13))
 
 
 @pytest.mark.slow
-def test_lanes_are_compared_with_those_of_the_first_strategy(lanes):
-    rows = LANES.summarise(lanes)['rows']
-    assert [(row['label'], row['robots']) for row in rows] == [
-        (f'goal {goal}', robots) for goal in ('map', 'safest_lane', 'lane') for robots in (10, 12)
-    ]
-    for row, (team, robots) in zip(rows, product(LANE, (10, 12)), strict=True):
-        free, first = (series(lanes, 'free', of)[:, robots] for of in (team, LANE[0]))
-        assert row['free']['mean'] == pytest.approx(free.mean(), abs=1e-6)
-        assert row['difference']['mean'] == pytest.approx((free - first).mean(), abs=1e-6)
-        believed = series(lanes, 'p_free', team)[:, robots]
-        assert row['believed']['mean'] == pytest.approx(believed.mean(), abs=1e-6)
+def test_the_table_says_how_often_certified_lanes_are_free(certified):
+    """By the cell of docs/files.md."""
+    study, outcomes = certified
+    table = Results.of(study, outcomes).to_dataframe()
+    wide = table.pivot(index=['world', 'robot'], columns='measure', values='value').reset_index()
+    confidence = 0.9
+    has_draws = (1 - confidence) * wide['independent_draws'] >= FEWEST_LEFT_OUT
+    sure = wide[has_draws & (wide['p_free'] >= confidence)].groupby('world').first()
+    stated, free, robots = [], [], []
+    for outcome in outcomes.values():
+        p_free = outcome['p_free']
+        end = next((robot for robot in range(13) if p_free[robot] >= confidence), None)
+        if end is not None:
+            stated.append(p_free[end])
+            free.append(outcome['free'][end])
+            robots.append(end)
+    assert sure['p_free'].tolist() == stated
+    assert sure['free'].tolist() == free
+    assert sure['robot'].tolist() == robots
+    assert len(stated) > 0
 
 
 @pytest.mark.slow
-def test_stopped_missions_have_the_stated_numbers(certificates):
-    [team] = certificates.scenario.teams
-    rows = CERTIFICATES.summarise(certificates)['rows']
-    assert [row['confidence'] for row in rows] == [0.9, 0.95]
-    names = ('sent', 'p_free', 'free', 'independent_draws')
-    sent, p_free, free, draws = (series(certificates, name, team) for name in names)
-    assert (draws == 2048).all()
-    for row in rows:
-        stated, true, robots = [], [], []
-        for mission in range(12):
-            for after in range(13):
-                if p_free[mission, after] >= row['confidence']:
-                    stated.append(p_free[mission, after])
-                    true.append(free[mission, after])
-                    robots.append(after)
-                    break
-        assert row['stopped'] == len(stated) > 0
-        assert row['stated']['mean'] == pytest.approx(np.mean(stated), abs=1e-6)
-        assert row['free']['mean'] == pytest.approx(np.mean(true), abs=1e-6)
-        assert row['sent']['mean'] == pytest.approx(np.mean(robots), abs=1e-6)
-    # A stopped mission keeps its last values; one that did not stop sent all robots.
-    assert (sent[:, -1] < 12).any()
-    for mission in range(12):
-        end = int(sent[mission, -1])
-        assert (p_free[mission, end:] == p_free[mission, end]).all()
-        assert (p_free[mission, :end] < 0.95).all()
-        assert end == 12 or p_free[mission, end] >= 0.95
-
-
-@pytest.mark.slow
-def test_a_stopped_mission_is_the_start_of_a_longer_one(asked, lanes, certificates):
-    [team] = certificates.scenario.teams
-    for number in range(asked.trials):
-        stopped, whole = (
-            of.outcomes[Trial(0.5, METHOD, number, team)].measures for of in (certificates, lanes)
-        )
-        place = measure_names(asked).index('sent')
-        end = int(stopped[-1, place])
-        np.testing.assert_array_equal(stopped[: end + 1], whole[: end + 1])
-
-
-@pytest.mark.slow
-def test_too_few_draws_certify_nothing(certificates):
-    changed = {}
-    place = measure_names(certificates.scenario).index('independent_draws')
-    for trial, outcome in certificates.outcomes.items():
-        measures = outcome.measures.copy()
-        measures[:, place] = FEWEST_LEFT_OUT / 0.07
-        changed[trial] = outcome._replace(measures=measures)
-    rows = CERTIFICATES.summarise(Results(certificates.scenario, changed))['rows']
-    assert [row['confidence'] for row in rows] == [0.9]
-
-
-@pytest.mark.slow
-def test_areas_are_measured_by_the_robots_to_declare_most_cells(asked):
-    """The rows agree with independent measures."""
-    area = replace(
-        asked,
-        trials=2,
-        teams=(Strategy(), Strategy(goal='area')),
-        asked=DecisionRequest('area', (3, GOAL)),
-    )
-    names = measure_names(area)
-    declared = {
-        (LANE[0], 0): [0.0] * 4 + [0.8] * 4 + [0.5] * 5,
-        (LANE[0], 1): [0.0] * 13,
-        (Strategy(goal='area'), 0): [0.0] * 2 + [1.0] * 11,
-        (Strategy(goal='area'), 1): [0.0] * 12 + [0.9],
-    }
-    outcomes = {}
-    for trial in list_trials(area):
-        outcome = run_trial(area, trial)
-        measures = outcome.measures.copy()
-        measures[:, names.index('declared')] = declared[trial.team, trial.number]
-        measures[:, names.index('declared_free')] = 0.5 * measures[:, names.index('declared')]
-        measures[:, names.index('robots_lost')] = np.arange(13)
-        outcomes[trial] = outcome._replace(measures=measures)
-    first, second = AREAS.summarise(Results(area, outcomes))['rows']
-
-    def means(row):
-        names = ('reached', 'needed', 'difference', 'lost', 'declared', 'wrong')
-        return [row[name]['mean'] for name in names]
-
-    assert means(first) == pytest.approx([0.5, 8.0, 0.0, 8.0, 0.25, 0.125])
-    assert means(second) == pytest.approx([1.0, 7.0, -1.0, 7.0, 0.95, 0.475])
+def test_a_stopped_mission_is_the_start_of_a_longer_one_and_keeps_its_last_values(
+    asked, lanes, certified
+):
+    study, outcomes = certified
+    [team] = study.first.teams
+    for number in range(12):
+        stopped = outcomes[Trial(0.5, METHOD, number, team)]
+        sent, p_free = (stopped[name] for name in ('sent', 'p_free'))
+        end = int(sent.iloc[-1])
+        assert end == 12 or p_free[end] >= 0.95
+        assert (p_free[:end] < 0.95).all()
+        assert (p_free[end:] == p_free[end]).all()
+        if number < asked.trials:
+            whole = lanes[Trial(0.5, METHOD, number, team)]
+            both = [each.loc[:end, :'declared_free'] for each in (stopped, whole)]
+            assert both[0].equals(both[1])
+    assert any(each['sent'].iloc[-1] < 12 for each in outcomes.values())
 
 
 @pytest.mark.slow
@@ -234,58 +156,28 @@ def test_beliefs_are_scored_by_the_field_of_their_time(scenario, kind, monkeypat
 
     original = Mission.run
     monkeypatch.setattr(Mission, 'run', keeping)
-    outcome = run_trial(scenario, Trial(0.9, 'kappa_bnitp', 1, RIGHT))
+    outcome = run_trial(single(scenario), Trial(0.9, 'kappa_bnitp', 1, RIGHT))
     (mission,) = missions
     fields = [deployment.world.hazard.tolist() for deployment in mission]
     assert len(set(map(tuple, fields))) > 1
-    losses = outcome.measures[1:, running.MEASURES.index('hazard_log_loss')]
+    losses = outcome['hazard_log_loss'][1:].tolist()
     assert losses == pytest.approx([log_loss(e.belief.hazard, e.world.hazard) for e in mission])
-    assert outcome.truth[0].tolist() == fields[-1]
 
 
 @for_each('kind', KINDS)
 def test_the_same_paths_give_the_same_evidence(scenario, kind):
     scenario = of_kind(scenario, kind)
-    static, same = (run_trial(scenario, Trial(0.9, 'kappa_bnitp', 1, t)) for t in (STATIC, SAME))
-    lost = running.MEASURES.index('robots_lost')
-    assert (same.measures[:, lost] == static.measures[:, lost]).all()
-    assert (same.truth == static.truth).all()
-    assert not np.array_equal(same.believed, static.believed)
+    trials = [Trial(0.9, 'kappa_bnitp', 1, team) for team in scenario.teams]
+    _, static, same = (run_trial(single(scenario), trial) for trial in trials)
+    lost, entropy = (
+        [each[name].tolist() for each in (static, same)] for name in ('robots_lost', 'entropy')
+    )
+    assert lost[0] == lost[1]
+    assert entropy[0] != entropy[1]
     # In worlds of static hazards all beliefs are equal.
-    still = replace(scenario, hazards=Hazards())
-    a, b, c = (run_trial(still, Trial(0.9, 'kappa_bnitp', 1, team)) for team in scenario.teams)
-    assert a.believed.tobytes() == b.believed.tobytes() == c.believed.tobytes()
-    assert a.measures.tobytes() == b.measures.tobytes() == c.measures.tobytes()
-
-
-@pytest.mark.slow
-def test_each_belief_is_compared_with_the_first(scenario, tmp_path):
-    scenario = of_kind(scenario, 'used_up', (RIGHT, STATIC))
-    results = run(scenario)
-    write_report(results, tmp_path)
-    summary = json.loads((tmp_path / 'summary.json').read_text())
-    assert (summary['kinds']['first'], summary['kinds']['robots']) == ('used up', [12])
-    (row,) = summary['kinds']['rows']
-    total = [
-        results.series(0.9, 'kappa_bnitp', 'hazard_log_loss', 'target_log_loss', team=team)[:, -1]
-        for team in (STATIC, RIGHT)
-    ]
-    assert row['believed'] == 'static'
-    assert row['difference'][0]['mean'] == pytest.approx((total[0] - total[1]).mean(), abs=1e-6)
-    for row, team in zip(summary['hazards']['rows'], (RIGHT, STATIC), strict=True):
-        series = results.series(0.9, 'kappa_bnitp', 'hazard_log_loss', team=team)
-        mean = row['hazard_log_loss'][0]['mean']
-        assert mean == pytest.approx(series[:, -1].mean(), abs=1e-6)
-    told = [each.table(summary[each.name]).markdown() for each in (OF_HAZARDS, BY_KIND)]
-    assert (tmp_path / 'summary.md').read_text().endswith('\n'.join(told))
-
-
-def test_rows_are_named_by_the_belief(scenario):
-    scenario = of_kind(scenario, 'used_up')
-    labels = 'used up, own paths', 'static, own paths', 'used up, static paths'
-    assert tuple(team_labels(scenario).values()) == labels
-    clustered = replace(scenario, teams=(RIGHT, Strategy(clustering='learn')))
-    assert tuple(team_labels(clustered).values()) == ('independent', 'clustered')
+    still = single(replace(scenario, hazards=Hazards()))
+    first, *others = (run_trial(still, trial) for trial in trials)
+    assert all(first.equals(each) for each in others)
 
 
 @for_each('key, value, told', [

@@ -13,13 +13,11 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.study.comparison import OF_LEARNING, OF_NUMBERS, study_figures
-from kbnitp_ros.study.results import LOG_LOSS
+from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, SAMPLED
-from kbnitp_ros.study.scenario_file import read_scenario
-from kbnitp_ros.study.trial import LEARNT, run_trial, Trial
+from kbnitp_ros.study.scenario_file import read_study
+from kbnitp_ros.study.trial import run_trial, Trial
 from laws import for_each
-from legible import check_lines, check_texts
 import numpy as np
 import pytest
 import small_study
@@ -57,24 +55,27 @@ DRAWN_STUDY = {
 
 
 def study(tmp_path, content):
-    return read_scenario(small_study.write(tmp_path / 'scenario.yaml', content))
+    return read_study(small_study.write(tmp_path / 'scenario.yaml', content))
 
 
 @pytest.fixture(scope='module')
 def learnt(tmp_path_factory):
-    return small_study.run(study(tmp_path_factory.mktemp('learnt'), LEARNT_STUDY))
+    """Return a study that learns numbers, and its outcomes."""
+    found = study(tmp_path_factory.mktemp('learnt'), LEARNT_STUDY)
+    return found, small_study.run(found)
 
 
 @pytest.fixture(scope='module')
 def drawn(tmp_path_factory):
-    """Return the results of a study with drawn parameters; do not change them."""
-    return small_study.run(study(tmp_path_factory.mktemp('drawn'), DRAWN_STUDY))
+    """Return a study with drawn numbers, and its outcomes."""
+    found = study(tmp_path_factory.mktemp('drawn'), DRAWN_STUDY)
+    return found, small_study.run(found)
 
 
 @for_each('believed', [None, 1.0])
 def test_the_learning_method_knows_the_other_numbers(learnt, believed):
-    scenario = replace(learnt.scenario, believed_lethality=believed)
-    outcome = run_trial(scenario, Trial(0.9, LEARNING, 2))
+    scenario = replace(learnt[0].first, believed_lethality=believed)
+    outcome = run_trial(small_study.single(scenario), Trial(0.9, LEARNING, 2))
     rng = np.random.default_rng([7, 2])
     world = World.random(scenario.field(), rng, 0.3, 0.8, 0.1)
     mission = run_mission(
@@ -88,38 +89,54 @@ def test_the_learning_method_knows_the_other_numbers(learnt, believed):
         SearchOptions('relaxed', max_steps=6, max_visits=2),
         learning=Learning(Unknowns(lethality=(0.1, 1.0), malfunction=Beta(2.0, 30.0)), seed=2),
     )
-    assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
-    place = NUMBERS.index('lethality')
+    assert outcome['entropy'].iloc[-1] == mission[-1].belief.entropy()
     known = mission[-1].parameters['lethality']
-    quantiles = [known.quantile(q) for q in LEARNT[2:]]
-    assert outcome.learnt[-1, place].tolist() == [known.mean, known.sd, *quantiles]
-    assert outcome.numbers[place] == 0.9
-    assert np.isnan(outcome.learnt[:, NUMBERS.index('kappa')]).all()
+    expected = [known.mean, known.sd, known.quantile(0.05), known.quantile(0.95), 0.9]
+    assert outcome.iloc[-1].filter(like='lethality_').tolist() == expected
 
 
-def test_methods_that_know_the_numbers_learn_nothing(learnt):
-    for trial, outcome in learnt.outcomes.items():
-        assert np.isnan(outcome.learnt).all() == (trial.method != LEARNING)
+def test_only_the_learning_method_has_learnt_numbers(learnt):
+    found, outcomes = learnt
+    for trial, outcome in outcomes.items():
+        for name in PRIORS:
+            assert (f'{name}_mean' in outcome) == (trial.method == LEARNING)
+    measures = Results.of(found, outcomes).measures
+    assert 'lethality_mean' in measures
+    assert 'kappa_mean' not in measures
 
 
 def test_numbers_are_drawn_by_world_and_known_to_informed_methods(drawn):
-    scenario = drawn.scenario
+    found, outcomes = drawn
+    scenario = found.first
     worlds = [scenario.truth(None, number) for number in range(3)]
     assert len({world['kappa'] for world in worlds}) == 3
     for number, truth in enumerate(worlds):
         assert truth['false_negative'] == 0.05
         assert 0.1 <= truth['lethality'] <= 1.0
         assert truth['target_background'] <= 0.3
-        for method in (LEARNING, SAMPLED):
-            outcome = drawn.outcomes[Trial(None, method, number)]
-            assert outcome.numbers.tolist() == [truth[name] for name in NUMBERS]
+        outcome = outcomes[Trial(None, LEARNING, number)]
+        for name in NUMBERS:
+            values = outcome[f'{name}_true']
+            assert set(values.tolist()) == {truth[name]}
     prior = scenario.belief(worlds[1])
     assert prior.hazard[0] == worlds[1]['hazard_density']
     assert prior.kappa[0] == pytest.approx(worlds[1]['kappa'])
     safe = prior.joint[0, 0]
     assert safe[1] / safe.sum() == pytest.approx(worlds[1]['target_background'])
-    known = drawn.outcomes[Trial(None, LEARNING, 1)].learnt
-    assert np.isfinite(known).all()
+
+
+def test_the_table_says_how_often_the_truth_is_within_the_quantiles(drawn):
+    """By the cell of docs/files.md."""
+    found, outcomes = drawn
+    table = Results.of(found, outcomes).to_dataframe()
+    assert set(table['lethality']) == {'null'}
+    keys = ['strategy', 'world', 'robot']
+    wide = table.pivot(index=keys, columns='measure', values='value').reset_index()
+    last = wide[(wide['strategy'] == LEARNING) & (wide['robot'] == 4)]
+    low, high, true = (last[f'kappa_{what}'] for what in ('5', '95', 'true'))
+    assert (low < high).all()
+    assert true.between(low, high).mean() in (0.0, 1 / 3, 2 / 3, 1.0)
+    assert true.tolist() == [found.first.truth(None, number)['kappa'] for number in range(3)]
 
 
 def test_numbers_are_drawn_from_their_priors():
@@ -132,42 +149,6 @@ def test_numbers_are_drawn_from_their_priors():
         assert np.mean(sample) == pytest.approx(mean, abs=4 * sd / 4000**0.5)
         assert np.std(sample) == pytest.approx(sd, rel=0.05)
         assert prior.low <= min(sample) < max(sample) <= prior.high
-
-
-def test_learnt_numbers_are_summarised(drawn):
-    (row,) = (
-        row for row in OF_NUMBERS.summarise(drawn)['rows'] if row['number'] == 'target_background'
-    )
-    known, truth = drawn.learnt(None)
-    place = NUMBERS.index('target_background')
-    last = known[:, -1, place]
-    errors = np.abs(last[:, 0] - truth[:, place])
-    assert row['error']['mean'] == pytest.approx(errors.mean(), abs=1e-6)
-    assert row['sd']['mean'] == pytest.approx(last[:, 1].mean(), abs=1e-6)
-    assert row['sd_before']['mean'] == pytest.approx(0.3 / 12**0.5, rel=1e-3)
-    within = (last[:, 2] <= truth[:, place]) & (truth[:, place] <= last[:, -1])
-    assert row['within']['mean'] == pytest.approx(within.mean(), abs=1e-6)
-
-
-def test_the_cost_of_learning_is_paired(learnt):
-    value = OF_LEARNING.summarise(learnt)
-    assert value['robots'] == [4]
-    rows = {(row['lethality'], row['method']): row['costs'] for row in value['rows']}
-    assert rows.keys() == {(p, m) for p in (0.2, 0.9) for m in ('kappa_bnitp', SAMPLED)}
-    learner, told = (
-        learnt.series(0.9, method, *LOG_LOSS)[:, -1] for method in (LEARNING, SAMPLED)
-    )
-    (cost,) = rows[0.9, SAMPLED]
-    assert cost['mean'] == pytest.approx((learner - told).mean(), abs=1e-6)
-
-
-@for_each('kind', ['drawn', 'learnt'], every=2)
-def test_learnt_numbers_can_be_read(request, kind):
-    figures = study_figures(request.getfixturevalue(kind))
-    assert 'numbers' in figures
-    for figure in figures.values():
-        check_texts(figure)
-        check_lines(figure)
 
 
 @for_each('changes, complaint', [

@@ -1,70 +1,104 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table has a row for every deployment; figures, means and intervals agree with it."""
+"""One tidy table: read back, compared in pairs, printed and drawn."""
 
 from dataclasses import replace
-import json
 
 from disk import room_for
-from kbnitp_ros.study.charts import columns_for, contender_labels, group_contenders, reliability
-from kbnitp_ros.study.comparison import study_figures, write_report
-from kbnitp_ros.study.results import bootstrap_mean, LOG_LOSS, Results, summarise, summary_table
+from kbnitp_ros.study import bootstrap, differences, study_figures
+from kbnitp_ros.study.comparing import write_report
+from kbnitp_ros.study.results import KEYS, Results
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, Trial
-from kbnitp_ros.styles import SERIES
+from kbnitp_ros.study.scenario_file import parse_study
+from kbnitp_ros.study.trial import Trial
 from laws import for_each
 from legible import check_lines, check_texts
 import numpy as np
+import pandas
 import pytest
-from small_study import run
+from small_study import CONTENT, run, single
+
+FIRST, PRINTED, EXACT = 'relaxed_bnitp', 'kappa_bnitp_published', 'kappa_bnitp'
 
 
-def test_the_table_is_tidy(results):
-    table = results.table()
-    types = {field.name: str(field.type) for field in table.schema}
-    texts = 'method allocation planner objective dynamics clustering paths goal'
-    reals = 'loss_cost last_contact survey trusted alpha lethality'
-    assert types == {
-        **dict.fromkeys(texts.split(), 'string'),
-        **dict.fromkeys((*reals.split(), *MEASURES), 'double'),
-        **dict.fromkeys(('trial', 'agents', 'second_base', 'deployment', 'robots_lost'), 'int64'),
-    }
-    assert table.num_rows == 2 * 3 * 3 * 5
-    columns = ('trial', 'method', 'lethality', 'deployment')
-    keys = list(zip(*(table[name].to_pylist() for name in columns)))
-    assert len(set(keys)) == len(keys)
-    assert keys[:6] == [
-        *((0, 'relaxed_bnitp', 0.2, deployment) for deployment in range(5)),
-        (1, 'relaxed_bnitp', 0.2, 0),
-    ]
+@pytest.fixture(scope='module')
+def chosen():
+    """Return a study with choices of numbers, texts and null, and its results."""
+    study = parse_study(
+        {**CONTENT, 'trials': 2, 'robots': 3},
+        {'max_visits': [1, 2], 'believed_lethality': [None, 1.0], 'ties': ['first', 'random']},
+    )
+    return study, Results.of(study, run(study))
 
 
-def test_every_row_holds_its_own_measures(results):
-    rows = results.table().to_pylist()
-    for row in rows:
-        outcome = results.outcomes[Trial(row['lethality'], row['method'], row['trial'])]
-        measured = outcome.measures[row['deployment']]
-        np.testing.assert_array_equal([row[name] for name in MEASURES], measured)
+def test_the_table_is_tidy(results, outcomes):
+    table = results.to_dataframe()
+    assert list(table) == ['world', 'strategy', 'lethality', 'robot', 'measure', 'value']
+    assert not table.duplicated(['world', 'strategy', 'lethality', 'robot', 'measure']).any()
+    assert results.axes == ['lethality']
+    assert results.strategies == [FIRST, PRINTED, EXACT]
+    for trial, outcome in outcomes.items():
+        rows = table[
+            (table['world'] == trial.number)
+            & (table['strategy'] == trial.method)
+            & (table['lethality'] == trial.lethality)
+        ]
+        values = outcome.to_numpy()
+        robot, measure = np.nonzero(~np.isnan(values))
+        assert rows['robot'].tolist() == robot.tolist()
+        assert rows['measure'].tolist() == outcome.columns[measure].tolist()
+        assert rows['value'].tolist() == values[robot, measure].tolist()
 
 
-def test_the_order_of_the_outcomes_does_not_matter(results):
-    backwards = Results(results.scenario, dict(reversed(results.outcomes.items()))).table()
-    without_nan = backwards.column_names[:-2]
-    assert backwards.select(without_nan).equals(results.table().select(without_nan))
+def test_each_choice_has_a_column(chosen):
+    study, results = chosen
+    assert results.axes == ['lethality', 'max_visits', 'believed_lethality', 'ties']
+    table = results.to_dataframe()
+    assert set(table['believed_lethality']) == {'null', '1.0'}
+    rows = table.query(
+        "max_visits == 2 and believed_lethality == '1.0' and ties == 'random' and "
+        "lethality == 0.9 and strategy == 'kappa_bnitp' and world == 1 and measure == 'entropy'"
+    )
+    trial = Trial(0.9, 'kappa_bnitp', 1, choices=(2, 1.0, 'random'))
+    entropy = run_one(study, trial)['entropy']
+    assert rows['value'].tolist() == entropy.tolist()
 
 
-def test_series_are_sums_by_trial_and_deployment(results):
-    series = results.series(0.9, 'kappa_bnitp', 'hazard_log_loss', 'target_log_loss')
-    assert series.shape == (3, 5)
-    measured = dict(zip(MEASURES, results.outcomes[Trial(0.9, 'kappa_bnitp', 2)].measures[4]))
-    assert series[2, 4] == measured['hazard_log_loss'] + measured['target_log_loss']
+def run_one(study, trial):
+    return run(replace(study, scenarios={trial.choices: study.scenarios[trial.choices]}))[trial]
 
 
-def test_final_maps_are_those_of_all_trials(results):
-    believed, truth = results.final_maps(0.9, 'kappa_bnitp')
-    assert believed.shape == truth.shape == (3, 2, 12)
-    outcome = results.outcomes[Trial(0.9, 'kappa_bnitp', 1)]
-    assert np.array_equal(believed[1], outcome.believed)
-    assert np.array_equal(truth[1], outcome.truth)
+@for_each('name', ['table.parquet', 'table.csv', ''])
+def test_results_are_read_back(chosen, tmp_path, name):
+    _, results = chosen
+    results.write(tmp_path)
+    found = Results.read(tmp_path / name)
+    assert (found.axes, found.strategies) == (results.axes, results.strategies)
+    assert repr(found) == repr(results)
+    exact = name != 'table.csv'
+    pandas.testing.assert_frame_equal(
+        found.to_dataframe(), results.to_dataframe(), check_exact=exact, rtol=0 if exact else 1e-9
+    )
+
+
+def test_a_table_is_csv_without_pyarrow(results, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__('sys').modules, 'pyarrow', None)
+    assert results.write(tmp_path) == [tmp_path / 'table.csv']
+    assert Results.read(tmp_path).strategies == results.strategies
+
+
+@for_each('made, complaint', [
+    (lambda folder: folder, 'has no table.csv: run the study again'),
+    (lambda folder: folder / 'none.csv', 'none.csv has no table.csv'),
+])  # fmt: skip
+def test_an_unfinished_study_is_refused(tmp_path, made, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        Results.read(made(tmp_path))
+
+
+@for_each('name', KEYS)
+def test_a_table_without_a_column_is_refused(results, name):
+    with pytest.raises(ValueError, match=f'the table has no column {name}: it needs world, str'):
+        Results(results.to_dataframe().drop(columns=name))
 
 
 def test_the_interval_is_that_of_resampled_means():
@@ -72,195 +106,128 @@ def test_the_interval_is_that_of_resampled_means():
     rng = np.random.default_rng(1)
     resampled = rng.choice(samples, (100_000, 4)).mean(axis=1)
     expected = np.quantile(resampled, (0.025, 0.975))
-    np.testing.assert_allclose(bootstrap_mean(samples)[1:], expected, atol=0.2)
+    np.testing.assert_allclose(bootstrap(samples)[1:], expected, atol=0.2)
+    np.testing.assert_allclose(bootstrap(samples, rng)[1:], expected, atol=0.3)
+    assert bootstrap(np.arange(30.0), rng) != bootstrap(np.arange(30.0))
+    assert bootstrap(samples) == bootstrap(samples, np.random.default_rng(0))
+    both = bootstrap(np.stack([samples, 2 * samples], axis=1))
+    np.testing.assert_array_equal([each[1] for each in both], 2 * np.array([e[0] for e in both]))
 
 
-def test_differences_are_paired(results):
-    summary = summarise(results)
-    assert (summary['trials'], summary['robots']) == (3, 4)
-    assert summary['reference'] == 'kappa_bnitp'
-    rows = {(row['lethality'], row['method']): row for row in summary['rows']}
+def test_the_interval_covers_the_mean_of_worlds_at_its_rate():
+    rng = np.random.default_rng(5)
+    covered = 0
+    for _ in range(300):
+        _, low, high = bootstrap(rng.normal(3.0, 2.0, 60), rng)
+        covered += low <= 3.0 <= high
+    assert 0.90 <= covered / 300 <= 0.98
+
+
+def final(scenario, outcomes, method, name):
+    return np.array([outcomes[Trial(0.9, method, n)][name].iloc[-1] for n in range(3)])
+
+
+def test_differences_are_paired_by_world(results, outcomes, scenario):
+    exact, first = (final(scenario, outcomes, each, 'log_loss') for each in (EXACT, FIRST))
+    found = results.difference(EXACT, FIRST).set_index('lethality').loc[0.9]
+    assert found[['mean', 'low', 'high']].tolist() == list(bootstrap(exact - first))
+    assert found['worlds'] == 3
+    # Rows in any order, and worlds that only one has, change nothing.
+    table = results.to_dataframe()
+    fewer = Results(table[~((table['world'] == 2) & (table['strategy'] == FIRST))].sample(frac=1))
+    pair = fewer.difference(EXACT, FIRST).set_index('lethality').loc[0.9]
+    assert pair['mean'] == pytest.approx((exact - first)[:2].mean())
+    assert pair['worlds'] == 2
+    early = results.difference(EXACT, FIRST, 'robots_lost', robot=1)
+    assert early['mean'].tolist() == [0.0, 0.0]
+
+
+@for_each('given, complaint', [
+    ((EXACT, 'magic'), "strategy 'magic' is unknown: the table has relaxed_bnitp, kappa"),
+    ((EXACT, FIRST, 'log_los'), "measure is 'log_los': did you mean log_loss"),
+    ((EXACT, FIRST, 'log_loss', 9), 'robot is 9: it must be one of the table, such as 4'),
+])  # fmt: skip
+def test_what_a_table_lacks_is_refused(results, given, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        results.difference(*given)
+
+
+def test_the_summary_has_means_and_differences_with_intervals(results, outcomes, scenario):
+    rows = results.summary().set_index(['lethality', 'strategy'])
     assert len(rows) == 6
-    final = {
-        method: results.series(0.9, method, *LOG_LOSS)[:, -1]
-        for method in results.scenario.methods
-    }
-    row = rows[0.9, 'relaxed_bnitp']
-    assert row['log_loss']['mean'] == pytest.approx(final['relaxed_bnitp'].mean(), abs=1e-6)
-    mean, low, high = bootstrap_mean(final['kappa_bnitp'] - final['relaxed_bnitp'])
-    assert row['difference'] == pytest.approx({'mean': mean, 'low': low, 'high': high}, abs=1e-6)
-    believed, truth = results.final_maps(0.9, 'relaxed_bnitp')
-    false = [b[1][t[0] & ~t[1]].sum() for b, t in zip(believed, truth)]
-    assert row['false_targets']['mean'] == pytest.approx(np.mean(false), abs=1e-6)
-    assert 'difference' not in rows[0.9, 'kappa_bnitp']
-    assert row['robots_lost']['mean'] == results.series(0.9, 'relaxed_bnitp', 'robots_lost')[
-        :, -1
-    ].mean().round(6)
+    printed, first = (final(scenario, outcomes, each, 'log_loss') for each in (PRINTED, FIRST))
+    for samples, name in ((printed, 'log loss'), (printed - first, 'difference')):
+        mean, low, high = bootstrap(samples)
+        assert rows.loc[(0.9, PRINTED), name] == f'{mean:.1f} [{low:.1f}, {high:.1f}]'
+    assert rows.loc[(0.9, FIRST), 'difference'] == ''
+    lost = final(scenario, outcomes, PRINTED, 'robots_lost').mean()
+    assert rows.loc[(0.9, PRINTED), 'robots lost'].startswith(f'{lost:.1f} [')
 
 
-def test_a_single_trial_has_no_interval(results):
-    alone = {trial: outcome for trial, outcome in results.outcomes.items() if not trial.number}
-    summary = summarise(Results(replace(results.scenario, trials=1), alone))
-    assert summary['rows'][0]['entropy']['low'] is None
-    json.dumps(summary, allow_nan=False)
-    assert '[' not in summary_table(summary).markdown().split('|---|')[1]
+def test_a_table_in_latex_has_the_cells_of_that_in_markdown(chosen):
+    _, results = chosen
+    latex = results.latex()
+    assert latex.count('{') == latex.count('}')
+    rows = latex.partition('\\midrule\n')[2].partition('\\bottomrule')[0].splitlines()
+    lines = results.markdown().splitlines()[4:]
+    assert len(lines) == 2 * 8 * 3
+    for row, line in zip(rows, lines, strict=True):
+        cells = row.removesuffix(r' \\').split(' & ')
+        plain = [cell.replace(r'\_', '_').strip() for cell in cells]
+        assert plain == [cell.strip() for cell in line[1:-1].split('|')]
+    assert r'95 \% bootstrap' in latex
 
 
-def test_the_printed_table_agrees_with_the_summary(results):
-    summary = summarise(results)
-    lines = summary_table(summary).markdown().splitlines()
-    cells = [line.strip('| ').split(' | ') for line in lines if line.startswith('| 0')]
-    assert len(cells) == len(summary['rows'])
-    for row, (lethality, method, log_loss, *_) in zip(summary['rows'], cells):
-        assert float(lethality) == row['lethality']
-        assert method == f'`{row["method"]}`'
-        entry = row['log_loss']
-        assert log_loss == f'{entry["mean"]:.1f} [{entry["low"]:.1f}, {entry["high"]:.1f}]'
+def test_a_single_world_has_no_interval(results):
+    table = results.to_dataframe()
+    alone = Results(table[table['world'] == 0])
+    assert alone.means('entropy')['low'].isna().all()
+    assert '[' not in alone.markdown().split('|---|')[1]
 
 
-@pytest.mark.slow
-def test_a_calibrated_belief_is_on_the_diagonal():
-    rng = np.random.default_rng(0)
-    believed = rng.random((25, 4000))
-    held, there = reliability(believed, rng.random(believed.shape) < believed)
-    np.testing.assert_allclose(held, np.arange(0.05, 1, 0.1), atol=0.01)
-    np.testing.assert_allclose(there, held, atol=0.02)
-
-
-@pytest.mark.slow
-def test_reliability_by_hand():
-    believed = np.array([0.9, 0.1, 0.9, 0.2] * 5)
-    truth = np.array([True, False, False, True] * 5)
-    held, there = reliability(believed, truth)
-    np.testing.assert_allclose(held, [0.1, 0.1, 0.15, 0.2, 0.2, 0.9, 0.9, 0.9, 0.9, 0.9])
-    assert there[:5].tolist() == [0.0, 0.0, 0.5, 1.0, 1.0]
-
-
-@pytest.mark.slow
-@for_each('lethalities, trials', [((0.2, 0.9), 3), ((0.9,), 1)], every=2)
-def test_every_study_has_its_report(results, tmp_path, pictures, lethalities, trials):
-    scenario = replace(results.scenario, lethalities=lethalities, trials=trials)
-    written = write_report(Results(scenario, results.outcomes), tmp_path)
-    assert sorted(tmp_path.iterdir()) == sorted(written)
-    assert all(path.stat().st_size for path in written)
-
-
-@pytest.mark.slow
 def test_a_full_disk_is_reported_by_file(results, tmp_path):
-    with room_for(1000), pytest.raises(OSError, match=f'File too large: {str(tmp_path)!r}'):
+    with room_for(1000), pytest.raises(OSError, match=f'File too large: .{tmp_path}'):
         write_report(results, tmp_path)
 
 
-ALLOCATED = (
-    Strategy(),
-    *(Strategy(n, how) for n in (2, 4, 8) for how in ('independent', 'voronoi', 'greedy')),
-)
-COSTS = tuple(Strategy(loss_cost=cost) for cost in (0.0, 0.05, 0.1, 0.2, 0.4, 0.8))
-SURVEYS = (
-    Strategy(),
-    *(Strategy(survey=right) for right in (0.7, 0.9, 0.99)),
-    *(Strategy(survey=0.5, trusted=trusted) for trusted in (0.7, 0.9)),
-    Strategy(survey=0.7, trusted=0.9),
-)
-PLANNERS = tuple(Strategy(planner=name) for name in ('', 'coverage', 'random'))
-CONTACTS = tuple(Strategy(last_contact=heard) for heard in (0.0, 0.2, 1.0))
-ALL_METHODS = (
-    'relaxed_itp',
-    'relaxed_bnitp',
-    'kappa_bnitp_published',
-    'kappa_bnitp',
-    'kappa_bnitp_sampled',
-)
-LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
-STUDIES = {
-    'planners': {'teams': PLANNERS, 'lethalities': (0.1, 0.3, 0.5, 0.9)},
-    'methods': {'methods': ALL_METHODS, 'lethalities': LETHALITIES},
-    'allocations': {'teams': ALLOCATED, 'lethalities': (0.1, 0.5, 0.9), 'robots': 9},
-    'loss costs': {'teams': COSTS, 'lethalities': (0.1, 0.3, 0.5)},
-    'surveys': {'teams': SURVEYS, 'lethalities': (0.1, 0.5)},
-    'contacts': {'teams': CONTACTS, 'lethalities': (0.5,), 'trials': 1},
-    'methods and teams': {'methods': ALL_METHODS[2:5], 'teams': PLANNERS},
+MANY = {
+    'planners': {'teams': tuple(Strategy(planner=name) for name in ('', 'coverage', 'random'))},
+    'costs': {
+        'teams': tuple(Strategy(loss_cost=cost) for cost in (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)),
+        'lethalities': (0.1, 0.3, 0.5),
+    },
+    'contacts': {'teams': (Strategy(), Strategy(last_contact=0.5)), 'trials': 1},
+    'lethalities': {'lethalities': (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)},
 }
 
 
-def changed(scenario, changes):
-    return replace(scenario, **{'methods': ('kappa_bnitp',), 'trials': 2} | changes)
-
-
 @pytest.mark.slow
-@for_each('name', STUDIES, every=9)
+@for_each('name', MANY, every=4)
 def test_figures_are_legible(scenario, name):
-    scenario = changed(scenario, STUDIES[name])
-    figures = study_figures(run(scenario))
-    assert {'entropy', 'log_loss', 'reliability'} <= figures.keys()
+    changes = {'methods': ('kappa_bnitp',), 'trials': 2} | MANY[name]
+    study = single(replace(scenario, **changes))
+    figures = study_figures(Results.of(study, run(study)))
+    assert {'entropy', 'log_loss', 'final'} <= figures.keys()
+    assert ('differences' in figures) == (len(study.first.contenders) > 1)
     for figure in figures.values():
         check_texts(figure)
-        check_lines(figure)
-    _, lines = figures['reliability'].axes[0].get_legend_handles_labels()
-    assert len(lines) == len(scenario.lethalities)
+    for name in figures.keys() - {'final'}:
+        check_lines(figures[name])
 
 
 @pytest.mark.slow
-@for_each('name', STUDIES)
-def test_every_contender_is_in_a_panel_of_few(scenario, name):
-    contenders = changed(scenario, STUDIES[name]).contenders
-    groups = group_contenders(contenders)
-    assert all(1 < len(group) <= len(SERIES) for group in groups)
-    assert {each for group in groups for each in group} == set(contenders)
-    assert (len(groups) == 1) == (len(contenders) <= len(SERIES))
+def test_figures_of_choices_are_legible(chosen):
+    for figure in study_figures(chosen[1]).values():
+        check_texts(figure)
 
 
-@pytest.mark.slow
-def test_teams_share_a_panel_by_allocation_with_robots_one_by_one(scenario):
-    groups = group_contenders(changed(scenario, STUDIES['allocations']).contenders)
-    assert [[team for _, team in group] for group in groups] == [
-        [Strategy(), *(Strategy(agents, how) for agents in (2, 4, 8))]
-        for how in ('independent', 'voronoi', 'greedy')
-    ]
-
-
-@pytest.mark.slow
-@for_each('methods, teams, expected', [
-    (('kappa_bnitp',), (Strategy(),), ['kappa_bnitp']),
-    (ALL_METHODS[:2], (Strategy(),), list(ALL_METHODS[:2])),
-    (ALL_METHODS[3:4], COSTS[:2], ['loss cost 0', 'loss cost 0.05']),
-    (ALL_METHODS[3:4], CONTACTS[:2], ['last contact 0', 'last contact 0.2']),
-    (ALL_METHODS[3:4], PLANNERS[:2], ['relaxed', 'coverage']),
-    (
-        ALL_METHODS[3:4],
-        (*SURVEYS[:2], SURVEYS[-1]),
-        ['no map', 'map 0.7', 'map 0.7 trusted as 0.9'],
-    ),
-    (('kappa_bnitp',), (Strategy(), Strategy(2)), ['one by one', '2 greedy']),
-    (
-        ALL_METHODS[:2],
-        (Strategy(), Strategy(2)),
-        [f'{of}, {team}' for of in ALL_METHODS[:2] for team in ('one by one', '2 greedy')],
-    ),
-])  # fmt: skip
-def test_contenders_are_named_by_their_differences(scenario, methods, teams, expected):
-    scenario = replace(scenario, methods=methods, teams=teams)
-    assert list(contender_labels(scenario).values()) == expected
-
-
-@pytest.mark.slow
-def test_rows_of_panels_are_full_if_they_can_be():
-    assert [columns_for(panels) for panels in range(1, 10)] == [1, 2, 3, 4, 3, 3, 4, 4, 3]
-
-
-@pytest.mark.slow
-def test_lines_are_the_measured_values(scenario):
-    """The log loss after each round is read back from the figure of the rounds."""
-    scenario = changed(scenario, {**STUDIES['allocations'], 'lethalities': (0.1, 0.9)})
-    outcomes = {trial: run_trial(scenario, trial) for trial in list_trials(scenario)}
-    results = Results(scenario, outcomes)
-    panels = iter(study_figures(results)['by_round'].axes)
-    for group in group_contenders(scenario.contenders):
-        for lethality in scenario.lethalities:
-            for (method, team), line in zip(group, next(panels).lines, strict=True):
-                log_loss = results.series(
-                    lethality, method, 'hazard_log_loss', 'target_log_loss', team=team
-                ).mean(axis=0)
-                ends = [*range(0, 9, team.agents), 9]
-                np.testing.assert_allclose(line.get_ydata(), log_loss[ends])
-                assert line.get_label() == contender_labels(scenario)[method, team]
+def test_lines_are_the_measured_values(chosen):
+    """The paired differences are read back from the figure."""
+    _, results = chosen
+    panels = iter(differences(results, 'log_loss').axes)
+    for _, series in results.series('log_loss'):
+        axes = next(panels)
+        lines = [line for line in axes.lines if len(line.get_xdata()) == 4]
+        for strategy, line in zip((PRINTED, EXACT), lines, strict=True):
+            expected = (series[strategy] - series[FIRST]).mean()
+            np.testing.assert_allclose(line.get_ydata(), expected, atol=1e-12)

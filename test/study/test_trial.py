@@ -16,10 +16,12 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.study.scenario import Strategy
-from kbnitp_ros.study.trial import list_trials, MEASURES, run_trial, surveyed, Trial
+from kbnitp_ros.study.scenario_file import parse_study
+from kbnitp_ros.study.trial import list_trials, run_trial, surveyed, Trial, without_ties
 from laws import for_each
 import numpy as np
 import pytest
+from small_study import CONTENT, single
 
 
 def fly(scenario, trial, believed=None):
@@ -44,77 +46,113 @@ def fly(scenario, trial, believed=None):
     return world, prior, mission
 
 
-def column(outcome, name):
-    return outcome.measures[:, MEASURES.index(name)]
-
-
 @for_each('method', ['relaxed_bnitp', 'kappa_bnitp'])
 def test_the_measures_are_those_of_the_mission(scenario, method):
     trial = Trial(0.9, method, 2)
-    outcome = run_trial(scenario, trial)
+    outcome = run_trial(single(scenario), trial)
     world, prior, mission = fly(scenario, trial)
     first = prior.independent() if method == 'relaxed_bnitp' else prior
     beliefs = [first, *(deployment.belief for deployment in mission)]
-    assert column(outcome, 'entropy').tolist() == [b.entropy() for b in beliefs]
-    assert column(outcome, 'joint_entropy').tolist() == [b.joint_entropy() for b in beliefs]
+    assert outcome['entropy'].tolist() == [b.entropy() for b in beliefs]
+    assert outcome['joint_entropy'].tolist() == [b.joint_entropy() for b in beliefs]
     np.testing.assert_allclose(
-        column(outcome, 'entropy_hazard') + column(outcome, 'entropy_target'),
-        column(outcome, 'entropy'),
+        outcome['entropy_hazard'] + outcome['entropy_target'],
+        outcome['entropy'],
     )
+    total = np.zeros(len(beliefs))
     for name in ('hazard', 'target'):
         maps, truth = [getattr(b, name) for b in beliefs], getattr(world, name)
         losses = [log_loss(p, truth) for p in maps]
-        assert column(outcome, f'{name}_log_loss').tolist() == losses
-        assert column(outcome, f'{name}_brier').tolist() == [brier_score(p, truth) for p in maps]
+        assert outcome[f'{name}_log_loss'].tolist() == losses
+        total += losses
+        assert outcome[f'{name}_brier'].tolist() == [brier_score(p, truth) for p in maps]
     fates = [deployment.observation.survived for deployment in mission]
-    assert column(outcome, 'robots_lost').tolist() == [
+    assert outcome['robots_lost'].tolist() == [
         fates[:robots].count(False) for robots in range(len(fates) + 1)
     ]
-    planned = column(outcome, 'planned_information')
+    planned = outcome['planned_information']
     assert np.isnan(planned[0])
     assert planned[1:].tolist() == [deployment.plan.information for deployment in mission]
-    realised = column(outcome, 'realised_information')
+    realised = outcome['realised_information']
     assert np.isnan(realised[0])
     assert realised[1] == first.joint_entropy() - mission[0].belief.joint_entropy()
-    assert outcome.believed.tolist() == [
-        mission[-1].belief.hazard.tolist(),
-        mission[-1].belief.target.tolist(),
-    ]
-    assert outcome.truth.tolist() == [world.hazard.tolist(), world.target.tolist()]
+    assert outcome['log_loss'].tolist() == total.tolist()
+    alone = world.hazard & ~world.target
+    assert outcome['false_targets'].tolist() == pytest.approx(
+        [b.target[alone].sum() for b in beliefs]
+    )
+    assert len(outcome) == len(beliefs)
 
 
-def test_trials_of_one_number_share_their_world(results):
-    worlds = {}
-    for trial, outcome in results.outcomes.items():
-        worlds.setdefault(trial.number, set()).add(outcome.truth.tobytes())
-    assert [len(same) for same in worlds.values()] == [1, 1, 1]
-    assert len(set.union(*worlds.values())) == 3
+def test_beliefs_are_compared_with_the_truth_by_classes_of_probability(scenario):
+    trial = Trial(0.9, 'kappa_bnitp', 2)
+    outcome = run_trial(single(scenario), trial)
+    world, _, mission = fly(scenario, trial)
+    assert outcome.iloc[:-1].filter(regex='_[0-9]$').isna().all(axis=None)
+    for name in ('hazard', 'target'):
+        believed, truth = getattr(mission[-1].belief, name), getattr(world, name)
+        for place in range(10):
+            inside = (believed >= place / 10) & ((believed < (place + 1) / 10) | (place == 9))
+            for what, expected in (
+                ('cells', inside.sum()),
+                ('expected', believed[inside].sum()),
+                ('true', truth[inside].sum()),
+            ):
+                found = outcome[f'{name}_{what}_{place}'].iloc[-1]
+                assert found == pytest.approx(expected)
 
 
-def test_methods_share_the_fate_of_the_first_robot(results):
-    """They plan on the same belief until evidence separates them."""
+def test_trials_of_one_number_share_their_world_and_the_fate_of_the_first_robot(outcomes):
+    """Methods plan on the same belief until evidence separates them."""
     for number in range(3):
+        exact, published = (
+            outcomes[Trial(0.2, method, number)]
+            for method in ('kappa_bnitp', 'kappa_bnitp_published')
+        )
         for measure in ('planned_information', 'robots_lost'):
-            exact, published = (
-                results.series(0.2, method, measure)[number, 1]
-                for method in ('kappa_bnitp', 'kappa_bnitp_published')
-            )
-            assert exact == published
+            assert exact[measure][1] == published[measure][1]
+        hazards = [each.iloc[-1].filter(like='hazard_true_').sum() for each in (exact, published)]
+        assert hazards[0] == hazards[1]
 
 
 @for_each('team, believed', [(Strategy(3, 'voronoi', 0.1), None), (Strategy(), 1.0)])
 def test_a_team_leaves_together_and_the_believed_lethality_may_be_wrong(scenario, team, believed):
     trial = Trial(0.2, 'kappa_bnitp', 1, team)
-    outcome = run_trial(replace(scenario, believed_lethality=believed), trial)
+    changed = replace(scenario, believed_lethality=believed)
+    outcome = run_trial(single(changed), trial)
     _, _, mission = fly(scenario, trial, believed)
-    assert outcome.believed[0].tolist() == mission[-1].belief.hazard.tolist()
-    alone = run_trial(scenario, Trial(0.2, 'kappa_bnitp', 1))
-    assert outcome.believed.tolist() != alone.believed.tolist()
-    assert outcome.truth.tolist() == alone.truth.tolist()
+    entropy = outcome['entropy']
+    assert entropy[1:].tolist() == [deployment.belief.entropy() for deployment in mission]
+    alone = run_trial(single(scenario), Trial(0.2, 'kappa_bnitp', 1))
+    assert entropy.tolist() != alone['entropy'].tolist()
 
 
-def test_the_trials_are_all_combinations(scenario):
-    trials = list_trials(scenario)
+def test_choices_are_run_in_the_same_worlds():
+    study = parse_study(CONTENT, {'max_visits': [1, 2], 'ties': ['first', 'random']})
+    assert study.axes == ('max_visits', 'ties')
+    trials = list_trials(study)
+    assert len(trials) == 4 * 2 * 3 * 3
+    found = {}
+    for choices, scenario in study.scenarios.items():
+        trial = Trial(0.9, 'kappa_bnitp', 1, choices=choices)
+        assert trial in trials
+        outcome = run_trial(study, trial)
+        assert outcome.equals(run_trial(single(scenario), trial._replace(choices=())))
+        found[choices] = outcome
+    targets = {each.iloc[-1].filter(like='target_true_').sum() for each in found.values()}
+    assert len(targets) == 1
+    assert not found[1, 'first'].equals(found[1, 'random'])
+
+
+def test_ties_are_broken_by_less_than_evidence_changes():
+    broken = without_ties(PRIOR, 1, 2)
+    assert broken.hazard[1:] == pytest.approx(PRIOR.hazard[1:], rel=2e-6)
+    assert len(set(broken.hazard.tolist())) == GRID.cells
+    assert broken.hazard[0] == 0.0
+
+
+def test_the_trials_are_all_combinations(study):
+    trials = list_trials(study)
     assert len(set(trials)) == len(trials) == 2 * 3 * 3
     assert trials[:4] == [
         Trial(0.2, 'relaxed_bnitp', 0),
