@@ -5,67 +5,37 @@ from itertools import product
 from math import prod
 from pathlib import Path
 import re
+from shutil import copytree
 import subprocess
 import sys
 
 from kbnitp_ros.core import log_loss, World
-from kbnitp_ros.study.scenario import in_short, team_labels
-from kbnitp_ros.study.scenario_file import read_scenario
+from kbnitp_ros.study.results import Results
+from kbnitp_ros.study.scenario_file import read_study
 from laws import for_each
 import numpy as np
-from PIL import Image
 import pytest
 
 DOCS = Path(__file__).parents[2] / 'docs'
 SCENARIOS = DOCS.parent / 'config/scenarios'
-METHODS = read_scenario(SCENARIOS / 'paper.yaml').methods
+TOOL = DOCS.parent / 'tools/results_page.py'
 LETHALITIES = (0.01, 0.1, 0.3, 0.5, 0.6, 0.9)
-FEW = ('25', '50', '100')
+PRINTED = ('relaxed_bnitp', 'kappa_bnitp_published')
 
 
 def split_row(line):
     return [cell.strip() for cell in line.strip('|\n ').split('|')]
 
 
-def table_text(scenario):
-    text = (DOCS / f'tables/{scenario}.md').read_text()
-    (block,) = re.findall('<!-- table -->\n(.*?)<!-- end -->', text, re.DOTALL)
-    return block
-
-
-def table_rows(scenario, place=0):
-    """Return the rows of a scenario's first or second table, [{column: text}]."""
-    tables = re.findall(r'(?:^\|.*\n)+', table_text(scenario), re.MULTILINE)
-    header, _, *lines = map(split_row, tables[place].splitlines())
-    return [dict(zip(header, line)) for line in lines]
+def table_rows(mark):
+    """Return the rows of the table behind a mark of docs/results.md, [{column: text}]."""
+    block = (DOCS / 'results.md').read_text().partition(f'<!-- {mark} -->\n')[2]
+    header, _, *lines = map(split_row, re.search(r'(?:^\|.*\n)+', block, re.M)[0].splitlines())
+    return [dict(zip(header, line, strict=True)) for line in lines]
 
 
 def numbers(cell):
     return tuple(map(float, re.findall(r'-?\d+\.\d+', cell)))
-
-
-def table(scenario):
-    """Return {(lethality, method): {column: (mean, low, high)}}."""
-    return {
-        (float(row['lethality']), row['method'].strip('`')): {
-            column: numbers(cell) for column, cell in row.items()
-        }
-        for row in table_rows(scenario)
-    }
-
-
-@for_each('path', sorted((DOCS / 'tables').glob('*.md')))
-def test_tables_are_of_whole_studies_with_their_names_of_rows(path):
-    scenario = read_scenario(SCENARIOS / path.name.replace('.md', '.yaml'))
-    labels = team_labels(scenario)
-    told = [(row['lethality'], row['method'].partition(', ')[2]) for row in table_rows(path.stem)]
-    assert told == [
-        (in_short(lethality), labels[team])
-        for lethality in scenario.lethalities
-        for _, team in scenario.contenders
-    ]
-    (said,) = re.findall(r'^After (\d+) robots: means of (\d+) trials', table_text(path.stem))
-    assert said == (str(scenario.robots), str(scenario.trials))
 
 
 def results():
@@ -81,26 +51,121 @@ def test_every_figure_is_shown():
     assert sorted(shown) == sorted(there)
 
 
+def test_every_study_of_the_page_has_a_page_of_tables():
+    linked = set(re.findall(r'\]\((?:\.\./)?tables/(\w+)\.md\)', results()))
+    assert sorted(linked) == sorted(each.stem for each in (DOCS / 'tables').glob('*.md'))
+
+
+def test_numbers_on_the_pages_are_in_the_tables_of_their_studies():
+    number = re.compile(r'-?\d+(?:\.\d+)?')
+    checked = []
+    for page in sorted(DOCS.glob('results/*.md')):
+        for section in re.split('^(?=#)', page.read_text(), flags=re.MULTILINE):
+            scenarios = re.findall(r'\]\(\.\./tables/(\w+)\.md\)', section)
+            tables = [(DOCS / f'tables/{scenario}.md').read_text() for scenario in scenarios]
+            told = {found for table in tables for found in number.findall(table)}
+            told |= {f'{float(found):.0f}' for found in told}
+            for row in re.findall(r'^\| (?!lethality|study|---).*', section, re.MULTILINE):
+                if scenarios:
+                    assert set(number.findall(row)) <= told, row
+                    checked += scenarios
+    assert {*checked} > {'changing_hazards', 'blobs', 'lanes', 'areas', 'certificates'}
+
+
+@pytest.mark.processes
+def test_the_pages_are_made_of_the_tables(tmp_path):
+    docs = copytree(DOCS, tmp_path / 'docs')
+    made = [docs / 'results.md', *sorted(docs.glob('tables/*.md'))]
+    before = {page: page.read_text() for page in made}
+    emptied = re.sub(
+        '(<!-- verdicts -->\n).*?(<!-- end -->)', r'\1\2', before[made[0]], flags=re.S
+    )
+    assert emptied != before[made[0]]
+    made[0].write_text(emptied)
+    subprocess.run([sys.executable, TOOL, docs], check=True)
+    assert {page: page.read_text() for page in made} == before
+
+
+@pytest.fixture(scope='module')
+def paper():
+    """Return the last row of each mission of the paper's study, and its first log loss."""
+    return Results.read(DOCS / 'tables/paper.csv.gz').to_dataframe()
+
+
 @for_each(
-    'scenario, before, worse',
-    [('paper', 107, (0.5, 0.6, 0.9)), ('calibrated', 74, LETHALITIES[2:])],
+    'mark, measure', [('verdicts', None), ('default', 'log_loss'), ('default', 'robots_lost')]
 )
-def test_the_printed_update_can_be_worse_than_the_prior(scenario, before, worse):
-    rows = table(scenario)
-    for lethality, method in product(LETHALITIES, METHODS):
-        printed = method in ('relaxed_bnitp', 'kappa_bnitp_published')
-        assert (rows[lethality, method]['log loss'][1] > before) == (
-            printed and lethality in worse
-        )
-        assert rows[lethality, method]['entropy'][2] < before
-    for lethality in LETHALITIES[1:]:
-        lost = [rows[lethality, method]['robots lost'][0] for method in METHODS]
-        assert min(lost[1:3]) > max(lost[0], *lost[3:])
+def test_differences_of_the_page_are_means_of_the_table(paper, mark, measure):
+    """By another way than the tool's: the difference of means."""
+    base = paper.query(
+        "hazard == 0.5 and target == 0.45 and `prior.kappa` == 0.8 and ties == 'first' and "
+        'max_steps == 18'
+    )
+    keys = ['measure', 'lethality', 'max_visits', 'strategy', 'robot']
+    means = base.groupby(keys, observed=True)['value'].mean()
+    for place, row in enumerate(table_rows(mark)):
+        for visits in (1, 3):
+            a_cell = f'{visits} visit{"s" * (visits > 1)} a cell'
+            if mark == 'default':
+                at = measure, float(row['lethality']), visits
+                cell = row[f'{measure.replace("_", " ")}, {a_cell}']
+                expected = [means[(*at, 'kappa_bnitp', 100)] - means[(*at, PRINTED[1], 100)]]
+            else:
+                lethality = (0.5, 0.6, 0.9, 0.3, 0.1, 0.01, 0.9, 0.5, 0.5)[place]
+                at = row['measure'].replace(' ', '_'), lethality, visits
+                cell = row[a_cell]
+                others = {'ITP': 'relaxed_itp', 'BNITP': 'relaxed_bnitp', 'the prior': PRINTED[1]}
+                expected = [
+                    means[(*at, PRINTED[1], 100)]
+                    - means[(*at, others[name], 0 if name == 'the prior' else 100)]
+                    for name in re.findall(r'(ITP|BNITP|the prior): ', cell)
+                ]
+            found = [float(each) for each in re.findall(r'(-?\d+\.\d+) \[', cell)]
+            assert found == pytest.approx(expected, abs=0.051)
 
 
-@for_each('name, nats', [('paper', 107), ('calibrated', 74)])
+def test_verdicts_follow_from_the_intervals_of_the_page():
+    for row in table_rows('verdicts'):
+        claim = row['claim of the paper']
+        is_below = claim.startswith(('At 50', 'At 60', 'κ', 'Entropy'))
+        held = []
+        for visits in ('1 visit a cell', '3 visits a cell'):
+            intervals = re.findall(r'\[(-?\d+\.\d+), (-?\d+\.\d+)\]', row[visits])
+            ends = [(float(low), float(high)) for low, high in intervals]
+            held.append(all(high < 0 if is_below else low > 0 for low, high in ends))
+        words = row['verdict'].strip('*')
+        assert (
+            words.partition(':')[0]
+            == {
+                (True, True): 'reproduced',
+                (True, False): 'reproduced only with 1 visit a cell',
+                (False, True): 'reproduced only with 3 visits a cell',
+                (False, False): 'not reproduced',
+            }[tuple(held)]
+        ), claim
+
+
+@for_each(
+    'scenario, worse, before',
+    [('paper', LETHALITIES[3:], 107), ('calibrated', LETHALITIES[2:], 75)],
+)
+def test_the_printed_update_can_be_worse_than_the_prior(scenario, worse, before):
+    table = Results.read(DOCS / f'tables/{scenario}.csv.gz').to_dataframe()
+    for name, value in (('ties', 'first'), ('hazard', 0.5), ('target', 0.45), ('max_steps', 18)):
+        table = table[table[name] == value] if name in table else table
+    if scenario == 'paper':
+        table = table[table['prior.kappa'] == 0.8]
+    keys = ['measure', 'lethality', 'strategy', 'robot']
+    means = table.groupby(keys, observed=True)['value'].mean()
+    for lethality, method in product(LETHALITIES, (*PRINTED, 'relaxed_itp', 'kappa_bnitp')):
+        rises = means['log_loss', lethality, method, 100] > means['log_loss', lethality, method, 0]
+        assert rises == (method in PRINTED and lethality in worse), (lethality, method)
+        assert means['entropy', lethality, method, 100] < before
+
+
+@for_each('name, nats', [('paper', 107), ('calibrated', 75)])
 def test_the_log_loss_before_the_first_robot(name, nats):
-    scenario = read_scenario(SCENARIOS / f'{name}.yaml')
+    scenario = read_study(SCENARIOS / f'{name}.yaml').first
     prior = scenario.belief(scenario.truth(0.5, 0))
     losses = []
     for number in range(scenario.trials):
@@ -147,62 +212,3 @@ def test_the_example_is_right():
         assert line == [f'{losses}', *(f'{p:.4f}' for p in (*hazards, exact_hazard(losses)))]
         hazards, _ = printed_loss(hazards)
     assert len(lines) == 6
-
-
-@pytest.mark.processes
-def test_tables_and_shown_figures_are_copied_to_the_pages(tmp_path):
-    runs, docs = tmp_path / 'runs', tmp_path / 'docs'
-    (runs / 'paper').mkdir(parents=True)
-    (docs / 'images').mkdir(parents=True)
-    colours = {'entropy': 'red', 'log_loss': 'blue', 'reliability': 'lime'}
-    for figure, colour in colours.items():
-        Image.new('RGB', (3200, 1000), colour).save(runs / 'paper' / f'{figure}.png')
-    (runs / 'paper' / 'summary.md').write_text('new\n')
-    shown = (
-        '![Words](images/paper_entropy.png)\n![Words](images/other_log_loss.png)\n'
-        '![Words](images/paper_log_loss.png)\n'
-    )
-    (docs / 'results.md').write_text(shown)
-    (docs / 'tables').mkdir()
-    before = 'Words\n<!-- table -->\nold\nold\n<!-- end -->\nWords\n'
-    (docs / 'tables/paper.md').write_text(before)
-    subprocess.run([sys.executable, DOCS.parent / 'tools/results_page.py', runs, docs], check=True)
-    assert (docs / 'results.md').read_text() == shown
-    assert (docs / 'tables/paper.md').read_text() == before.replace('old\nold\n', 'new\n')
-    brought = {path.name: Image.open(path) for path in (docs / 'images').iterdir()}
-    assert brought.keys() == {'paper_entropy.png', 'paper_log_loss.png'}
-    for name, colour in (('paper_entropy.png', (255, 0, 0)), ('paper_log_loss.png', (0, 0, 255))):
-        assert brought[name].size == (1600, 500)
-        assert brought[name].convert('RGB').getpixel((800, 250)) == colour
-
-
-def test_every_study_of_the_page_has_a_page_of_tables():
-    linked = re.findall(r'\]\((?:\.\./)?tables/(\w+)\.md\)', results())
-    assert sorted(linked) == sorted(each.stem for each in (DOCS / 'tables').glob('*.md'))
-    for scenario in linked:
-        page = (DOCS / f'tables/{scenario}.md').read_text()
-        assert re.search(r'\[Results\]\(\.\./results(/\w+)?\.md#', page)
-
-
-def test_numbers_on_the_page_are_in_the_tables_of_their_studies():
-    number = re.compile(r'-?\d+(?:\.\d+)?')
-    checked = []
-    for section in re.split('^(?=#)', results(), flags=re.MULTILINE):
-        scenarios = re.findall(r'\]\((?:\.\./)?tables/(\w+)\.md\)', section)
-        told = {n for scenario in scenarios for n in number.findall(table_text(scenario))}
-        told |= {f'{float(n):.0f}' for n in told}
-        for row in re.findall(r'^\| (?!lethality|study|---).*', section, re.MULTILINE):
-            if scenarios:
-                assert set(number.findall(row)) <= told, row
-                checked += scenarios
-    assert {*checked} > {'changing_hazards', 'blobs', 'lanes', 'areas', 'certificates'}
-
-
-def test_lanes_that_are_certified_are_free_as_often_as_stated():
-    for name, place in (('', 1), ('_learning', 3), ('_clustered', 1)):
-        for row in table_rows(f'certificates{name}', place):
-            free, (difference, _, high) = numbers(row['free']), numbers(row['difference'])
-            assert difference >= -0.01
-            assert high >= 0
-            asked = float(row['confidence'])
-            assert free[0] > asked - (0.004 if asked == 0.99 else 0)
