@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import Any, TYPE_CHECKING
+from typing import Any, overload, TYPE_CHECKING
 
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
@@ -372,7 +372,13 @@ class Mission(Sequence[Deployment]):
                 self._send(planned, robot_type)
         return self
 
-    def __getitem__(self, place: Any) -> Any:
+    @overload
+    def __getitem__(self, place: int) -> Deployment: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Deployment]: ...
+
+    def __getitem__(self, place: int | slice) -> Deployment | list[Deployment]:
         return self._deployments[place]
 
     def __eq__(self, other: object) -> bool:
