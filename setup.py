@@ -42,6 +42,7 @@ if is_built_by_colcon and not any(Path(p, 'share/kbnitp_msgs').exists() for p in
 
 shown = ['jinja2', 'matplotlib', 'pillow', 'tqdm']
 studies = ['joblib', 'pandas', 'pyarrow', 'threadpoolctl']
+pages = ['furo', 'myst-nb', 'myst-parser', 'numpydoc', 'sphinx', 'sphinx-mathjax-offline']
 logs = ['lz4', 'mcap', 'mcap-ros2-support', 'pyproj', 'zstandard']
 
 setup(
@@ -66,6 +67,7 @@ setup(
         'study': [*shown, *studies],
         'report': [*shown, *logs],
         'environments': ['gymnasium>=1.1'],
+        'docs': [*pages, *shown, *studies, *logs],
         'all': [*shown, *studies, *logs],
     },
     zip_safe=False,

@@ -18,6 +18,14 @@ DERIVATIONS = ['mathematics', *sorted(f'mathematics/{p.stem}' for p in DOCS.glob
 # `make docs` fails on warnings by itself.
 pytestmark = [pytest.mark.full, pytest.mark.processes]
 
+# Sphinx as on a machine without ROS.
+SPHINX = """
+import sys
+sys.modules.update(dict.fromkeys(('rclpy', 'kbnitp_msgs', 'ament_index_python')))
+from sphinx.cmd.build import main
+sys.exit(main(sys.argv[1:]))
+"""
+
 # Pixels of a phone, a tablet and a desktop; with colour schemes, which change no width.
 WIDTHS = 390, 800, 1400
 LOOKS = [*product(WIDTHS, ['light']), (WIDTHS[-1], 'dark')]
@@ -29,12 +37,12 @@ LOADED = re.compile(r'<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)="
 
 @pytest.fixture(scope='module')
 def site(tmp_path_factory, worker_id):
-    """Return the folder of the site, built like by `make docs`, once for all workers."""
+    """Return the folder of the site, built like by `make docs` but without ROS, once for all."""
     pytest.importorskip('sphinx', reason='make docs installs what the site needs')
     own = tmp_path_factory.getbasetemp()
     html = (own if worker_id == 'master' else own.parent) / 'site'
     options = ['--fail-on-warning', '--keep-going', '--quiet', '-d', html / '.doctrees']
-    sphinx = [sys.executable, '-m', 'sphinx', *options, '-b', 'html', DOCS, html]
+    sphinx = [sys.executable, '-c', SPHINX, *options, '-b', 'html', DOCS, html]
     with html.with_suffix('.lock').open('w') as lock:
         flock(lock, LOCK_EX)
         if not html.exists():
