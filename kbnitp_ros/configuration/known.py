@@ -22,10 +22,7 @@ ROS_PARAMETERS = (CLOCK, 'start_type_description_service', 'qos_overrides', TOPI
 GONE = {
     ('planner', 'bound'): 'benchmarks/bound.py computes it',
     ('recorder', 'compression'): 'ros2 bag convert compresses a log',
-    (
-        'recorder',
-        'max_file_size',
-    ): 'a run of the recorder is one file, and ros2 bag convert splits',
+    ('recorder', 'max_file_size'): 'ros2 bag convert splits a log',
     ('recorder', 'max_file_duration'): 'a run of the recorder is one file',
 }
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from threading import Thread
+from functools import partial
 
 from kbnitp_msgs.msg import ModelBelief
+from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.core import Ledger
 from kbnitp_ros.messages.progress import Checked, model_belief, NOT_CHECKED
 from kbnitp_ros.nodes.runtime import qos
@@ -37,7 +38,6 @@ class Models:
         self._publish()
         if self._running is None and abs(len(ledger.deployments) - self._begun) >= self._every:
             self._running = self._check()
-            self._running.add_done_callback(lambda _: self._node.call_next(self._take))
 
     def finish(self) -> None:
         """Publish the model with the check of the last belief, if it takes less than `LAST`."""
@@ -62,17 +62,11 @@ class Models:
         ledger, stamp = self._newest
         # A late deployment gives the ledger another estimator, and leaves this one as it is.
         estimator, self._begun = ledger.estimator, len(ledger.deployments)
-        done: Future[Checked] = Future()
-
-        def work(deployments: int = self._begun) -> None:
-            try:
-                done.set_result(Checked(estimator.check, deployments, stamp))
-            except Exception as error:
-                done.set_exception(error)
-
-        # A thread that ends with its process, whatever it computes.
-        Thread(target=work, name='model check', daemon=True).start()
-        return done
+        deployments = self._begun
+        return computed(
+            lambda: Checked(estimator.check, deployments, stamp),
+            partial(self._node.call_next, self._take),
+        )
 
     def _take(self) -> None:
         if self._running is not None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -33,7 +34,7 @@ from kbnitp_ros.core.inference.methods import (
     METHODS,
     supported_dynamics,
 )
-from kbnitp_ros.core.inference.model_check import Checker, ModelCheck
+from kbnitp_ros.core.inference.model_check import Alternatives, Checker, ModelCheck
 from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.record import deployment_order, DeploymentKey, MissionRecord, Report
 from kbnitp_ros.plugins import entry_name, PluginError
@@ -129,7 +130,9 @@ class Estimator:
         self._checker: Checker | None = None
         if isinstance(start, OnePass) and start.learns:
             prior = belief if start.correlated else belief.independent()
-            self._checker = Checker(prior, model, unknowns, self.seed, dynamics)
+            self._checker = Checker(
+                partial(Alternatives, prior, model, unknowns, self.seed, dynamics)
+            )
         try:
             with METHODS.blamed(method):
                 self._inference = self._checked(

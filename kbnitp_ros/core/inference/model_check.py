@@ -9,7 +9,7 @@ reaches 20 with a probability of at most .05 (Ville's inequality, :eq:`model-che
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -68,15 +68,8 @@ class ModelCheck:
 class Checker:
     """The check of a mission's evidence against alternatives to the belief's model."""
 
-    def __init__(
-        self,
-        belief: Belief,
-        model: SensorModel,
-        unknowns: Unknowns,
-        seed: int,
-        dynamics: Dynamics,
-    ) -> None:
-        self._given = belief, model, unknowns, seed, dynamics
+    def __init__(self, prior: Callable[[], Alternatives]) -> None:
+        self._prior = prior
         # The prior, and after the first check what the last two checks ended with: evidence mostly
         # goes on from the last, or from the one before where a late report came in between.
         self._ends: list[Alternatives] = []
@@ -86,7 +79,7 @@ class Checker:
     ) -> ModelCheck:
         """Return the check of all evidence, given the belief's prediction of each deployment."""
         # Studies never check, so the banks are made here.
-        self._ends = self._ends or [Alternatives(*self._given)]
+        self._ends = self._ends or [self._prior()]
         begun = [each for each in self._ends if each.begin(evidence)]
         end = begun[-1]
         for place in range(len(end.evidence), len(evidence)):
@@ -133,7 +126,7 @@ class Alternatives:
         self._turned_at: int | None = None
 
     def begin(self, evidence: Sequence[tuple[Observation, RobotType]]) -> bool:
-        """Return whether evidence begins with the deployments so far."""
+        """Return whether evidence starts with the deployments so far."""
         return len(self.evidence) <= len(evidence) and all(
             ours is theirs for ours, (theirs, _) in zip(self.evidence, evidence)
         )
