@@ -27,14 +27,14 @@ BELOW = {
     'environments': {'plugins', 'core'},
     'messages': {'core'},
     'maps': {'files', 'plugins', 'core'},
-    'log': {'files', 'core', 'messages'},
+    'base': {'files', 'core', 'messages'},
+    'log': {'files', 'core', 'messages', 'base'},
     'robot': {'files', 'core', 'messages'},
     'styles': {'core'},
     'figures': {'core', 'plugins', 'styles'},
     'study': {'files', 'plugins', 'core', 'figures', 'styles'},
     'report': {'files', 'core', 'maps', 'messages', 'log', 'styles'},
-    'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'log'},
-    'base': {'files', 'core', 'messages', 'log', 'configuration'},
+    'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'base', 'log'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
     'nodes': {
         'files', 'core', 'messages', 'log', 'base', 'robot', 'configuration',
@@ -42,7 +42,7 @@ BELOW = {
     },
     'cli': {
         'files', 'core', 'messages', 'log', 'study', 'figures', 'report', 'configuration',
-        'base', 'nodes.runtime',
+        'nodes.runtime',
     },
 }  # fmt: skip
 

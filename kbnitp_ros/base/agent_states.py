@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.states import AgentState, Readiness
 
@@ -14,9 +13,10 @@ from kbnitp_ros.messages.states import AgentState, Readiness
 class AgentStates:
     """The newest state of each agent of a team."""
 
-    def __init__(self, grid: Grid, values: Mapping[str, Any], agents: Collection[str]) -> None:
-        self._fields = {agent: grid.at(own_base(values, agent, grid)) for agent in agents}
-        self._presumes = values['presume_departure']
+    def __init__(self, fields: Mapping[str, Grid], values: Mapping[str, Any]) -> None:
+        # The field of each agent, with its base.
+        self._fields = fields
+        self._values = values
         self._states: dict[str, AgentState] = {}
         # Differences between the field of an agent and the field of the base, by agent.
         self.foreign: dict[str, str] = {}
@@ -36,9 +36,9 @@ class AgentStates:
         """Return the agents whose field is not known, so that they get no order."""
         # An agent whose departures are presumed may be out of radio range: its reports say which
         # field it has.
-        return (
-            [] if self._presumes else [each for each in self._fields if each not in self._states]
-        )
+        if self._values['presume_departure']:
+            return []
+        return [each for each in self._fields if each not in self._states]
 
     def reason(self, agent: str) -> str:
         """Return the agent's field if it differs, or else the reason of its state; '' if none."""

@@ -1,20 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mission that paths and beliefs belong to, and how to resume it from a log."""
+"""The mission that paths and beliefs belong to."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from kbnitp_msgs.msg import DeploymentReport
-from kbnitp_ros.base.rounds import Plans, Rounds
-from kbnitp_ros.configuration.agents import make_robot_types
-from kbnitp_ros.configuration.table import MAX_ROBOTS
-from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.log.record import MissingError, read_newest_round, read_resumed, RecordedMission
-from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.base.state import MAX_ROBOTS, MissingError
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.deployments import report_message, Source
 from kbnitp_ros.messages.headers import check_mission, named, shown
 
 
@@ -101,47 +93,3 @@ class MissionTracker:
             self.newest = snapshot
             self._rules = snapshot.rules()
         return is_newest
-
-
-def read_planner_record(
-    log: MissionLog, grid: Grid, values: Mapping[str, Any], agents: Collection[str]
-) -> RecordedMission:
-    """Read the record of a mission to resume; check that its agents are in the team."""
-    robot_types = make_robot_types(values, grid)
-    record = read_resumed(log, grid, values['max_steps'], robot_types)
-    for key in record.orders:
-        if key.agent not in agents:
-            raise ValueError(
-                f'{log.path} has deployments of {key.agent}: the parameter agents names only '
-                f'{", ".join(agents)}'
-            )
-    return record
-
-
-def recorded_losses(
-    record: RecordedMission, values: Mapping[str, Any]
-) -> Iterator[tuple[DeploymentKey, DeploymentReport]]:
-    """Yield the losses that the former planner reported."""
-    given_up = record.operator.given_up
-    for key in record.orders:
-        is_own = values['silent_loss'] or key in given_up
-        outcome = record.outcome(key)
-        if is_own and outcome is not None and not outcome.survived:
-            source = Source.OPERATOR if key in given_up else Source.SILENCE
-            yield key, report_message(key, outcome, record.reports[key].stamp, source)
-
-
-def missing_plans(
-    log: MissionLog, record: RecordedMission, agents: Collection[str], rounds: Rounds
-) -> tuple[Plans, int] | None:
-    """Return the plans without a recorded path in the newest round, and the mission."""
-    operator = record.operator
-    newest_round = None if operator.is_holding else read_newest_round(log, record)
-    if newest_round is None:
-        return None
-    planned_on, keys = newest_round
-    recorded = {key: record.paths[key] for key in keys}
-    refused = operator.refused(planned_on.deployments)
-    at_base = {key for key in keys if record.departures.is_refused(key)}
-    plans = rounds.missing(planned_on, list(agents), recorded, refused, at_base)
-    return plans, planned_on.mission

@@ -9,11 +9,10 @@ from enum import auto, Enum
 from typing import Any
 
 from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, MAX_STILL
+from kbnitp_ros.base.state import BaseState, MAX_STILL
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.files import counted, some
-from kbnitp_ros.messages.operator_actions import OperatorState
 from kbnitp_ros.messages.progress import MissionState
 
 # Version whose messages this base exchanges with agents.
@@ -52,12 +51,10 @@ class PlannerState:
     # The planner's parameters by name.
     values: Mapping[str, Any]
     agents: Sequence[str]
-    # The deployments in flight.
-    in_flight: DeploymentsInFlight
+    # The evidence, the robots in flight, and what the operator ordered.
+    base: BaseState
     # What the agents say of themselves.
     states: AgentStates
-    # The state set by the operator's actions.
-    operator: OperatorState
     # Description of the pending operator action; empty if none is pending.
     unrecorded_action: str
     # Number of robots sent, including those known only from the belief.
@@ -68,6 +65,8 @@ class PlannerState:
     last_received: int
     # Last refusal of evidence by the estimator since the last belief; empty if none.
     refusal: str
+    # Number of paths and reports of each agent that publishers keep.
+    kept: int
     # Number of nodes that publish beliefs.
     estimators: int
     # Whether the decision on the newest belief is ready, so that robots can be planned.
@@ -98,15 +97,15 @@ class PlannerState:
     @property
     def reported(self) -> int:
         """Return the number of deployments reported, which the next belief must hold."""
-        return self.sent - len(self.in_flight)
+        return self.sent - len(self.base.in_flight)
 
     @property
     def robots(self) -> int:
         """Return the number of robots to deploy, or after end_mission the number that departed."""
-        if self.operator.is_ended:
-            return self.sent - len({*self.in_flight.undeparted, *self.in_flight.held})
+        if self.base.operator.is_ended:
+            return self.sent - len({*self.base.undeparted, *self.base.held})
         # Robots that came back without a step are sent again.
-        robots: int = self.values['robots'] + len(self.in_flight.unmoved)
+        robots: int = self.values['robots'] + len(self.base.unmoved)
         return robots
 
     @property
@@ -114,10 +113,12 @@ class PlannerState:
         """Return the deployments in flight that the next round waits for."""
         # Agents that left the graph do not delay other agents, nor do held deployments. After
         # end_mission, robots at their base do not depart any more.
-        at_base = self.in_flight.undeparted if self.operator.is_ended else ()
-        left_out = {*self.in_flight.held, *at_base}
+        at_base = self.base.undeparted if self.base.operator.is_ended else ()
+        left_out = {*self.base.held, *at_base}
         return [
-            key for key in self.in_flight if key.agent not in self.absent and key not in left_out
+            key
+            for key in self.base.in_flight
+            if key.agent not in self.absent and key not in left_out
         ]
 
     @property
@@ -130,9 +131,9 @@ class PlannerState:
     @property
     def free_agents(self) -> list[str]:
         """Return the agents that are present and have no robot in flight."""
-        out = {key.agent for key in self.in_flight}
+        out = {key.agent for key in self.base.in_flight}
         taken = {*out, *self.absent, *self.mute, *self.outdated, *self.left_alone}
-        taken |= {*self.states.foreign, *self.states.unstated, *self.in_flight.still_agents}
+        taken |= {*self.states.foreign, *self.states.unstated, *self.base.still_agents}
         return [agent for agent in self.agents if agent not in taken]
 
     @property
@@ -140,7 +141,7 @@ class PlannerState:
         """Return the condition that blocks the next deployment; None if there is none."""
         if self.unrecorded_action:
             return Obstacle.ACTION_UNRECORDED
-        if self.newest is None and (self.sent or not self.operator.is_ended):
+        if self.newest is None and (self.sent or not self.base.operator.is_ended):
             return Obstacle.NO_BELIEF
         held = self.newest or 0
         unreported = self.unreported
@@ -158,7 +159,7 @@ class PlannerState:
             return Obstacle.NO_SUBSCRIBER
         if self.sent >= self.robots:
             return Obstacle.ALL_LEFT
-        if self.operator.is_paused:
+        if self.base.operator.is_paused:
             return Obstacle.PAUSED
         return None if self.free_agents else Obstacle.NO_FREE_AGENT
 
@@ -179,11 +180,11 @@ class PlannerState:
 
     def mission_state(self, obstacle: Obstacle) -> MissionState:
         """Return the state of the mission while a condition blocks deployments."""
-        if self.operator.is_ended:
+        if self.base.operator.is_ended:
             return MissionState.ENDED
         if obstacle.is_end:
             return MissionState.DONE
-        return MissionState.PAUSED if self.operator.is_paused else MissionState.RUNNING
+        return MissionState.PAUSED if self.base.operator.is_paused else MissionState.RUNNING
 
 
 def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
@@ -210,7 +211,7 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:
-            out = [key for key in now.in_flight if key not in now.in_flight.held]
+            out = [key for key in now.base.in_flight if key not in now.base.held]
             last = f'the last robots in flight: {some(out)} (parameter robots)' if out else ''
             return '; '.join(filter(None, [last, held_robots(now)]))
         case Obstacle.PAUSED:
@@ -238,8 +239,8 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
 
 def deployed(now: PlannerState) -> str:
     """Return the number of deployments of a mission that is over."""
-    by_operator = ', ended by the operator' * now.operator.is_ended
-    deployed = (now.newest or 0) - len(now.in_flight.unmoved)
+    by_operator = ', ended by the operator' * now.base.operator.is_ended
+    deployed = (now.newest or 0) - len(now.base.unmoved)
     return f'{deployed} of {now.values["robots"]} robots deployed{by_operator}'
 
 
@@ -254,8 +255,8 @@ def not_repeated(kept: int) -> str:
 def next_belief(now: PlannerState) -> str:
     """Describe the wait for the next belief."""
     wait = f'a belief that holds {counted(now.reported, "deployment")}'
-    if now.last_received < now.reported and now.in_flight.forgotten:
-        again = not_repeated(now.in_flight.kept)
+    if now.last_received < now.reported and now.base.forgotten(now.kept):
+        again = not_repeated(now.kept)
         return f'{wait}; the last belief holds {now.last_received}{again}'
     refusal = f'; {now.refusal}' if now.refusal else ''
     return f'{wait} on {belief_topic(now)}{refusal}'
@@ -272,12 +273,12 @@ def report(now: PlannerState) -> str:
     key = min(now.unreported, key=deployment_order)
     agent = now.topic(key.agent)
     wait = f'the report of {key} on {agent}/report'
-    if now.values['recorded'] and not now.in_flight[key].is_recorded:
+    if now.values['recorded'] and not now.base.in_flight[key].is_recorded:
         return (
             f'{wait}: its robot leaves once the recorder acknowledges its path on '
             f'{agent}/recorded (parameter recorded)'
         )
-    if not now.in_flight.has_departed(key) and key.agent not in now.silent:
+    if not now.base.is_away(key) and key.agent not in now.silent:
         said = now.states.reason(key.agent)
         says = f'; {key.agent} says: {said}' if said else ''
         return f'the departure of {key}, which its agent reports on {agent}/status{says}'
@@ -292,7 +293,7 @@ def report(now: PlannerState) -> str:
 
 def held_robots(now: PlannerState) -> str:
     """Describe the held deployments, and the operator's choice; empty if there are none."""
-    held = [f'{key}: {why}' for key, why in now.in_flight.held.items()]
+    held = [f'{key}: {why}' for key, why in now.base.held.items()]
     if not held:
         return ''
     return (
@@ -305,8 +306,8 @@ def free_agent(now: PlannerState) -> str:
     """Explain why no agent is free."""
     absent, mute, left_alone = now.absent, now.mute, now.left_alone
     unstated = [agent for agent in now.states.unstated if agent not in absent]
-    out = [key for key in now.in_flight if key not in now.in_flight.held]
-    still = now.in_flight.still_agents
+    out = [key for key in now.base.in_flight if key not in now.base.held]
+    still = now.base.still_agents
     reasons = [
         f'nobody publishes {now.topics(absent, "report")}' if absent else '',
         f'{some(out)} in flight' if out else '',

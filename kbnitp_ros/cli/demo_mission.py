@@ -19,7 +19,6 @@ import time
 from typing import Any
 
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.base.checks import check_reach, reach_note
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import (
     asked_on_record,
@@ -49,6 +48,7 @@ from kbnitp_ros.configuration.agents import (
     make_robot_types,
     true_dynamics,
 )
+from kbnitp_ros.configuration.checks import check_reach, reach_note
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.known import check_own

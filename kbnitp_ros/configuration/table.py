@@ -4,6 +4,7 @@
 from dataclasses import replace
 from functools import partial
 
+from kbnitp_ros.base.state import MAX_ROBOTS
 from kbnitp_ros.configuration.parameter import NAME, Parameter
 from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.core.decision.goals import GOALS
@@ -17,7 +18,6 @@ SENSING = ('agent', 'estimator')
 GRID = (*FIELD, 'robot')
 
 PROBABILITY = (0.0, 1.0)
-MAX_ROBOTS = 20_000
 MAX_STEPS = 10_000
 MAX_SIDE = 1000
 MAX_AGENTS = 100

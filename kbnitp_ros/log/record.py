@@ -8,7 +8,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
+from kbnitp_ros.base.state import BaseState, LOGGED, MissingError
 from kbnitp_ros.core import (
     DeploymentKey,
     Grid,
@@ -17,101 +19,15 @@ from kbnitp_ros.core import (
     Report,
     RobotType,
 )
-from kbnitp_ros.core.inference.record import deployment_order, MissionRecord
+from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_path
+from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.headers import content_hash
-from kbnitp_ros.messages.operator_actions import (
-    OperatorAction,
-    OperatorState,
-    read_operator_action,
-)
+from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
 from numpy.typing import ArrayLike
-
-
-class MissingError(ValueError):
-    """A message refers to another message that has not arrived or is not in the log."""
-
-
-class Departures:
-    """The state of all orders, derived from the agents' statuses and reports."""
-
-    def __init__(self) -> None:
-        # Robots that have departed and have no report yet.
-        self.out: set[DeploymentKey] = set()
-        self._statuses: dict[DeploymentKey, AgentStatus] = {}
-        # Time of the reported return by the agent's clock; None for a loss, or if unknown.
-        self._reported: dict[DeploymentKey, int | None] = {}
-
-    def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """Record a status; return whether it is new. Raise ValueError for a contradiction."""
-        known = self._statuses.get(key)
-        if known is not None and not self._follows(key, status, known):
-            return False
-        if key in self._reported:
-            reported = self._reported[key]
-            is_late = reported is not None and status.stamp > reported
-            if status.state is OrderState.REFUSED or is_late:
-                raise ValueError(
-                    f'status {status.state.name} of deployment {key} contradicts its report, '
-                    'which counts'
-                )
-        elif status.state is OrderState.DEPARTED:
-            self.out.add(key)
-        self._statuses[key] = status
-        return True
-
-    @staticmethod
-    def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
-        """Return whether a status is newer than `known`; raise ValueError for a contradiction."""
-        if status == known or status.state is known.state is OrderState.ACCEPTED:
-            return False
-        if known.state is OrderState.ACCEPTED:
-            return True
-        if status.state is OrderState.ACCEPTED and status.stamp <= known.stamp:
-            # A restarted agent repeats its earlier statuses.
-            return False
-        raise ValueError(
-            f'status {status.state.name} of deployment {key} contradicts the earlier status '
-            f'{known.state.name}, which counts (do two robots have the name {key.agent}?)'
-        )
-
-    def end(self, key: DeploymentKey, reported: int | None) -> None:
-        """Record that a deployment ended; `reported` is the time of a return, None for a loss."""
-        self._reported[key] = self._reported.get(key) if reported is None else reported
-        self.out.discard(key)
-        if self.is_refused(key):
-            # The agent refused the order, but a robot that returned must have departed.
-            del self._statuses[key]
-
-    def status(self, key: DeploymentKey) -> AgentStatus | None:
-        """Return the last status of an order; None if there is none."""
-        return self._statuses.get(key)
-
-    def is_refused(self, key: DeploymentKey) -> bool:
-        """Return whether the agent refused an order, so that its robot stays at the base."""
-        status = self._statuses.get(key)
-        return status is not None and status.state is OrderState.REFUSED
-
-    def is_at_base(self, key: DeploymentKey) -> bool:
-        """Return whether the last status of an order says that its robot is at the base."""
-        status = self._statuses.get(key)
-        return status is not None and status.state is not OrderState.DEPARTED
-
-    def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a loss is possible; raise `MissingError` if no departure is reported."""
-        if self.is_refused(key):
-            raise ValueError(
-                f'deployment {key} is reported lost, but its agent refused it: '
-                f'{self._statuses[key].reason}'
-            )
-        if self.is_at_base(key) and key not in self._reported:
-            raise MissingError(
-                f'deployment {key} is reported lost, but its agent has not reported its departure'
-            )
 
 
 def record(deployments: MissionRecord, role: Role, logged: LoggedMessage) -> bool:
@@ -187,8 +103,8 @@ def check_same_field(
     return belief
 
 
-class RecordedMission(MissionRecord):
-    """The recorded evidence of a mission, its orders and the operator's actions."""
+class RecordedMission(BaseState):
+    """The state of a recorded mission, with all that was ever said of its paths and reports."""
 
     def __init__(
         self,
@@ -196,22 +112,18 @@ class RecordedMission(MissionRecord):
         max_steps: int,
         robot_types: Mapping[str, RobotType] = MappingProxyType({}),
         mission: int | None = None,
+        values: Mapping[str, Any] = LOGGED,
     ) -> None:
-        super().__init__(grid, max_steps, robot_types)
+        super().__init__(grid, max_steps, robot_types, values)
         # Start of the mission whose paths are accepted, nanoseconds; None for all missions.
         self.mission = mission
         # First belief of the mission, if it was read.
         self.prior: Snapshot | None = None
         # Step limits accepted: the common limit, and the limits of agents that have their own.
         self._rules = [(max_steps, own_steps(robot_types))]
-        # The reports that count, by deployment, in the order of arrival.
-        self.reports: dict[DeploymentKey, Report] = {}
-        self.departures = Departures()
-        self.operator = OperatorState()
         # Serialized paths by deployment, and serialized actions of the operator by stamp.
         self.messages: dict[DeploymentKey | int, bytes] = {}
-        # Time of receipt of each path, and of each report by its stamp, nanoseconds.
-        self.sent: dict[DeploymentKey, int] = {}
+        # Time of receipt of each report by its stamp, nanoseconds.
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
         # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
@@ -231,10 +143,10 @@ class RecordedMission(MissionRecord):
         return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
-        """Record a path, report, status, action, or the step limits of a belief."""
+        """Take a path, report, status, action, or the step limits of a belief."""
         if role.name == 'operator':
             action = read_operator_action(self.grid, logged.message)
-            if self.operator.apply(action):
+            if self.take_action(action):
                 self.messages[action.stamp] = logged.data
         elif role.name == 'belief':
             self.allow(logged.said.max_steps, logged.said.robot_types)
@@ -245,24 +157,26 @@ class RecordedMission(MissionRecord):
                 self.refused.append(f'{logged.topic}: {error}'[:MAX_SHOWN])
 
     def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
+        # What is on record was acknowledged.
         if role.name == 'status':
-            self.departures.take(*logged.said)
-        elif role.name == 'path':
-            try:
-                record(self, role, logged)
-            finally:
-                key, _ = logged.said
-                if key in self.paths and key not in self.sent:
-                    self.sent[key], self.messages[key] = logged.log_time, logged.data
-        else:
+            key, status = logged.said
+            with suppress(MissingError):
+                self.take_status(key, status)
+            self.take_recorded(key, status.content)
+        elif role.name == 'report':
             key, report = logged.said
             self.reported.setdefault((key, report.stamp), logged.log_time)
-            record(self, role, logged)
-
-    def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """Record a path, also if another path of the same deployment came first."""
-        self._paths_read.setdefault((key, content), path)
-        return super().record_path(key, path, content)
+            self.record_report(key, replace(report, content=content_hash(logged.message)))
+        else:
+            key, path = read_path(self.grid, role.agent, logged.message)
+            content = content_hash(logged.message)
+            self._paths_read.setdefault((key, content), path)
+            try:
+                self.take_path(key, path, content, logged.log_time)
+                self.take_recorded(key, content)
+            finally:
+                if key in self.paths:
+                    self.messages.setdefault(key, logged.data)
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
         """Record a report, also if another report of the same deployment counts."""
@@ -275,9 +189,7 @@ class RecordedMission(MissionRecord):
         return outcome
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        self.reports[key] = report
-        if report.survived:
-            self.departures.end(key, report.stamp)
+        super()._assimilate(key, outcome, report)
         if key in self.contradicted:
             self.refused.append(self.contradicted[key][:MAX_SHOWN])
 
@@ -297,21 +209,6 @@ class RecordedMission(MissionRecord):
         if min(self._by_stamp[key], default=stamp) > stamp:
             raise MissingError(f'{missing}, but a later report is')
         raise ValueError(missing)
-
-    @property
-    def orders(self) -> list[DeploymentKey]:
-        """Return the deployments with a recorded path, in deployment order."""
-        return sorted(self.paths, key=deployment_order)
-
-    def outcome(self, key: DeploymentKey) -> Observation | None:
-        """Return the outcome of a robot; None if it is in flight, or stays at the base."""
-        return None if self.departures.is_refused(key) else self.outcomes.get(key)
-
-    def has_departed(self, key: DeploymentKey) -> bool:
-        """Return whether the robot reported its departure, or its outcome is recorded."""
-        status = self.departures.status(key)
-        says_so = status is not None and status.state is OrderState.DEPARTED
-        return says_so or self.outcome(key) is not None
 
     @property
     def actions(self) -> list[OperatorAction]:
@@ -348,10 +245,11 @@ def read_resumed(
     grid: Grid,
     max_steps: int,
     robot_types: Mapping[str, RobotType] = MappingProxyType({}),
+    values: Mapping[str, Any] = LOGGED,
 ) -> RecordedMission:
     """Read the record of a mission, to resume it on this grid with these robots."""
     prior = check_same_field(log, grid, robot_types)
-    record = RecordedMission(grid, max_steps, robot_types, read_mission(log))
+    record = RecordedMission(grid, max_steps, robot_types, read_mission(log), values)
     record.prior = prior
     if prior:
         record.allow(prior.max_steps, prior.robot_types)
@@ -366,7 +264,7 @@ def read_newest_round(
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
     """Return the belief that the newest round was planned on, and the round's deployments."""
     # Beliefs do not count refused orders.
-    keys = [key for key in record.orders if not record.departures.is_refused(key)]
+    keys = [key for key in record.orders if key not in record.departures.refused]
     planned_on = None
     for _, logged in log.read('belief'):
         held = logged.said.deployments

@@ -16,11 +16,12 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.base.state import MissingError
 from kbnitp_ros.core import DeploymentKey, Goal, HazardDraws, Ledger
 from kbnitp_ros.core.inference.record import ending_key
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import is_finished, LoggedMessage, read_changes
-from kbnitp_ros.log.record import begun, MissingError, RecordedMission, required_belief
+from kbnitp_ros.log.record import begun, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
     BeliefFinding,
     differences,

@@ -215,7 +215,7 @@ class Simulation:
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
         """Restore a deployment unless it was refused or, with static hazards, has not departed."""
         is_at_home = self.is_static and not record.has_departed(key)
-        if record.departures.is_refused(key) or is_at_home:
+        if key in record.departures.refused or is_at_home:
             return
         if self.is_static and self.is_over(record.outcome(key)):
             self._known[key.agent] += 1

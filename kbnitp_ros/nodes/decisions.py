@@ -8,17 +8,16 @@ from concurrent import futures
 from functools import partial
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.base.mission_evidence import MissionEvidence
-from kbnitp_ros.base.rounds import computed
-from kbnitp_ros.configuration.agents import own_robot_types
+from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration.mission import goal_cells, make_stop
-from kbnitp_ros.core import Decision, Grid, safest_path
+from kbnitp_ros.core import Decision, safest_path
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import check_frame
 from kbnitp_ros.messages.progress import decision_message
+from kbnitp_ros.nodes.mission_evidence import MissionEvidence
+from kbnitp_ros.nodes.rounds import computed
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
@@ -32,16 +31,17 @@ UNKNOWN = 'the newest belief, or some of its evidence, has not been received yet
 class Decisions:
     """The decisions of the planner on its goal."""
 
-    def __init__(self, node: MissionNode, grid: Grid, act: Callable[[], object]) -> None:
-        self.knowledge = MissionEvidence(grid, node.values, own_robot_types(node.values, grid))
+    def __init__(self, node: MissionNode, state: BaseState, act: Callable[[], object]) -> None:
+        self.knowledge = MissionEvidence(node.values, state)
         self._node = node
-        self._grid = grid
+        self._state = state
+        self._grid = state.grid
         self._act = act
         self._newest: Snapshot | None = None
         self._decision: Decision | None = None
         self._is_decided = False
         # Number of belief and parameter changes so far. At the start of the last decision: that
-        # number, and the number of paths and reports.
+        # number, and the number of changes of the evidence.
         self._news = 0
         self._begun_with = 0, 0
         self._deciding: futures.Future[Decision | None] | None = None
@@ -54,15 +54,6 @@ class Decisions:
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
         node.create_poll(self._decide)
-
-    def restore(self, record: RecordedMission) -> None:
-        """Restore the prior and the evidence on record."""
-        if record.prior:
-            self.knowledge.begin(record.prior)
-        for key in record.orders:
-            self.knowledge.note_path(key, record.paths[key], record.path_contents[key])
-            if report := record.reports.get(key):
-                self.knowledge.note_report(key, report)
 
     def take(self, newest: Snapshot) -> None:
         """Store the newest belief, start the decision on it, and call `act`."""
@@ -87,7 +78,7 @@ class Decisions:
     def is_deciding(self) -> bool:
         """Return whether a decision is being computed, or will be at the next poll."""
         # If a belief did not match the evidence, more evidence starts the decision again.
-        now = self._news, self.knowledge.evidence
+        now = self._news, self._state.changes
         return self._deciding is not None or now != self._begun_with
 
     def _decide(self) -> None:
@@ -101,7 +92,7 @@ class Decisions:
         if self._newest is None or self.is_ready or self._deciding is not None:
             return
         if self.is_deciding:
-            self._begun_with = self._news, self.knowledge.evidence
+            self._begun_with = self._news, self._state.changes
             self._deciding = computed(
                 partial(self.knowledge.decision, self._newest),
                 partial(self._node.call_next, self._decide),
@@ -110,10 +101,7 @@ class Decisions:
     def why_over(self) -> str:
         """Return the reason why no more robots leave; empty if robots may leave."""
         decision = self._decision if self.knowledge.goal is not None else None
-        why = (
-            make_stop(self._node.values).why(decision, self.knowledge.record.lost)
-            or self.not_worth
-        )
+        why = make_stop(self._node.values).why(decision, self._state.lost) or self.not_worth
         if why != self._said:
             self._said = why
             if why:

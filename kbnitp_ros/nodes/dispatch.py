@@ -10,15 +10,13 @@ import time
 
 from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight, longest_absence
-from kbnitp_ros.base.mission_evidence import MissionEvidence
-from kbnitp_ros.base.mission_tracker import recorded_losses
-from kbnitp_ros.base.rounds import describe_plan, Plans, Rounds
+from kbnitp_ros.base.state import BaseState, IMPOSSIBLE, MissingError
 from kbnitp_ros.configuration import value_for
-from kbnitp_ros.core import DeploymentKey, Observation, Report
+from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
-from kbnitp_ros.core.inference.record import is_back, make_observation
-from kbnitp_ros.log.record import MissingError, RecordedMission
+from kbnitp_ros.core.inference.record import is_back
+from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.messages.deployments import (
     OrderState,
     path_message,
@@ -27,14 +25,18 @@ from kbnitp_ros.messages.deployments import (
     report_message,
     Source,
 )
-from kbnitp_ros.messages.headers import content_hash, LAST_COUNTED_ON, mission_of_path, read_name
-from kbnitp_ros.messages.operator_actions import Action
+from kbnitp_ros.messages.headers import (
+    content_hash,
+    LAST_COUNTED_ON,
+    mission_of_path,
+    read_name,
+    SECOND,
+)
 from kbnitp_ros.messages.states import read_state
+from kbnitp_ros.nodes.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode, LOG_FIRST, PendingMessages
 from nav_msgs.msg import Path
-import numpy as np
-from numpy.typing import NDArray
 from rclpy.subscription import Subscription
 
 # Seconds without orders for an agent after it refused an order, doubled with each further refusal;
@@ -53,14 +55,14 @@ class Dispatch:
         node: FieldNode,
         agents: Sequence[str],
         rounds: Rounds,
-        knowledge: MissionEvidence,
+        state: BaseState,
         act: Callable[[], None],
     ) -> None:
         self._node = node
         self._values = node.values
         self._agents = agents
         self._rounds = rounds
-        self._knowledge = knowledge
+        self._state = state
         self._act = act
         # The publishers of paths.
         self.paths = {
@@ -70,11 +72,14 @@ class Dispatch:
             agent: node.create_publisher(DeploymentReport, f'{agent}/report', qos.EVIDENCE)
             for agent in agents
         }
-        self.in_flight = DeploymentsInFlight(self._values, qos.DEPTH)
-        self.states = AgentStates(node.grid, self._values, agents)
+        bases = {agent: own_base(self._values, agent, node.grid) for agent in agents}
+        fields = {agent: node.grid.at(base) for agent, base in bases.items()}
+        self.states = AgentStates(fields, self._values)
         # Reason of each agent, with the time since which it gives it, and the reasons logged.
         self._reasons: dict[str, tuple[str, float]] = {}
         self._told: set[tuple[str, str]] = set()
+        # Held deployments, with the reason logged last.
+        self._held: dict[DeploymentKey, str] = {}
         # Robots that were given up, and the time until which they may return.
         self._late: dict[DeploymentKey, float] = {}
         # Pauses of agents after refusals: the length in seconds, and the end.
@@ -87,37 +92,25 @@ class Dispatch:
         self._goals: dict[DeploymentKey, str] = {}
 
     def restore(self, record: RecordedMission) -> None:
-        """Restore the robots of a recorded mission, and publish their paths again."""
-        actions = record.operator.actions.values()
-        resumed_at = {each.robots_left for each in actions if each.action == Action.RESUME}
+        """Publish the paths of a recorded mission again, and the losses that its planner saw."""
         for key in record.orders:
-            if self.in_flight.sent in resumed_at:
-                self.in_flight.release(*self.in_flight.still_agents)
-            path, content = record.paths[key], record.path_contents[key]
-            self.in_flight.send(key, path, content, record.sent[key])
-            self.in_flight.record(key, content)
             if key.stamp <= LAST_COUNTED_ON:
                 self.last_stamp = key.stamp
-            if (status := record.departures.status(key)) is not None:
-                self.in_flight.take(key, status)
-                if status.state is OrderState.DEPARTED:
-                    self.in_flight[key].has_departed = True
-            if record.departures.is_refused(key):
-                continue
-            # The publisher of the former planner, which kept the path, is gone.
-            self.paths[key.agent].publish(record.messages[key])
-            self._rounds.count_path(path)
-            if outcome := record.outcome(key):
-                self._end(key, record.reports[key], outcome)
-            elif key in record.held:
-                self.hold(key, f'its report is refused: {record.held[key]}')
-        if self.in_flight.sent in resumed_at:
-            self.in_flight.release(*self.in_flight.still_agents)
-        for key, report in recorded_losses(record, self._values):
-            self._losses[key.agent].publish(report)
-            self._await_late(key, record.paths[key])
-        for key, steps_survived in record.operator.given_up.items():
-            if key in self.in_flight and self.in_flight.has_departed(key):
+            if key not in record.departures.refused:
+                # The publisher of the former planner, which kept the path, is gone.
+                self.paths[key.agent].publish(record.messages[key])
+                self._rounds.count_path(record.paths[key])
+        given_up = record.operator.given_up
+        for key in record.orders:
+            outcome = record.outcome(key)
+            is_own = self._values['silent_loss'] or key in given_up
+            if is_own and outcome is not None and not outcome.survived:
+                source = Source.OPERATOR if key in given_up else Source.SILENCE
+                stamp = record.reports[key].stamp
+                self._losses[key.agent].publish(report_message(key, outcome, stamp, source))
+                self._await_late(key)
+        for key, steps_survived in given_up.items():
+            if key in record.in_flight and record.is_away(key):
                 self.give_up(key, Source.OPERATOR, steps_survived)
 
     def listen(self) -> None:
@@ -140,9 +133,16 @@ class Dispatch:
         now = time.monotonic()
         return [agent for agent, (_, until) in self._pauses.items() if now < until]
 
-    def _await_late(self, key: DeploymentKey, path: NDArray[np.intp]) -> None:
+    def _longest_absence(self, key: DeploymentKey) -> int:
+        """Return the timeout of a silent robot, nanoseconds."""
+        steps, period = self._state.paths[key].size - 1, 'step_period'
+        away = steps * value_for(self._values, period, key.agent) + self._values['return_deadline']
+        nanoseconds: int = round(away * SECOND)
+        return nanoseconds
+
+    def _await_late(self, key: DeploymentKey) -> None:
         """Keep the base running until a robot that was given up has had time to return."""
-        self._late[key] = time.monotonic() + longest_absence(self._values, key.agent, path)
+        self._late[key] = time.monotonic() + self._longest_absence(key) / SECOND
 
     @property
     def late(self) -> dict[DeploymentKey, float]:
@@ -155,9 +155,8 @@ class Dispatch:
         for key, plan in plans.items():
             message = path_message(self._node.grid, plan.path, key.stamp, mission)
             content = content_hash(message)
-            self.in_flight.send(key, plan.path, content, self._node.now())
+            self._state.take_path(key, plan.path, content, self._node.now())
             self._rounds.count_path(plan.path)
-            self._knowledge.note_path(key, plan.path, content)
             self.paths[key.agent].publish(message)
             self._goals[key] = describe_plan(self._node.grid, plan)
             self.last_stamp = max(self.last_stamp, key.stamp)
@@ -165,41 +164,44 @@ class Dispatch:
     def give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
         """Report a robot in flight as lost."""
         self._log_departure(key)
-        path, contact = self.in_flight[key].path, self._values['contact_probability']
+        path, contact = self._state.paths[key], self._values['contact_probability']
         lost = lost_after_contact(path, steps_survived, contact)
         self._losses[key.agent].publish(report_message(key, lost, self._node.now(), source))
-        self.in_flight.end(key)
-        self._await_late(key, path)
+        self._state.end(key)
+        self._await_late(key)
 
     def give_up_overdue(self) -> None:
         """Report timed-out robots as lost, except robots that were seen not to be."""
         if not self._values['silent_loss']:
             return
-        for key in self.in_flight.overdue(self._node.elapsed()):
+        for key in self._state.overdue(self._node.elapsed(), self._longest_absence):
             if why := self._why_not_lost(key):
-                self.hold(key, why, is_left_to_operator=key.agent in self.states.foreign)
+                is_foreign = key.agent in self.states.foreign
+                self._state.hold(key, why, is_left_to_operator=is_foreign)
             else:
                 self.give_up(key, Source.SILENCE)
 
     def _why_not_lost(self, key: DeploymentKey) -> str:
-        status = self.in_flight.departures.status(key)
+        status = self._state.departures.status(key)
         # The time of a presumed departure is not known.
-        departed = status.stamp if status else self.in_flight[key].sent_at
+        departed = status.stamp if status else self._state.sent[key]
         return self.states.why_not_lost(key.agent, departed)
-
-    def hold(self, key: DeploymentKey, why: str, *, is_left_to_operator: bool = True) -> None:
-        """Hold a deployment that counts neither as evidence nor as a loss."""
-        if self.in_flight.hold(key, why, is_left_to_operator=is_left_to_operator):
-            self._log_departure(key)
-            self._node.get_logger().warning(f'{key} is held, and counts for nothing: {why}')
 
     def log_departures(self) -> None:
         """Log the departures."""
-        for key in [key for key in self._goals if self.in_flight.has_departed(key)]:
-            self._log_departure(key)
+        state = self._state
+        for key in [*self._goals]:
+            if key not in state.in_flight or state.is_away(key):
+                self._log_departure(key)
 
     def log_reasons(self) -> None:
-        """Log once each reason that an agent gives for `LOG_FIRST`: short waits are normal."""
+        """Log once why each deployment is held, and what each agent says for `LOG_FIRST`."""
+        for key, why in self._state.held.items():
+            if self._held.get(key) != why:
+                self._held[key] = why
+                self._log_departure(key)
+                self._node.get_logger().warning(f'{key} is held, and counts for nothing: {why}')
+        # Short waits are normal.
         for agent, (reason, since) in self._reasons.items():
             is_new = reason and (agent, reason) not in self._told
             if is_new and time.monotonic() > since + LOG_FIRST:
@@ -217,12 +219,9 @@ class Dispatch:
         try:
             key, report = read_report(message, agent)
             if not report.survived:
-                self.in_flight.departures.check_loss(key)
-            if is_awaited := key in self.in_flight:
-                # A report that does not match the path is refused, and the robot stays in flight.
-                path = self.in_flight[key].path
-                max_steps = value_for(self._values, 'max_steps', agent)
-                make_observation(report, key, path, self._node.grid, max_steps)
+                self._state.departures.check_loss(key)
+            is_awaited = key in self._state.in_flight
+            self._state.record_report(key, report)
         except MissingError as error:
             if not self._early.keep(deadline, agent, message):
                 self._node.diagnostics.refuse(f'{agent}/report', error)
@@ -232,12 +231,10 @@ class Dispatch:
             self._hold_refused(agent, message, error)
             return
         self._log_departure(key)
-        self._knowledge.note_report(key, report)
-        self._end(key, report, self._knowledge.record.outcomes.get(key))
         if report.survived:
             if key in self._late:
                 self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
-            if is_awaited and key in self.in_flight.unmoved:
+            if is_awaited and key in self._state.unmoved:
                 self._node.get_logger().warning(
                     f'{key} returned without moving, and does not count as a robot of the '
                     f'mission: {self.states.reason(agent) or "see the console of its robot"}'
@@ -249,13 +246,8 @@ class Dispatch:
         with suppress(ValueError):
             key = DeploymentKey(agent, read_name('deployment', message.deployment))
             if message.agent == agent and is_back(message, self._node.grid):
-                self.hold(key, f'its report is refused: {why}')
+                self._state.hold(key, f'{IMPOSSIBLE}{why}', is_left_to_operator=True)
                 self._act()
-
-    def _end(self, key: DeploymentKey, report: Report, outcome: Observation | None) -> None:
-        """Remove a reported deployment from the deployments in flight."""
-        moved = outcome is None or not outcome.is_unmoved
-        self.in_flight.end(key, report.stamp if report.survived else None, moved)
 
     def _on_state(self, agent: str, message: AgentState) -> None:
         try:
@@ -267,26 +259,26 @@ class Dispatch:
         self._node.diagnostics.values[f'agent {agent}'] = reason
         if reason != self._reasons.get(agent, ('', 0.0))[0]:
             self._reasons[agent] = reason, time.monotonic()
-        if is_withdrawn and agent in self.in_flight.still_agents:
-            self.in_flight.release(agent)
-        for key in [key for key in self.in_flight.held if key.agent == agent]:
+        if is_withdrawn and agent in self._state.still_agents:
+            self._state.release(agent)
+        for key in [key for key in self._state.held if key.agent == agent]:
             if not self._why_not_lost(key):
-                self.in_flight.leave(agent)
+                self._state.leave(agent)
         self._act()
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Record an agent's status of an order."""
         try:
             key, status = read_status(message, agent)
-            robot = self.in_flight.get(key)
-            if not self.in_flight.take(key, status):
+            was_in_flight = key in self._state.in_flight
+            if not self._state.take_status(key, status):
                 return
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/status', error)
             return
         self._node.diagnostics.accepted += 1
-        if status.state is OrderState.REFUSED and robot is not None:
-            self._rounds.count_path(robot.path, -1)
+        if status.state is OrderState.REFUSED and was_in_flight:
+            self._rounds.count_path(self._state.paths[key], -1)
             pause = FIRST_PAUSE
             if agent in self._pauses:
                 pause = min(2 * self._pauses[agent][0], MAX_PAUSE)
@@ -302,7 +294,7 @@ class Dispatch:
         try:
             key, path = self._node.read_path(agent, message)
             mission = mission_of_path(message)
-            is_other = self.in_flight.add_path(key, path, content_hash(message), mission)
+            is_other = self._state.take_other_path(key, path, content_hash(message), mission)
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/path', error)
             return
@@ -319,7 +311,7 @@ class Dispatch:
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/recorded', error)
             return
-        if self.in_flight.record(key, message.content):
+        if self._state.take_recorded(key, message.content):
             # Subscribe anew to receive the recorded path, which its publisher keeps.
             self._node.destroy_subscription(self._sent_paths[agent])
             self._sent_paths[agent] = self._subscribe_to_paths(agent)

@@ -8,21 +8,15 @@ from dataclasses import replace
 from functools import partial
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport
-from kbnitp_ros.base.checks import density_note, failure_note
+from kbnitp_ros.base.state import Departures, MissingError
 from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
+from kbnitp_ros.configuration.checks import density_note, failure_note
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.record import (
-    check_same_field,
-    Departures,
-    is_of_mission,
-    MissingError,
-    read_mission,
-    record,
-)
+from kbnitp_ros.log.record import check_same_field, is_of_mission, read_mission, record
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report, read_status

@@ -8,9 +8,9 @@ from concurrent.futures import Future
 from functools import partial
 
 from kbnitp_msgs.msg import ModelBelief
-from kbnitp_ros.base.rounds import computed
 from kbnitp_ros.core import Ledger
 from kbnitp_ros.messages.progress import Checked, model_belief, NOT_CHECKED
+from kbnitp_ros.nodes.rounds import computed
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from kbnitp_msgs.msg import BeliefMaps
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.base.obstacles import not_repeated
+from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.mission import check_search
@@ -29,12 +29,12 @@ class NewestBelief:
         self,
         node: FieldNode,
         agents: Sequence[str],
-        in_flight: DeploymentsInFlight,
+        state: BaseState,
         take: Callable[[Snapshot], None],
     ) -> None:
         self._node = node
         self._agents = agents
-        self._in_flight = in_flight
+        self._state = state
         self._take = take
         # The mission, and the newest belief.
         self.tracker = MissionTracker()
@@ -53,14 +53,12 @@ class NewestBelief:
         evidence = tuple(f'{agent}/' for agent in self._agents)
         said = values.get(LAST_REFUSAL, '')
         refused = {key.removeprefix(HELD): values[key] for key in values if key.startswith(HELD)}
-        is_news = said.startswith(evidence) or refused or self._in_flight.held
+        is_news = said.startswith(evidence) or refused or self._state.held
         if not is_news or name not in self._node.authors('belief', BELIEF):
             return
         if said.startswith(evidence):
             self.refusal = f'{name} says: {said}'
-        for key in self._in_flight.follow(refused):
-            why = self._in_flight.held[key]
-            self._node.get_logger().warning(f'{key} is held, and counts for nothing: {why}')
+        self._state.follow(refused)
 
     def subscribe(self) -> None:
         """Subscribe to beliefs; called again after one of several estimators has left."""
@@ -77,14 +75,14 @@ class NewestBelief:
             self._check_rules(snapshot)
             # Each agent may have had a robot in flight when the former planner died.
             out_before = len(self._agents) if self.sent_unknown else 0
-            known = self._in_flight.known(snapshot.mission) + out_before
+            known = self._state.known(snapshot.mission) + out_before
             self.tracker.check_belief(snapshot, self._node.count_authors('belief', BELIEF), known)
         except ValueError as error:
             self._node.diagnostics.refuse('belief', error)
             return
         self._node.diagnostics.accepted += 1
         self.refusal = ''
-        unknown = snapshot.deployments - self._in_flight.sent
+        unknown = snapshot.deployments - self._state.robots_left
         if unknown > self.sent_unknown:
             self._node.get_logger().warning(
                 f'the belief holds {counted(unknown, "deployment")} that this planner does not '
@@ -96,11 +94,11 @@ class NewestBelief:
         held = self.last_received = snapshot.deployments
         # An estimator that resumes a log publishes its prior first, then a belief with all
         # evidence on record.
-        if 0 < held < self._in_flight.forgotten and not self._is_incomplete_told:
+        if 0 < held < self._state.forgotten(qos.DEPTH) and not self._is_incomplete_told:
             self._is_incomplete_told = True
             self._node.diagnostics.refuse(
                 'belief',
-                f'it holds only {counted(held, "deployment")}{not_repeated(self._in_flight.kept)}',
+                f'it holds only {counted(held, "deployment")}{not_repeated(qos.DEPTH)}',
             )
         if self.tracker.accept_belief(snapshot, known):
             self._take(snapshot)

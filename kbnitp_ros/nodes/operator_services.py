@@ -11,9 +11,8 @@ from typing import Any
 from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
 from kbnitp_msgs.msg import Recorded
 from kbnitp_msgs.srv import GiveUp
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.base.rounds import describe_plan, Plans, Search
-from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.core import Observation
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import content_hash, header, next_name, shown
@@ -22,11 +21,11 @@ from kbnitp_ros.messages.operator_actions import (
     MAX_TIMES,
     operator_action_message,
     OperatorAction,
-    OperatorState,
     Paths,
     REPEATED,
 )
 from kbnitp_ros.nodes.presence import BOOL, HOLD
+from kbnitp_ros.nodes.rounds import describe_plan, Plans, Search
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
@@ -50,18 +49,15 @@ class Operator:
     def __init__(
         self,
         node: MissionNode,
-        grid: Grid,
         agents: Sequence[str],
-        in_flight: DeploymentsInFlight,
+        state: BaseState,
         act: Callable[[OperatorAction], None],
     ) -> None:
-        self.state = OperatorState()
         # The plans of the next round that wait for approval, and the search that found them.
         self.proposed: Plans = {}
         self.proposed_by: Search | None = None
         self._node = node
-        self._grid = grid
-        self._in_flight = in_flight
+        self._state = state
         self._act = act
         # The published value of `hold`; whether another node has published the opposite since
         # then; and the times of both messages, seconds.
@@ -85,10 +81,9 @@ class Operator:
         if node.values['recorded']:
             node.subscribe(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
 
-    def restore(self, action: OperatorAction, data: bytes) -> None:
-        """Restore an action on record, and publish it again for nodes that join late."""
-        if self.state.apply(action):
-            self._publisher.publish(data)
+    def restore(self, data: bytes) -> None:
+        """Publish an action on record again, for nodes that join late."""
+        self._publisher.publish(data)
 
     def hold(self, is_held: bool) -> None:
         """Publish whether departures are held, if that has changed."""
@@ -129,9 +124,11 @@ class Operator:
         self.withdraw()
         self.proposed, self.proposed_by = plans, search
         for key, plan in plans.items():
-            self._proposals[key.agent].publish(path_message(self._grid, plan.path, key.stamp))
+            self._proposals[key.agent].publish(
+                path_message(self._state.grid, plan.path, key.stamp)
+            )
             self._node.get_logger().info(
-                f'proposed for {key.agent}: {describe_plan(self._grid, plan)}'
+                f'proposed for {key.agent}: {describe_plan(self._state.grid, plan)}'
             )
 
     def withdraw(self) -> None:
@@ -153,31 +150,35 @@ class Operator:
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
         # A pending action may change the state.
-        releases = not request.data and self._in_flight.still_agents
-        if not self._pending and request.data == self.state.is_paused and not releases:
+        releases = not request.data and self._state.still_agents
+        if not self._pending and request.data == self._state.operator.is_paused and not releases:
             state = 'is paused' if request.data else 'is not paused'
-            return answered(response, not self.state.is_ended, f'the mission {state} already')
+            return answered(
+                response, not self._state.operator.is_ended, f'the mission {state} already'
+            )
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)
 
     def _on_approve(self, request: SetBool.Request, response: Response) -> Response | Future:
         paths = {key: plan.path for key, plan in self.proposed.items()}
         if not paths:
             why = '' if self._node.values['approval'] else ': the parameter approval is false'
-            if self.state.is_paused:
+            if self._state.operator.is_paused:
                 why = ': the mission is paused'
             return answered(response, False, f'nothing is proposed{why}')
         return self._decide(response, Action.APPROVE if request.data else Action.REFUSE, paths)
 
     def _on_give_up(self, request: GiveUp.Request, response: Response) -> Response | Future:
         out = {
-            key: robot.path for key, robot in self._in_flight.items() if key.agent == request.agent
+            key: path
+            for key, path in self._state.paths_in_flight.items()
+            if key.agent == request.agent
         }
         if not out:
-            names = ', '.join(sorted({key.agent for key in self._in_flight})) or 'none'
+            names = ', '.join(sorted({key.agent for key in self._state.in_flight})) or 'none'
             why = f'no robot of {shown(request.agent)} is in flight (agents in flight: {names})'
             return answered(response, False, why)
         key = min(out)
-        if not self._in_flight.has_departed(key):
+        if not self._state.is_away(key):
             why = (
                 f'{key} has not reported its departure on {request.agent}/status, so it cannot be '
                 'declared lost, unless the parameter presume_departure is set'
@@ -196,20 +197,20 @@ class Operator:
         self, response: Response, what: Action, paths: Paths | None = None, steps: int = 0
     ) -> Response | Future:
         """Accept or refuse an action; return the response, or its future."""
-        if self.state.is_ended and what != Action.GIVE_UP:
+        if self._state.operator.is_ended and what != Action.GIVE_UP:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
             return answered(response, False, f'waiting for {self.awaited}: call again after that')
-        times = sum(each.action == what for each in self.state.actions.values())
+        times = sum(each.action == what for each in self._state.operator.actions.values())
         if what in REPEATED and times >= MAX_TIMES:
             why = (
                 f'{what.name} was called {times} times, the maximum in a mission: end this '
                 'mission by the service end_mission, and begin another one'
             )
             return answered(response, False, why)
-        stamp = next_name(self._node.now(), *self.state.actions)
-        action = OperatorAction(stamp, what, self._in_flight.sent, dict(paths or {}), steps)
-        message = operator_action_message(self._grid, action)
+        stamp = next_name(self._node.now(), *self._state.operator.actions)
+        action = OperatorAction(stamp, what, self._state.robots_left, dict(paths or {}), steps)
+        message = operator_action_message(self._state.grid, action)
         if what in (Action.PAUSE, Action.END):
             self.hold(True)
         self._publisher.publish(message)
@@ -226,17 +227,17 @@ class Operator:
 
     def _take(self, action: OperatorAction, response: Response) -> Response:
         """Apply an action."""
-        self.state.apply(action)
-        self.hold(self.state.is_holding)
+        self._state.take_action(action)
+        self.hold(self._state.operator.is_holding)
         self._node.get_logger().info(f'the operator {action}')
         pending = ''.join(
             f'; {key} is held, since {why}: it counts as lost from now on'
-            for key, why in self._in_flight.held.items()
+            for key, why in self._state.held.items()
             if key in action.paths
         )
         self._act(action)
-        robots = self._in_flight
-        out = [key for key in robots if key not in {*robots.undeparted, *robots.held}]
+        state = self._state
+        out = [key for key in state.in_flight if key not in {*state.undeparted, *state.held}]
         if action.action == Action.END and out:
             pending = f'; the mission is over once {some(out)} are reported'
         return answered(response, True, f'the operator {action}{pending}')

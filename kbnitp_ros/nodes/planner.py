@@ -3,25 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
-from kbnitp_ros.base.checks import (
+from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
+from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.configuration import agent_names
+from kbnitp_ros.configuration.agents import make_robot_types
+from kbnitp_ros.configuration.checks import (
     check_changes,
+    check_periods,
     check_reach,
     check_robots,
     cut_off_note,
     reach_note,
 )
-from kbnitp_ros.base.deployments_in_flight import check_periods
-from kbnitp_ros.base.mission_tracker import missing_plans, read_planner_record
-from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
-from kbnitp_ros.base.rounds import computed, Plans, Rounds, Search
-from kbnitp_ros.configuration import agent_names
 from kbnitp_ros.configuration.mission import check_search, goal_cells
-from kbnitp_ros.core import NoPathError
+from kbnitp_ros.core import Grid, NoPathError
 from kbnitp_ros.files import some
+from kbnitp_ros.log.record import read_newest_round, read_resumed, RecordedMission
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
@@ -33,6 +35,8 @@ from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.presence import Peers, StatePublisher
+from kbnitp_ros.nodes.rounds import computed, Plans, Rounds, Search
+from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -54,12 +58,16 @@ class PlannerNode(FieldNode):
         check_periods(self.values, self._agents)
         check_reach(self.grid, self.values)
         self._log_reachability()
-        self._decisions = Decisions(self, self.grid, self._deploy)
+        resume = self.values['resume']
+        log = resumed_log(resume, self.roles) if resume else None
+        record = read_planner_record(log, self.values, self.grid) if log else None
+        types = make_robot_types(self.values, self.grid)
+        self._state = record or BaseState(self.grid, self.values['max_steps'], types, self.values)
+        self._decisions = Decisions(self, self._state, self._deploy)
         knowledge = self._decisions.knowledge
         self._rounds = Rounds(self.grid, self.values, self.get_logger().warning, knowledge)
-        self._dispatch = Dispatch(self, self._agents, self._rounds, knowledge, self._deploy)
-        self._in_flight = self._dispatch.in_flight
-        self._beliefs = NewestBelief(self, self._agents, self._in_flight, self._decisions.take)
+        self._dispatch = Dispatch(self, self._agents, self._rounds, self._state, self._deploy)
+        self._beliefs = NewestBelief(self, self._agents, self._state, self._decisions.take)
         self._peers = Peers(self, self._agents)
         # The search for the next round, kept with its result while robots cannot leave.
         self._search: Search | None = None
@@ -68,14 +76,13 @@ class PlannerNode(FieldNode):
         # The last search that found no path worth a robot, and the reason.
         self._worthless_for: Search | None = None
         self._why_worthless = ''
-        self._operator = Operator(self, self.grid, self._agents, self._in_flight, self._act)
+        self._operator = Operator(self, self._agents, self._state, self._act)
         self._has_subscribers = False
         self._end_logged = ''
-        if self.values['resume']:
-            log = resumed_log(self.values['resume'], self.roles)
-            self._restore(log)
+        if log and record:
+            self._restore(log, record)
             check_robots(self.values['robots'], self._counted)
-        self._operator.hold(self._operator.state.is_holding)
+        self._operator.hold(self._state.operator.is_holding)
         StatePublisher(self, self.grid).publish(Readiness.READY)
         self.add_on_set_parameters_callback(self._check_changes)
         self.add_post_set_parameters_callback(self._note_change)
@@ -85,11 +92,10 @@ class PlannerNode(FieldNode):
         self.create_look(self._look_at_graph)
         self.create_poll(self._go_on)
 
-    def _restore(self, log: MissionLog) -> None:
-        """Resume the mission of a log."""
-        record = read_planner_record(log, self.grid, self.values, self._agents)
-        for stamp, action in record.operator.actions.items():
-            self._operator.restore(action, record.messages[stamp])
+    def _restore(self, log: MissionLog, record: RecordedMission) -> None:
+        """Publish again what a recorded mission had published, and send the rest of its round."""
+        for stamp in record.operator.actions:
+            self._operator.restore(record.messages[stamp])
         self._dispatch.restore(record)
         self._beliefs.tracker.mission = record.mission
         # With one agent, or with `rolling`, no paths of a round can be missing.
@@ -97,7 +103,8 @@ class PlannerNode(FieldNode):
         if has_rounds and (missing := missing_plans(log, record, self._agents, self._rounds)):
             plans, mission = missing
             self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
-        self._decisions.restore(record)
+        if record.prior:
+            self._decisions.knowledge.begin(record.prior)
 
     def _log_reachability(self) -> None:
         """Log the cells of a map, and the part of the field that no path reaches."""
@@ -137,21 +144,19 @@ class PlannerNode(FieldNode):
     @property
     def _sent(self) -> int:
         """Return the number of robots sent, including those known only from the belief."""
-        return self._in_flight.sent + self._beliefs.sent_unknown
+        return self._state.robots_left + self._beliefs.sent_unknown
 
     @property
     def _counted(self) -> int:
         """Return the number of robots sent, without those that came back without a step."""
-        return self._sent - len(self._in_flight.unmoved)
+        return self._sent - len(self._state.unmoved)
 
     def _act(self, action: OperatorAction) -> None:
         """Apply an action of the operator."""
         if action.action == Action.GIVE_UP:
             for key in action.paths:
-                if key in self._in_flight:
+                if key in self._state.in_flight:
                     self._dispatch.give_up(key, Source.OPERATOR, action.steps_survived)
-        elif action.action == Action.RESUME:
-            self._in_flight.release(*self._in_flight.still_agents)
         self._deploy()
 
     def _planner_state(self) -> PlannerState:
@@ -160,14 +165,14 @@ class PlannerNode(FieldNode):
         return PlannerState(
             values=self.values,
             agents=self._agents,
-            in_flight=self._in_flight,
+            base=self._state,
             states=self._dispatch.states,
-            operator=self._operator.state,
             unrecorded_action=self._operator.awaited,
             sent=self._sent,
             newest=newest.deployments if newest else None,
             last_received=self._beliefs.last_received,
             refusal=self._beliefs.refusal,
+            kept=qos.DEPTH,
             estimators=self._peers.estimators,
             is_decided=self._decisions.is_ready,
             is_deciding=self._decisions.is_deciding,
@@ -263,7 +268,7 @@ class PlannerNode(FieldNode):
 
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
         """Return the next round's plans, or its proposals if they still apply; {} until found."""
-        refused = self._operator.state.refused(self._in_flight.sent)
+        refused = self._state.operator.refused(self._state.robots_left)
         belief = newest.stamp, newest.deployments
         now = Search(belief, agents, len(refused), self._changes)
         if self._operator.proposed and self._operator.proposed_by == now:
@@ -284,7 +289,7 @@ class PlannerNode(FieldNode):
             held = -1 if newest.newest is None else newest.newest.stamp
             last = self._dispatch.last_stamp
             stamp = next_name(newest.stamp, newest.mission, held, last)
-            paths = self._in_flight.paths
+            paths = self._state.paths_in_flight
             find = self._rounds.search(newest, agents, paths, stamp, refused)
             found = computed(find, partial(self.call_next, self._on_search_over))
             self._search = replace(now, found=found)
@@ -312,7 +317,36 @@ class PlannerNode(FieldNode):
 
     def _are_approved(self, plans: Plans) -> bool:
         paths = {key: plan.path for key, plan in plans.items()}
-        return self._operator.state.is_approved(self._in_flight.sent, paths)
+        return self._state.operator.is_approved(self._state.robots_left, paths)
+
+
+def read_planner_record(log: MissionLog, values: Mapping[str, Any], grid: Grid) -> RecordedMission:
+    """Read the record of a mission to resume; check that its agents are in the team."""
+    types, agents = make_robot_types(values, grid), values['agents']
+    record = read_resumed(log, grid, values['max_steps'], types, values)
+    for key in record.orders:
+        if key.agent not in agents:
+            raise ValueError(
+                f'{log.path} has deployments of {key.agent}: the parameter agents names only '
+                f'{", ".join(agents)}'
+            )
+    return record
+
+
+def missing_plans(
+    log: MissionLog, record: RecordedMission, agents: Collection[str], rounds: Rounds
+) -> tuple[Plans, int] | None:
+    """Return the plans without a recorded path in the newest round, and the mission."""
+    operator = record.operator
+    newest_round = None if operator.is_holding else read_newest_round(log, record)
+    if newest_round is None:
+        return None
+    planned_on, keys = newest_round
+    recorded = {key: record.paths[key] for key in keys}
+    refused = operator.refused(planned_on.deployments)
+    at_base = {key for key in keys if key in record.departures.refused}
+    plans = rounds.missing(planned_on, list(agents), recorded, refused, at_base)
+    return plans, planned_on.mission
 
 
 main = partial(run, 'planner', PlannerNode)

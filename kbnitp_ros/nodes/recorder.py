@@ -16,12 +16,13 @@ from typing import Any
 
 from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.base.mission_tracker import MissionTracker
+from kbnitp_ros.base.state import Departures, MissingError
 from kbnitp_ros.configuration.known import TOPICS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import PARAMETERS, RUN
-from kbnitp_ros.log.record import Departures, MissingError, read_mission
+from kbnitp_ros.log.record import read_mission
 from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE

@@ -3,43 +3,49 @@
 
 from dataclasses import replace
 
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
 from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle
+from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.core import Report
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
 from laws import for_each
 import numpy as np
-from samples import HOME, key
-from test_obstacles import CLEAR, operator, VALUES
+from samples import GRID, HOME, key
+from test_obstacles import CLEAR, VALUES
 
 HOME_PATH = np.array(HOME)
 SECOND = 10**9
+READINGS = tuple((cell, 1) for cell in HOME[1:])
+AWAY = (len(HOME) - 1) * SECOND + 10 * SECOND
 # Longer than a robot on `HOME` may be away.
 LONG = 100 * SECOND
 
 
 def departed(*keys):
-    robots = DeploymentsInFlight(VALUES, 10)
+    robots = BaseState(GRID, 10, values=VALUES)
     for order in keys:
-        robots.send(order, HOME_PATH, 1)
-        robots.take(order, AgentStatus(OrderState.DEPARTED, order.stamp))
+        robots.take_path(order, HOME, 1)
+        robots.take_status(order, AgentStatus(OrderState.DEPARTED, order.stamp))
     return robots
+
+
+def late(robots, now):
+    return robots.overdue(now, lambda _: AWAY)
 
 
 def overdue(robots, now):
     """Return the robots that are overdue at two checks."""
-    robots.overdue(now)
-    return robots.overdue(now + 1)
+    late(robots, now)
+    return late(robots, now + 1)
 
 
 def test_a_held_return_is_never_overdue_and_blocks_nobody():
     one, other = key(1), key(2, 'scout_2')
     robots = departed(one, other)
-    robots.overdue(1)
-    assert robots.hold(one, 'its report is refused', is_left_to_operator=True)
-    assert not robots.hold(one, 'its report is refused', is_left_to_operator=True)
+    late(robots, 1)
+    robots.hold(one, 'its report is refused', is_left_to_operator=True)
     assert overdue(robots, LONG) == [other]
-    now = replace(CLEAR, agents=['scout_1', 'scout_2'], in_flight=robots, sent=3)
+    now = replace(CLEAR, agents=['scout_1', 'scout_2'], base=robots, sent=3)
     assert now.unreported == [other]
     assert 'scout_1' not in now.free_agents
     # The belief lacks it, and is not behind.
@@ -50,20 +56,27 @@ def test_a_held_return_is_never_overdue_and_blocks_nobody():
     assert f'the operator to decide on {one}: its report is refused' in said
     assert '/b/give_up' in said
     # After end_mission it is not awaited.
-    assert replace(now, operator=operator(Action.END)).obstacle is Obstacle.ALL_DEPLOYED
     # A valid report ends it.
     robots.end(one, 5)
     assert not robots.held
     assert now.free_agents == ['scout_1', 'scout_2']
 
 
+def test_an_ended_mission_does_not_wait_for_a_held_return():
+    robots = departed(key(1))
+    robots.hold(key(1), 'its report is refused', is_left_to_operator=True)
+    robots.take_action(OperatorAction(1, Action.END, 1))
+    now = replace(CLEAR, base=robots, sent=2)
+    assert now.obstacle is Obstacle.ALL_DEPLOYED
+
+
 def test_a_robot_that_leaves_its_base_late_has_its_whole_time():
     (one,) = keys = [key(1)]
     robots = departed(*keys)
-    robots.overdue(1)
+    late(robots, 1)
     assert overdue(robots, LONG) == keys
     robots.hold(one, 'it stands at its base', is_left_to_operator=False)
-    assert robots.overdue(LONG + 2) == []
+    assert late(robots, LONG + 2) == []
     # Still there when its time is over again.
     assert overdue(robots, 2 * LONG) == keys
     robots.hold(one, 'it stands at its base', is_left_to_operator=False)
@@ -81,21 +94,30 @@ def test_a_refused_report_stays_with_the_operator_whatever_the_robot_says():
     robots.hold(one, 'its report is refused', is_left_to_operator=True)
     robots.leave('scout_1')
     assert robots.held
-    robots.overdue(1)
+    late(robots, 1)
     assert overdue(robots, LONG) == []
 
 
 def test_what_the_estimator_refuses_is_held_until_it_does_not():
     (one,) = keys = [key(1)]
     robots = departed(*keys)
-    assert robots.follow({str(one): 'impossible'}) == []
-    robots.end(one, 5)
-    assert robots.follow({'scout_1 at 7': 'unknown'}) == []
-    assert robots.follow({str(one): 'impossible'}) == keys
-    assert robots.held == {one: 'the estimator refuses its report: impossible'}
-    assert robots.follow({str(one): 'impossible'}) == []
-    assert robots.follow({}) == []
-    assert not robots
+    robots.follow({str(one): 'impossible'})
+    assert not robots.held
+    assert robots.record_report(one, Report(True, READINGS, 5))
+    robots.follow({'scout_1 at 7': 'unknown'})
+    assert not robots.held
+    for _ in range(2):
+        robots.follow({str(one): 'impossible'})
+        assert robots.held == {one: 'the estimator refuses its report: impossible'}
+        assert not robots.outcomes
+    robots.follow({})
+    assert not robots.in_flight
+    # The report that it mended counts.
+    robots = departed(*keys)
+    robots.record_report(one, Report(True, READINGS, 5))
+    robots.follow({str(one): 'impossible'})
+    assert robots.record_report(one, Report(True, tuple((cell, 0) for cell, _ in READINGS), 6))
+    assert not robots.in_flight
     # Not what the planner itself refuses.
     robots = departed(one)
     robots.hold(one, 'its report is refused', is_left_to_operator=True)
@@ -105,7 +127,7 @@ def test_what_the_estimator_refuses_is_held_until_it_does_not():
 
 def test_robots_without_a_step_do_not_count_and_two_stop_their_agent():
     robots = departed(key(1), key(2), key(3))
-    now = replace(CLEAR, in_flight=robots, sent=3, newest=3, last_received=3)
+    now = replace(CLEAR, base=robots, sent=3, newest=3, last_received=3)
     robots.end(key(1), 5, moved=False)
     assert robots.still_agents == []
     robots.end(key(2), 6, moved=False)
@@ -116,7 +138,7 @@ def test_robots_without_a_step_do_not_count_and_two_stop_their_agent():
     assert robots.still_agents == []
     assert robots.unmoved == {key(1), key(2)}
     for number in (4, 5):
-        robots.send(key(number), HOME_PATH, 1)
+        robots.take_path(key(number), HOME, 1)
         robots.end(key(number), 8, moved=False)
     now = replace(now, sent=5, newest=5, last_received=5)
     assert now.obstacle is Obstacle.NO_FREE_AGENT
@@ -135,12 +157,11 @@ def test_a_robot_keeps_its_time_when_the_clock_is_set_back(back):
     (one,) = keys = [key(1)]
     robots = departed(one)
     begun = 2 * 10**9 * SECOND
-    away = (len(HOME) - 1) * SECOND + 10 * SECOND
-    assert robots.overdue(begun) == []
-    assert robots.overdue(begun - back + 1) == []
+    assert late(robots, begun) == []
+    assert late(robots, begun - back + 1) == []
     # The set-back itself takes no time.
-    assert overdue(robots, begun - back + away - SECOND) == []
-    assert overdue(robots, begun - back + away + SECOND) == keys
+    assert overdue(robots, begun - back + AWAY - SECOND) == []
+    assert overdue(robots, begun - back + AWAY + SECOND) == keys
 
 
 def test_a_refusal_of_the_operator_ends_with_the_next_departure():

@@ -5,7 +5,11 @@ from dataclasses import replace
 from itertools import combinations
 
 from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.checks import (
+from kbnitp_ros.base.mission_tracker import MissionTracker
+from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
+from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.configuration import node_parameters, with_defaults
+from kbnitp_ros.configuration.checks import (
     check_changes,
     check_reach,
     check_robots,
@@ -13,19 +17,15 @@ from kbnitp_ros.base.checks import (
     failure_note,
     reach_note,
 )
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
-from kbnitp_ros.base.mission_evidence import MissionEvidence
-from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
-from kbnitp_ros.base.rounds import Rounds
-from kbnitp_ros.configuration import node_parameters, with_defaults
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel, Unknowns
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_report
 from kbnitp_ros.messages.headers import next_name
-from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
+from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
+from kbnitp_ros.nodes.mission_evidence import MissionEvidence
+from kbnitp_ros.nodes.rounds import Rounds
 from laws import for_each
 import numpy as np
 import pytest
@@ -37,39 +37,35 @@ VALUES = {
 }  # fmt: skip
 
 
-def in_flight(*keys, kept=2):
-    robots = DeploymentsInFlight(VALUES, kept)
-    for content, each in enumerate(keys):
-        robots.send(each, HOME, content)
-    return robots
+def base(*out, actions=()):
+    """Return the state of a base with robots in flight, after actions of its operator."""
+    state = BaseState(GRID, 10, values=VALUES)
+    for content, each in enumerate(out):
+        state.take_path(each, HOME, content)
+    for stamp, action in enumerate(actions):
+        state.take_action(OperatorAction(stamp, action, 0))
+    return state
 
 
 def states(**said):
-    known = AgentStates(GRID, {**VALUES, 'grid.base': GRID.base}, ['scout_1'])
+    known = AgentStates({'scout_1': GRID}, VALUES)
     stated = {'readiness': Readiness.READY, 'reason': '', 'is_at_base': True, 'stamp': 1, **said}
     known.take('scout_1', read_state(state_message(GRID, 'scout_1', **stated), 'scout_1'))
     return known
-
-
-def operator(*actions):
-    state = OperatorState()
-    for stamp, action in enumerate(actions):
-        state.apply(OperatorAction(stamp, action, 0, {}))
-    return state
 
 
 # One robot was deployed, two are left, and nothing blocks the next deployment.
 CLEAR = PlannerState(
     values=VALUES,
     agents=['scout_1'],
-    in_flight=in_flight(),
+    base=base(),
     states=states(),
-    operator=operator(),
     unrecorded_action='',
     sent=1,
     newest=1,
     last_received=1,
     refusal='',
+    kept=2,
     estimators=1,
     is_decided=True,
     is_deciding=False,
@@ -79,17 +75,22 @@ CLEAR = PlannerState(
     service=lambda name: f'/b/{name}',
 )
 
+
+def made(out=(), actions=(), **changes):
+    return replace(CLEAR, base=base(*out, actions=actions), **changes)
+
+
 MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
     Obstacle.NO_BELIEF: {'newest': None},
-    Obstacle.UNREPORTED: {'in_flight': in_flight(key(1)), 'sent': 2},
+    Obstacle.UNREPORTED: {'out': [key(1)], 'sent': 2},
     Obstacle.BELIEF_BEHIND: {'last_received': 0, 'newest': 0},
     Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
     Obstacle.DECIDING: {'is_decided': False, 'is_deciding': True},
     Obstacle.UNDECIDED: {'is_decided': False},
     Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
     Obstacle.NO_SUBSCRIBER: {'missing_listeners': lambda: 'the estimator'},
-    Obstacle.PAUSED: {'operator': operator(Action.PAUSE)},
+    Obstacle.PAUSED: {'actions': [Action.PAUSE]},
     Obstacle.NO_FREE_AGENT: {'absent': ['scout_1']},
 }
 
@@ -101,12 +102,12 @@ def test_robots_leave_where_nothing_blocks_them():
 
 @for_each('obstacle', list(MADE_BY))
 def test_each_obstacle_alone_blocks_departures(obstacle):
-    assert replace(CLEAR, **MADE_BY[obstacle]).obstacle is obstacle
+    assert made(**MADE_BY[obstacle]).obstacle is obstacle
 
 
 @for_each('first, second', list(combinations(MADE_BY, 2)))
 def test_the_first_of_two_obstacles_is_stated(first, second):
-    both = replace(CLEAR, **MADE_BY[second] | MADE_BY[first])
+    both = made(**MADE_BY[second] | MADE_BY[first])
     if (first, second) == (Obstacle.UNREPORTED, Obstacle.NO_FREE_AGENT):
         # Nobody waits for the report of an agent that has left the graph.
         first = second
@@ -119,15 +120,14 @@ def test_the_goal_is_looked_at_only_when_robots_could_leave():
 
     for obstacle in list(MADE_BY)[: list(MADE_BY).index(Obstacle.OVER)]:
         changes = MADE_BY[obstacle] | {'why_over': fail}
-        assert replace(CLEAR, **changes).obstacle is obstacle
+        assert made(**changes).obstacle is obstacle
 
 
 def test_where_robots_leave_one_by_one_only_the_free_ones_do():
-    rolling = replace(
-        CLEAR,
+    rolling = made(
         values={**VALUES, 'rolling': True},
         agents=['scout_1', 'scout_2'],
-        in_flight=in_flight(key(1)),
+        out=[key(1)],
         sent=2,
     )
     assert rolling.obstacle is None
@@ -143,7 +143,7 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
     ({}, True),
 ])  # fmt: skip
 def test_agents_that_answer_and_take_orders_are_free(change, free):
-    assert bool(replace(CLEAR, **change).free_agents) is free
+    assert bool(made(**change).free_agents) is free
 
 
 @for_each('change', [{'silent_loss': False}, {'presume_departure': True}])
@@ -153,17 +153,16 @@ def test_silent_agents_are_sent_where_silence_does_not_count(change):
 
 
 def test_an_ended_mission_waits_for_departed_robots_only():
-    ended = replace(
-        CLEAR,
-        operator=operator(Action.END),
+    ended = made(
+        actions=[Action.END],
         agents=['scout_1', 'scout_2'],
-        in_flight=in_flight(key(1), key(2, 'scout_2')),
+        out=[key(1), key(2, 'scout_2')],
         sent=3,
     )
     assert ended.unreported == []
     assert ended.robots == 1
     assert ended.obstacle is Obstacle.ALL_DEPLOYED
-    ended.in_flight.take(key(1), AgentStatus(OrderState.DEPARTED, 0))
+    ended.base.take_status(key(1), AgentStatus(OrderState.DEPARTED, 0))
     assert ended.unreported == [key(1)]
     assert ended.robots == 2
     assert ended.obstacle is Obstacle.UNREPORTED
@@ -178,7 +177,7 @@ def test_an_ended_mission_waits_for_departed_robots_only():
     ([Action.PAUSE, Action.END], Obstacle.UNREPORTED, MissionState.ENDED),
 ])  # fmt: skip
 def test_the_state_of_the_mission(actions, obstacle, state):
-    assert replace(CLEAR, operator=operator(*actions)).mission_state(obstacle) is state
+    assert made(actions=actions).mission_state(obstacle) is state
 
 
 @for_each('obstacle, change, words', [
@@ -195,12 +194,12 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
     (
         Obstacle.BELIEF_BEHIND,
-        {'in_flight': in_flight(*map(key, range(4))), 'sent': 5},
+        {'out': [*map(key, range(4))], 'sent': 5},
         'the last belief holds 0, and publishers keep only the last 2 paths and reports of each',
     ),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
     (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
-    (Obstacle.ALL_DEPLOYED, {'operator': operator(Action.END)}, 'robots deployed, ended by the'),
+    (Obstacle.ALL_DEPLOYED, {'actions': [Action.END]}, 'robots deployed, ended by the'),
     (Obstacle.OVER, {}, '1 of 3 robots deployed: the lane is free'),
     (Obstacle.NO_FREE_AGENT, {}, 'nobody publishes /a/scout_1/report (parameter agents)'),
     (
@@ -210,7 +209,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     ),
 ])  # fmt: skip
 def test_an_obstacle_is_stated_with_its_remedy(obstacle, change, words):
-    now = replace(CLEAR, **MADE_BY[obstacle] | change)
+    now = made(**MADE_BY[obstacle] | change)
     assert words in describe_obstacle(now, obstacle)
 
 
@@ -342,7 +341,10 @@ def test_the_rest_of_a_round_is_sent_as_planned(planner, recorded, is_refused):
 
     def rounds():
         return Rounds(
-            ROUND_GRID, values, warn=print, knowledge=MissionEvidence(ROUND_GRID, values, {})
+            ROUND_GRID,
+            values,
+            warn=print,
+            knowledge=MissionEvidence(values, BaseState(ROUND_GRID, 6)),
         )
 
     plans = rounds().search(planned_on(), AGENTS, {}, next_name(MISSION, MISSION))().plans

@@ -6,7 +6,6 @@ from dataclasses import replace
 from itertools import pairwise
 
 from extent import some
-from kbnitp_ros.base.mission_tracker import read_planner_record
 from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.configuration.mission import earlier_belief
 from kbnitp_ros.core import Grid
@@ -16,6 +15,7 @@ from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import read_map
 from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.nodes.planner import read_planner_record
 import numpy as np
 from PIL import Image
 import pytest
@@ -279,7 +279,7 @@ def test_a_mission_resumes_with_its_bases_and_later_missions_may_have_others(set
     assert not mission.findings()
     moved = with_defaults({**parameters, 'team.scout_1.base': 62, 'team.scout_2.base': 0})
     with pytest.raises(ValueError, match=r'the base of scout_1 is 0, .* set 62.*prior\.log'):
-        read_planner_record(MissionLog(mission.log), make_grid(moved), moved, parameters['agents'])
+        read_planner_record(MissionLog(mission.log), moved, make_grid(moved))
     last = read_belief_maps(mission.onlooker.belief)
     assert [last.agent_base(agent) for agent in parameters['agents']] == [0, 62, 62]
     # A former base stays free of hazards, and a new base is free.

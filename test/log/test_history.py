@@ -5,6 +5,7 @@ from collections import Counter
 from itertools import permutations
 
 from kbnitp_msgs.msg import AgentStatus as AgentStatusMessage
+from kbnitp_ros.base.state import Departures
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
@@ -15,7 +16,7 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import Departures, read_mission, read_resumed
+from kbnitp_ros.log.record import read_mission, read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.log.write import LogWriter
@@ -212,7 +213,7 @@ def test_a_robot_at_its_base_is_not_lost_and_a_returned_one_has_departed():
     with pytest.raises(ValueError, match='lost, but its agent refused it: a newer path came'):
         departures.check_loss(KEY)
     departures.end(KEY, HOME)
-    assert not departures.is_refused(KEY)
+    assert KEY not in departures.refused
     departures.check_loss(KEY)
 
 

@@ -43,7 +43,7 @@ def test_agents_may_have_bases_of_their_own():
 
 
 def team():
-    return AgentStates(GRID, VALUES, ['scout_1', 'scout_2'])
+    return AgentStates(dict.fromkeys(['scout_1', 'scout_2'], GRID), VALUES)
 
 
 def test_a_field_must_be_stated_unless_departures_are_presumed():
@@ -54,7 +54,7 @@ def test_a_field_must_be_stated_unless_departures_are_presumed():
     assert states.foreign == {'scout_1': 'parameter grid.width is 13 there and 12 here'}
     states.take('scout_1', state())
     assert not states.foreign
-    assert AgentStates(GRID, {'presume_departure': True}, ['scout_1']).unstated == []
+    assert AgentStates({'scout_1': GRID}, {'presume_departure': True}).unstated == []
 
 
 def test_a_reason_is_withdrawn_only_by_a_ready_agent():

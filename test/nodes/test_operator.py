@@ -10,7 +10,7 @@ import subprocess
 from base import Base, GRID, PARAMETERS, SERVICES
 from documented import ROOT
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.base.deployments_in_flight import DeploymentsInFlight
+from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.messages.headers import in_seconds
 from kbnitp_ros.messages.operator_actions import Action, MAX_TIMES
@@ -188,7 +188,8 @@ def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
     rclpy.init(args=[])
     request.addfinalizer(rclpy.shutdown)
     node = MissionNode('planner')
-    operator = Operator(node, GRID, [], DeploymentsInFlight({}, 1), lambda _: None)
+    state = BaseState(GRID, 1)
+    operator = Operator(node, [], state, lambda _: None)
 
     def call(data):
         return operator._on_pause(SetBool.Request(data=data), SetBool.Response())
@@ -201,8 +202,8 @@ def test_endless_pauses_and_resumptions_do_not_fill_the_log(field, request):
         told = call(False)
         assert not told.success
         assert f'RESUME was called {MAX_TIMES} times' in told.message
-        assert operator.state.is_paused
-    assert len(operator.state.actions) == 2 * MAX_TIMES + 1
+        assert state.operator.is_paused
+    assert len(state.operator.actions) == 2 * MAX_TIMES + 1
     assert operator._on_end(Trigger.Request(), Trigger.Response()).success
     node.destroy_node()
 

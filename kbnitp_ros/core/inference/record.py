@@ -237,6 +237,12 @@ class MissionRecord:
         self.lost += (not outcome.survived) - (known is not None and not known.survived)
         return True
 
+    def forget(self, key: DeploymentKey) -> None:
+        """Forget the outcome of a deployment, so that its next report counts."""
+        if outcome := self.outcomes.pop(key, None):
+            self.lost -= not outcome.survived
+        self.contradicted.pop(key, None)
+
     def _keep_pending(self, key: DeploymentKey, report: Report) -> None:
         """Keep a report until its path is known."""
         pending = self._pending.setdefault(key, {})

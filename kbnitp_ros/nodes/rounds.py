@@ -11,7 +11,6 @@ from threading import Thread
 import time
 from typing import Any, TypeVar
 
-from kbnitp_ros.base.mission_evidence import MissionEvidence
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_plan
@@ -21,6 +20,7 @@ from kbnitp_ros.core.planning.planners import count_visits
 from kbnitp_ros.core.planning.regions import keepout_cells
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
+from kbnitp_ros.nodes.mission_evidence import MissionEvidence
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks and warnings of a base: reach, density, changed parameters."""
+"""Checks and warnings of a base: reach, density, timeouts, changed parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from math import ceil
 from typing import Any
 
@@ -61,6 +61,17 @@ def check_reach(
     note = reach_note(grid, values, least)
     if note and not confirm(f'{note}. Send robots all the same?'):
         raise ValueError(f'{note}, or minimum_reach to 0 for these cells only')
+
+
+def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
+    """Check that silent robots do not time out before their paths end."""
+    for agent in agents:
+        if values['silent_loss'] and value_for(values, 'step_period', agent) == 0.0:
+            raise ValueError(
+                f'silent_loss is true and step_period is 0 for {agent}: its robot would count as '
+                f'lost {values["return_deadline"]} s after it departs (return_deadline), however '
+                'long its path is; set step_period to the seconds that it needs for a step'
+            )
 
 
 def failure_note(values: Mapping[str, Any]) -> str:
