@@ -28,7 +28,6 @@ class Obstacle(Enum):
     BELIEF_BEHIND = auto()
     ALL_DEPLOYED = auto()
     DECIDING = auto()
-    UNDECIDED = auto()
     OVER = auto()
     NO_SUBSCRIBER = auto()
     ALL_LEFT = auto()
@@ -69,10 +68,8 @@ class PlannerState:
     kept: int
     # Number of nodes that publish beliefs.
     estimators: int
-    # Whether the decision on the newest belief is ready, so that robots can be planned.
+    # Whether the decision on the newest belief has arrived, so that robots can be planned.
     is_decided: bool
-    # Whether the decision is being computed.
-    is_deciding: bool
     # Return why the goal or the stops end the mission; empty if they do not.
     why_over: Callable[[], str]
     # Describe the missing subscribers before the first departure; empty if none is missing.
@@ -152,7 +149,7 @@ class PlannerState:
         if held >= self.robots:
             return Obstacle.ALL_DEPLOYED
         if not self.is_decided:
-            return Obstacle.DECIDING if self.is_deciding else Obstacle.UNDECIDED
+            return Obstacle.DECIDING
         if self.why_over():
             return Obstacle.UNREPORTED if unreported else Obstacle.OVER
         if self.missing_listeners():
@@ -202,12 +199,8 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.BELIEF_BEHIND:
             return next_belief(now)
         case Obstacle.DECIDING:
-            return 'the decision on the goal'
-        case Obstacle.UNDECIDED:
-            return (
-                'the evidence of the belief, which the decision on the goal needs: restart the '
-                'planner with the parameter resume set to the log'
-            )
+            decision = f'the decision on {now.topic("decision")}'
+            return f'{decision}, for which the estimator must have the same parameters goal.*'
         case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:

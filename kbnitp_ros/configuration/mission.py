@@ -82,6 +82,12 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     return [int(cell) for cell in np.flatnonzero(is_marked)]
 
 
+def settled_goal(values: Mapping[str, Any], grid: Grid) -> dict[str, Any]:
+    """Return the parameters of the goal with its cells by number."""
+    cells = goal_cells(values, grid)
+    return {'goal.cells': cells, 'goal.position': (), 'goal.mask': ''}
+
+
 def make_stop(values: Mapping[str, Any]) -> Stop:
     """Return the conditions that end a mission early."""
     return Stop(values['stop.gain'], values['stop.losses'])

@@ -111,11 +111,12 @@ AWAITED = (
     ),
 )
 
-# Constructors of rows for a single node; `changeable` is for planner parameters that can change.
+# Constructors of rows for a single node, for planner parameters that can change, and for the goal.
 for_planner, for_agent, for_robot, for_estimator, for_recorder = (
     partial(Parameter, nodes=(node,)) for node in NODES
 )
 changeable = partial(for_planner, read_only=False)
+for_goal = partial(Parameter, nodes=('planner', 'estimator'))
 
 ROWS = (
     Parameter(
@@ -404,36 +405,37 @@ ROWS = (
         limits=(0.0, 1e9),
         per_agent=True,
     ),
-    for_planner(
+    for_goal(
         'goal.kind',
         'map',
         'Goal of the mission: map, as much information as possible; lane, a way free of hazards '
         'from the base to a cell; area, cells free of hazards.',
         choices=GOALS,
     ),
-    for_planner(
+    for_goal(
         'goal.cells',
         (),
         'Cells of the goal, by number: the cells of an area, or the last cell of a lane.',
         element=int,
     ),
-    for_planner(
+    for_goal(
         'goal.position',
         (),
         'Position of the goal: x and y of a point in its only cell, metres in the frame map, in '
         'place of goal.cells; empty for none.',
         element=float,
     ),
-    for_planner(
+    for_goal(
         'goal.mask',
         '',
         'YAML file of a map in the format of map_server, with a pixel for each cell of the field: '
         'occupied pixels are the cells of the goal, in place of goal.cells; empty for none.',
     ),
-    changeable(
+    for_goal(
         'stop.confidence',
         0.0,
         'Probability of the goal at which the mission ends as successful; 0 for never.',
+        read_only=False,
         limits=(0.0, 1.0 - 1e-6),
     ),
     changeable(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,6 +14,7 @@ from kbnitp_ros.core import (
     Decision,
     Estimator,
     Grid,
+    HazardDraws,
     Ledger,
     log_loss,
     path_information,
@@ -277,3 +279,18 @@ def read_decision(grid: Grid, message: Any) -> Decision:
         reached=message.reached,
         reason=message.reason,
     )
+
+
+def fill_draws(response: Any, draws: HazardDraws) -> None:
+    """Fill the response of the service `draws`."""
+    response.success, response.count = True, len(draws.hazardous)
+    response.independent_draws = draws.independent
+    response.hazardous = array('B', np.packbits(draws.hazardous).tobytes())
+    response.weight = array('d', draws.weight.tobytes())
+
+
+def read_draws(response: Any, cells: int) -> HazardDraws:
+    """Return the draws of a response, on a field of so many cells."""
+    bits = np.unpackbits(np.asarray(response.hazardous, np.uint8), count=response.count * cells)
+    hazardous = bits.astype(bool).reshape(response.count, cells)
+    return HazardDraws(hazardous, response.independent_draws, np.asarray(response.weight))

@@ -1,143 +1,159 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's decisions on its goal, which may end the mission."""
+"""The estimator's decisions on the goal of the mission, and its answers about the hazards."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent import futures
 from functools import partial
+from threading import Lock
+from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
-from kbnitp_ros.base.state import BaseState
-from kbnitp_ros.configuration.mission import goal_cells, make_stop
-from kbnitp_ros.core import Decision, safest_path
+from kbnitp_msgs.srv import Draws
+from kbnitp_ros.configuration import make_goal
+from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safest_path
 from kbnitp_ros.files import counted
-from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import path_message
-from kbnitp_ros.messages.headers import check_frame
-from kbnitp_ros.messages.progress import decision_message
-from kbnitp_ros.nodes.mission_evidence import MissionEvidence
-from kbnitp_ros.nodes.rounds import computed
+from kbnitp_ros.messages.headers import check_frame, from_stamp
+from kbnitp_ros.messages.progress import decision_message, fill_draws
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import MissionNode
+from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-# Reason why a call of safest_path has no answer.
-UNKNOWN = 'the newest belief, or some of its evidence, has not been received yet'
+# Maximum seconds that a node that ends waits for its last decision.
+LAST = 1.0
+
+# Reason why a call has no answer: calls are answered one after another.
+BUSY = 'another call is being answered: call again later'
+
+T = TypeVar('T')
+
+
+class Known(NamedTuple):
+    """A published belief: its estimator, number of deployments, stamp and mission."""
+
+    estimator: Estimator
+    deployments: int
+    stamp: int
+    mission: int
 
 
 class Decisions:
-    """The decisions of the planner on its goal."""
+    """The topics `decision` and `decision/lane`, and the services `safest_path` and `draws`."""
 
-    def __init__(self, node: MissionNode, state: BaseState, act: Callable[[], object]) -> None:
-        self.knowledge = MissionEvidence(node.values, state)
+    def __init__(self, node: FieldNode) -> None:
         self._node = node
-        self._state = state
-        self._grid = state.grid
-        self._act = act
-        self._newest: Snapshot | None = None
-        self._decision: Decision | None = None
-        self._is_decided = False
-        # Number of belief and parameter changes so far. At the start of the last decision: that
-        # number, and the number of changes of the evidence.
-        self._news = 0
-        self._begun_with = 0, 0
-        self._deciding: futures.Future[Decision | None] | None = None
-        self._finding: futures.Future[Decision] | None = None
-        # Reason why the plans for the newest belief end the mission, empty if they do not; and the
-        # reason logged last.
-        self.not_worth = ''
-        self._said = ''
+        self._grid = node.grid
+        self._newest: Known | None = None
+        # The last draws, and their estimator; drawn by one thread at a time.
+        self._drawn: tuple[Estimator, HazardDraws] | None = None
+        self._drawing = Lock()
+        self._deciding: futures.Future[Decision] | None = None
+        # The belief and the confidence of the last decision begun.
+        self._begun: tuple[Known | None, float] = None, 0.0
+        # Services with a call that is being answered.
+        self._answering: set[str] = set()
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
+        node.add_post_set_parameters_callback(self._review)
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
-        node.create_poll(self._decide)
+        node.create_service(Draws, 'draws', self._on_draws)
 
-    def take(self, newest: Snapshot) -> None:
-        """Store the newest belief, start the decision on it, and call `act`."""
-        if not newest.deployments:
-            self.knowledge.begin(newest)
-        self._newest = newest
-        self.review()
+    @property
+    def _goal(self) -> Goal | None:
+        return make_goal(self._node.values, self._grid)
+
+    def publish(self, ledger: Ledger, stamp: int, mission: int) -> None:
+        """Decide on a new belief, and publish the decision once it is computed."""
+        # A late deployment gives the ledger another estimator, and leaves this one as it is.
+        self._newest = Known(ledger.estimator, len(ledger.deployments), stamp, mission)
         self._decide()
-        self._act()
 
-    def review(self) -> None:
-        """Request a new decision at the next poll."""
-        self._is_decided, self.not_worth = False, ''
-        self._news += 1
-
-    @property
-    def is_ready(self) -> bool:
-        """Return whether the decision on the newest belief is ready, or not needed."""
-        return self.knowledge.goal is None or self._is_decided
-
-    @property
-    def is_deciding(self) -> bool:
-        """Return whether a decision is being computed, or will be at the next poll."""
-        # If a belief did not match the evidence, more evidence starts the decision again.
-        now = self._news, self._state.changes
-        return self._deciding is not None or now != self._begun_with
-
-    def _decide(self) -> None:
-        """Publish the decision once it is computed, and start the next if it is due."""
-        if self._deciding is not None and self._deciding.done():
-            decision, self._deciding = self._deciding.result(), None
-            if decision is not None and self._begun_with[0] == self._news:
-                self._is_decided, self._decision = True, decision
-                self._publish(decision)
-                self._act()
-        if self._newest is None or self.is_ready or self._deciding is not None:
-            return
-        if self.is_deciding:
-            self._begun_with = self._news, self._state.changes
-            self._deciding = computed(
-                partial(self.knowledge.decision, self._newest),
-                partial(self._node.call_next, self._decide),
+    def finish(self) -> None:
+        """Publish the decision on the last belief, if it takes less than `LAST`."""
+        try:
+            while self._deciding is not None:
+                self._deciding.result(LAST)
+                self._take(self._deciding)
+        except TimeoutError:
+            self._node.get_logger().warning(
+                f'the decision on the last belief takes more than {LAST:g} s and is left out'
             )
 
-    def why_over(self) -> str:
-        """Return the reason why no more robots leave; empty if robots may leave."""
-        decision = self._decision if self.knowledge.goal is not None else None
-        why = make_stop(self._node.values).why(decision, self._state.lost) or self.not_worth
-        if why != self._said:
-            self._said = why
-            if why:
-                self._node.get_logger().info(f'no more robots leave: {why}')
-        return why
+    def _review(self, _: list[Parameter]) -> None:
+        """Decide again with another confidence."""
+        self._decide()
 
-    def _publish(self, decision: Decision) -> None:
-        newest = self._newest
-        assert newest is not None
-        message = decision_message(
-            self._grid,
-            decision,
-            newest.deployments,
-            newest.stamp,
-            newest.mission,
-            goal_cells(self._node.values, self._grid),
-        )
-        self._publisher.publish(message)
-        self._lane.publish(message.path)
-        taken = '' if self.knowledge.are_joint else ' (cells assumed independent)'
-        self._node.get_logger().info(
-            f'{decision.goal} free of hazards with probability {decision.p_free:.3f}, '
-            f'{decision.hazards_mean:.2f} hazards expected, after '
-            f'{counted(newest.deployments, "deployment")}{taken}'
+    def _decide(self) -> None:
+        """Start the decision on the newest belief, unless it was started or another one runs."""
+        due = self._newest, self._node.values['stop.confidence']
+        if self._goal is None or self._newest is None or self._deciding or due == self._begun:
+            return
+        self._begun = due
+        goal, known, most = self._goal, self._newest, self._node.values['max_steps']
+        self._deciding = self._node.compute(
+            lambda: goal.decide(self._grid, self._draws(known), known.estimator.model, most),
+            self._take,
         )
 
-    def _on_safest_path(
-        self, request: GetPlan.Request, response: GetPlan.Response
-    ) -> GetPlan.Response | Future:
+    def _take(self, deciding: futures.Future[Decision]) -> None:
+        """Publish a decision unless there is a newer belief, and start the next one."""
+        if deciding is not self._deciding:
+            return
+        self._deciding, decision = None, deciding.result()
+        known = self._newest
+        assert known is not None
+        if self._begun[0] is known:
+            message = decision_message(
+                self._grid,
+                decision,
+                known.deployments,
+                known.stamp,
+                known.mission,
+                self._node.values['goal.cells'],
+            )
+            self._publisher.publish(message)
+            self._lane.publish(message.path)
+            taken = '' if known.estimator.draws_are_exact else ' (cells assumed independent)'
+            self._node.get_logger().info(
+                f'{decision.goal} free of hazards with probability {decision.p_free:.3f}, '
+                f'{decision.hazards_mean:.2f} hazards expected, after '
+                f'{counted(known.deployments, "deployment")}{taken}'
+            )
+        self._decide()
+
+    def _draws(self, known: Known) -> HazardDraws:
+        """Return draws of the hazards for a belief, as often as it is asked."""
+        with self._drawing:
+            if self._drawn is None or self._drawn[0] is not known.estimator:
+                draws = HazardDraws.of(known.estimator, known.deployments)
+                self._drawn = known.estimator, draws
+            return self._drawn[1]
+
+    def _on_draws(self, request: Draws.Request, response: Draws.Response) -> Any:
+        """Answer with draws for the newest belief."""
+        known, asked = self._newest, (from_stamp(request.stamp), request.deployments)
+        if known is None or (known.stamp, known.deployments) != asked:
+            response.message = 'the newest belief is another one'
+            return response
+        if 'draws' in self._answering:
+            response.message = BUSY
+            return response
+        draw = partial(self._draws, known)
+        return self._answered('draws', response, draw, partial(fill_draws, response))
+
+    def _on_safest_path(self, request: GetPlan.Request, response: GetPlan.Response) -> Any:
         """Answer with the safest path between two places; with an empty path if none is found."""
-        newest = self._newest
         try:
-            if newest is None:
-                raise ValueError(UNKNOWN)
-            if self._finding is not None:
-                raise ValueError('another call is being answered: call again later')
+            known = self._newest
+            if known is None:
+                raise ValueError('no belief has been published yet')
+            if 'safest_path' in self._answering:
+                raise ValueError(BUSY)
             for name in ('start', 'goal'):
                 check_frame(f'{name}.header.frame_id', getattr(request, name).header.frame_id)
             start, to = (
@@ -147,28 +163,35 @@ class Decisions:
         except ValueError as error:
             self._node.diagnostics.refuse('safest_path', error)
             return response
+
+        def fill(found: Decision) -> None:
+            response.plan = path_message(self._grid, found.path, known.stamp, known.mission)
+            self._node.get_logger().info(
+                f'safest path of {found.path.size - 1} steps: free of hazards with '
+                f'probability {found.p_free:.3f}, survival probability {found.survival:.3f}'
+            )
+
+        find = partial(self._safest_path, known, start, to)
+        return self._answered('safest_path', response, find, fill)
+
+    def _safest_path(self, known: Known, start: int, to: int) -> Decision:
+        model, most = known.estimator.model, self._node.values['max_steps']
+        return safest_path(self._grid, self._draws(known), model, start, to, most)
+
+    def _answered(
+        self, service: str, response: Any, find: Callable[[], T], fill: Callable[[T], None]
+    ) -> Future:
+        """Return the future of a response that is filled once a thread has found what it says."""
         answer = Future()
+        self._answering.add(service)
 
-        def find() -> Decision:
-            if (draws := self.knowledge.draws(newest)) is None:
-                raise ValueError(UNKNOWN)
-            most = self._node.values['max_steps']
-            return safest_path(self._grid, draws, newest.model, start, to, most)
-
-        def reply() -> None:
-            assert self._finding is not None
-            finding, self._finding = self._finding, None
+        def reply(found: futures.Future[T]) -> None:
+            self._answering.remove(service)
             try:
-                found = finding.result()
+                fill(found.result())
             except ValueError as error:
-                self._node.diagnostics.refuse('safest_path', error)
-            else:
-                response.plan = path_message(self._grid, found.path, newest.stamp, newest.mission)
-                self._node.get_logger().info(
-                    f'safest path of {found.path.size - 1} steps: free of hazards with '
-                    f'probability {found.p_free:.3f}, survival probability {found.survival:.3f}'
-                )
+                self._node.diagnostics.refuse(service, error)
             answer.set_result(response)
 
-        self._finding = computed(find, partial(self._node.call_next, reply))
+        self._node.compute(find, reply)
         return answer

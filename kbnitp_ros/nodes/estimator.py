@@ -9,10 +9,11 @@ from functools import partial
 
 from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport
 from kbnitp_ros.base.state import Departures, MissingError
-from kbnitp_ros.configuration import agent_names, make_estimator
+from kbnitp_ros.configuration import agent_names, make_estimator, make_goal
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.checks import density_note, failure_note
 from kbnitp_ros.configuration.field import make_datum
+from kbnitp_ros.configuration.mission import settled_goal
 from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
@@ -22,6 +23,7 @@ from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import read_path, read_report, read_status
 from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp, mission_of_path
 from kbnitp_ros.messages.progress import Checked
+from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.models import Models
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
@@ -47,6 +49,10 @@ class EstimatorNode(FieldNode):
         super().__init__('estimator')
         # Only check the datum: the page of a mission reads it from the log.
         make_datum(self.values)
+        # The file of a mask is read once: it may change or go.
+        self.values |= settled_goal(self.values, self.grid)
+        if goal := make_goal(self.values, self.grid):
+            goal.check(self.grid, self.values['max_steps'])
         estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
@@ -72,6 +78,7 @@ class EstimatorNode(FieldNode):
             self._views.announce_mask(*values)
         has_model = estimator.parameters or estimator.check.alternatives
         self._models = Models(self, self._warn_of_doubt) if has_model else None
+        self._decisions = Decisions(self)
         self._doubt = ''
         self._new = NewEvidence()
         self._belief = self.create_publisher(
@@ -253,6 +260,7 @@ class EstimatorNode(FieldNode):
         stamp = from_stamp(message.header.stamp)
         if self._models is not None:
             self._models.publish(ledger, stamp)
+        self._decisions.publish(ledger, stamp, mission)
         self._views.show(ledger, stamp)
         self._update_sampling(ledger)
 
@@ -302,8 +310,9 @@ class EstimatorNode(FieldNode):
         )
 
     def finish(self) -> None:
-        """Publish the last views, and the check of the last belief."""
+        """Publish the last views, and the decision on the last belief and its check."""
         self._views.publish()
+        self._decisions.finish()
         if self._models is not None:
             self._models.finish()
 

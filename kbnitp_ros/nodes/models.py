@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
-from functools import partial
 
 from kbnitp_msgs.msg import ModelBelief
 from kbnitp_ros.core import Ledger
 from kbnitp_ros.messages.progress import Checked, model_belief, NOT_CHECKED
-from kbnitp_ros.nodes.rounds import computed
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 
@@ -63,14 +61,11 @@ class Models:
         # A late deployment gives the ledger another estimator, and leaves this one as it is.
         estimator, self._begun = ledger.estimator, len(ledger.deployments)
         deployments = self._begun
-        return computed(
-            lambda: Checked(estimator.check, deployments, stamp),
-            partial(self._node.call_next, self._take),
-        )
+        return self._node.compute(lambda: Checked(estimator.check, deployments, stamp), self._take)
 
-    def _take(self) -> None:
-        if self._running is not None:
-            self._checked, self._running = self._running.result(), None
+    def _take(self, running: Future[Checked]) -> None:
+        if running is self._running:
+            self._checked, self._running = running.result(), None
             self._publish()
             self._show(self._checked)
 

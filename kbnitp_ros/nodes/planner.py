@@ -20,7 +20,7 @@ from kbnitp_ros.configuration.checks import (
     cut_off_note,
     reach_note,
 )
-from kbnitp_ros.configuration.mission import check_search, goal_cells
+from kbnitp_ros.configuration.mission import check_search, settled_goal
 from kbnitp_ros.core import Grid, NoPathError
 from kbnitp_ros.files import some
 from kbnitp_ros.log.record import read_newest_round, read_resumed, RecordedMission
@@ -30,12 +30,12 @@ from kbnitp_ros.messages.deployments import Source
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.messages.states import Readiness
-from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.dispatch import Dispatch
+from kbnitp_ros.nodes.goal import GoalState
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.presence import Peers, StatePublisher
-from kbnitp_ros.nodes.rounds import computed, Plans, Rounds, Search
+from kbnitp_ros.nodes.rounds import Plans, Rounds, Search
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -50,10 +50,8 @@ class PlannerNode(FieldNode):
     def __init__(self) -> None:
         super().__init__('planner')
         self._agents = agent_names(self.values, self.grid)
-        if self.values['goal.mask']:
-            # The file is read once: it may change or go.
-            cells = goal_cells(self.values, self.grid)
-            self.values |= {'goal.cells': cells, 'goal.mask': ''}
+        # The file of a mask is read once: it may change or go.
+        self.values |= settled_goal(self.values, self.grid)
         check_search(self.values, self.grid, {})
         check_periods(self.values, self._agents)
         check_reach(self.grid, self.values)
@@ -63,11 +61,10 @@ class PlannerNode(FieldNode):
         record = read_planner_record(log, self.values, self.grid) if log else None
         types = make_robot_types(self.values, self.grid)
         self._state = record or BaseState(self.grid, self.values['max_steps'], types, self.values)
-        self._decisions = Decisions(self, self._state, self._deploy)
-        knowledge = self._decisions.knowledge
-        self._rounds = Rounds(self.grid, self.values, self.get_logger().warning, knowledge)
+        self._goal = GoalState(self, self._state, self._deploy)
+        self._rounds = Rounds(self.grid, self.values, self.get_logger().warning)
         self._dispatch = Dispatch(self, self._agents, self._rounds, self._state, self._deploy)
-        self._beliefs = NewestBelief(self, self._agents, self._state, self._decisions.take)
+        self._beliefs = NewestBelief(self, self._agents, self._state, self._goal.take)
         self._peers = Peers(self, self._agents)
         # The search for the next round, kept with its result while robots cannot leave.
         self._search: Search | None = None
@@ -103,8 +100,6 @@ class PlannerNode(FieldNode):
         if has_rounds and (missing := missing_plans(log, record, self._agents, self._rounds)):
             plans, mission = missing
             self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
-        if record.prior:
-            self._decisions.knowledge.begin(record.prior)
 
     def _log_reachability(self) -> None:
         """Log the cells of a map, and the part of the field that no path reaches."""
@@ -129,7 +124,7 @@ class PlannerNode(FieldNode):
     def _note_change(self, _: Sequence[Parameter]) -> None:
         """Discard plans made with other parameters."""
         self._changes += 1
-        self._decisions.review()
+        self._goal.not_worth = ''
 
     def _look_at_graph(self) -> None:
         if self._peers.look():
@@ -174,9 +169,8 @@ class PlannerNode(FieldNode):
             refusal=self._beliefs.refusal,
             kept=qos.DEPTH,
             estimators=self._peers.estimators,
-            is_decided=self._decisions.is_ready,
-            is_deciding=self._decisions.is_deciding,
-            why_over=self._decisions.why_over,
+            is_decided=self._goal.is_decided,
+            why_over=self._goal.why_over,
             missing_listeners=self._missing_listeners,
             topic=self.resolve_topic_name,
             service=self.resolve_service_name,
@@ -223,12 +217,14 @@ class PlannerNode(FieldNode):
         try:
             plans = self._next_plans(newest, now.free_agents[: now.robots - now.sent])
         except NoPathError as error:
-            self._decisions.not_worth = str(error)
-        if self._decisions.why_over():
+            self._goal.not_worth = str(error)
+        if self._goal.why_over():
             self._deploy()
             return
         if not plans:
             obstacle = Obstacle.SEARCHING if self._search else Obstacle.WORTHLESS
+            if self._goal.awaits_draws:
+                obstacle = Obstacle.DECIDING
             self._publish_obstacle(self._planner_state(), obstacle)
             return
         if self.values['approval'] and not self._are_approved(plans):
@@ -283,6 +279,9 @@ class PlannerNode(FieldNode):
             )
             search = None
         if search is None:
+            draws = self._goal.draws() if self._goal.goal else None
+            if self._goal.awaits_draws:
+                return {}
             self._operator.withdraw()
             # The stamp is not taken from the clock, so that a restarted planner sends the same
             # message again.
@@ -290,15 +289,15 @@ class PlannerNode(FieldNode):
             last = self._dispatch.last_stamp
             stamp = next_name(newest.stamp, newest.mission, held, last)
             paths = self._state.paths_in_flight
-            find = self._rounds.search(newest, agents, paths, stamp, refused)
-            found = computed(find, partial(self.call_next, self._on_search_over))
+            find = self._rounds.search(newest, agents, paths, stamp, refused, draws=draws)
+            found = self.compute(find, self._on_search_over)
             self._search = replace(now, found=found)
             return {}
         self._search = None
         assert search.found is not None
         planned = search.found.result()
         self._rounds.warn_if_slow(planned)
-        self._decisions.not_worth = planned.why_not_worth
+        self._goal.not_worth = planned.why_not_worth
         if planned.why_worthless:
             self._worthless_for = search
             self._why_worthless = planned.why_worthless
@@ -307,7 +306,7 @@ class PlannerNode(FieldNode):
             self._operator.propose(planned.plans, search)
         return planned.plans
 
-    def _on_search_over(self) -> None:
+    def _on_search_over(self, _: object) -> None:
         self._deploy()
         if self._search and not self._search.is_running:
             self.get_logger().info(

@@ -7,40 +7,20 @@ from collections.abc import Callable, Container, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
-from threading import Thread
 import time
-from typing import Any, TypeVar
+from typing import Any
 
-from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration import make_goal, value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_plan
-from kbnitp_ros.core import DeploymentKey, Grid, Plan, Team
+from kbnitp_ros.core import DeploymentKey, Grid, HazardDraws, Plan, Team
 from kbnitp_ros.core.decision.rounds import plan_round, why_worthless
 from kbnitp_ros.core.planning.planners import count_visits
 from kbnitp_ros.core.planning.regions import keepout_cells
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
-from kbnitp_ros.nodes.mission_evidence import MissionEvidence
 import numpy as np
 from numpy.typing import NDArray
-
-T = TypeVar('T')
-
-
-def computed(compute: Callable[[], T], when_over: Callable[[], object]) -> Future[T]:
-    """Run a computation in a thread, which calls `when_over` at its end; return the future."""
-    future: Future[T] = Future()
-    future.add_done_callback(lambda _: when_over())
-
-    def run() -> None:
-        try:
-            future.set_result(compute())
-        except BaseException as error:
-            future.set_exception(error)
-
-    # A daemon thread, since a process waits for the threads of a pool before it ends.
-    Thread(target=run, daemon=True).start()
-    return future
 
 
 @dataclass(frozen=True)
@@ -99,9 +79,7 @@ class Rounds:
         grid: Grid,
         values: Mapping[str, Any],
         warn: Callable[[str], object],
-        knowledge: MissionEvidence,
     ) -> None:
-        self._knowledge = knowledge
         self._grid = grid
         self._values = values
         self._warn = warn
@@ -121,14 +99,15 @@ class Rounds:
         stamp: int,
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         noted: Sequence[NDArray[np.intp]] = (),
+        draws: HazardDraws | None = None,
     ) -> Callable[[], PlannedRound]:
-        """Return a function that searches for the paths of a round."""
+        """Return a function that searches for the paths of a round; a goal needs draws."""
         robot_type = partial(
             type_to_plan, self._values, grid=self._grid, believed=known.robot_types
         )
         types = tuple(map(robot_type, agents))
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
-        goal, stop = self._knowledge.goal, make_stop(self._values)
+        goal, stop = make_goal(self._values, self._grid), make_stop(self._values)
         keepout = keepout_cells(
             self._grid,
             most_steps,
@@ -143,7 +122,7 @@ class Rounds:
         plan = partial(
             plan_round,
             goal,
-            self._knowledge.draws(known) if goal is not None else None,
+            draws,
             self._grid,
             known.belief,
             known.model,
@@ -175,7 +154,7 @@ class Rounds:
         at_base: Container[DeploymentKey] = (),
     ) -> Plans:
         """Return the plans of a round for the agents whose paths are missing in the log."""
-        if self._knowledge.goal is not None:
+        if make_goal(self._values, self._grid) is not None:
             # Draws of a past belief are not kept: the missing robots leave in the next round.
             return {}
         agents = agents[: max(0, self._values['robots'] - planned_on.deployments)]

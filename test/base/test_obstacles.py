@@ -24,7 +24,6 @@ from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
-from kbnitp_ros.nodes.mission_evidence import MissionEvidence
 from kbnitp_ros.nodes.rounds import Rounds
 from laws import for_each
 import numpy as np
@@ -68,7 +67,6 @@ CLEAR = PlannerState(
     kept=2,
     estimators=1,
     is_decided=True,
-    is_deciding=False,
     why_over=lambda: '',
     missing_listeners=lambda: '',
     topic=lambda name: f'/a/{name}',
@@ -86,8 +84,7 @@ MADE_BY = {
     Obstacle.UNREPORTED: {'out': [key(1)], 'sent': 2},
     Obstacle.BELIEF_BEHIND: {'last_received': 0, 'newest': 0},
     Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
-    Obstacle.DECIDING: {'is_decided': False, 'is_deciding': True},
-    Obstacle.UNDECIDED: {'is_decided': False},
+    Obstacle.DECIDING: {'is_decided': False},
     Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
     Obstacle.NO_SUBSCRIBER: {'missing_listeners': lambda: 'the estimator'},
     Obstacle.PAUSED: {'actions': [Action.PAUSE]},
@@ -197,6 +194,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
         {'out': [*map(key, range(4))], 'sent': 5},
         'the last belief holds 0, and publishers keep only the last 2 paths and reports of each',
     ),
+    (Obstacle.DECIDING, {}, 'the decision on /a/decision'),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
     (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
     (Obstacle.ALL_DEPLOYED, {'actions': [Action.END]}, 'robots deployed, ended by the'),
@@ -340,12 +338,7 @@ def test_the_rest_of_a_round_is_sent_as_planned(planner, recorded, is_refused):
     values |= {'planner': planner, 'max_steps': 6, 'loss_cost': 0.0}
 
     def rounds():
-        return Rounds(
-            ROUND_GRID,
-            values,
-            warn=print,
-            knowledge=MissionEvidence(values, BaseState(ROUND_GRID, 6)),
-        )
+        return Rounds(ROUND_GRID, values, warn=print)
 
     plans = rounds().search(planned_on(), AGENTS, {}, next_name(MISSION, MISSION))().plans
     on_record = dict([(key, plan.path) for key, plan in plans.items()][:recorded])

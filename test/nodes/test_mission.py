@@ -381,7 +381,7 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     # An empty request names no frame, and so no places.
     assert not ask(field, GetPlan, '/m/safest_path', request).plan.poses
     refusal = "safest_path refused: start.header.frame_id is '': it must be 'map'"
-    field.until(lambda: refusal in field.said('/m/planner'), 'refusal')
+    field.until(lambda: refusal in field.said('/m/estimator'), 'refusal')
     request.start.header.frame_id = request.goal.header.frame_id = 'map'
     request.start.pose.position.x = request.start.pose.position.y = 0.5
     request.goal.pose.position.x, request.goal.pose.position.y = 4.5, 3.5

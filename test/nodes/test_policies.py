@@ -107,6 +107,7 @@ def not_used(found, allowed):
 PARAMETERS = {
     'map_topic': '/map', 'max_steps': 6, 'robots': 4, 'planner': 'relaxed', 'publish_pose': True,
     'publish_truth': True, 'recorded': True, 'seed': 1, 'step_period': 0.05, 'defaults': 'paper',
+    'goal.kind': 'lane', 'goal.cells': [2],
 }  # fmt: skip
 LEARNING = {'method': 'kappa_bnitp_sampled', 'learn.numbers': ['lethality'], 'filter.type': 0}
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
@@ -214,16 +214,9 @@ class Decision:
         """Return the decision on whether `cells`, such as the cells of `path`, are free."""
         count = draws.hazard_count(cells)
         low, high = np.searchsorted(np.cumsum(count), np.array([0.05, 0.95]) - 1e-12).tolist()
-        p_free = draws.p_free(cells)
-        if confidence is None:
-            reason = 'no confidence is asked for'
-        elif p_free < confidence:
-            reason = f'free of hazards with probability {p_free:.3f}: {confidence} is asked for'
-        else:
-            reason = too_few_draws(confidence, draws.independent)
-        return cls(
+        decision = cls(
             goal=goal,
-            p_free=p_free,
+            p_free=draws.p_free(cells),
             cells=read_only(np.unique(cells)),
             independent_draws=draws.independent,
             path=read_only(np.array(path, dtype=np.intp)),
@@ -231,9 +224,22 @@ class Decision:
             hazards_mean=float(count @ np.arange(count.size)),
             hazards_5=low,
             hazards_95=high,
-            reached=not reason,
-            reason=reason,
+            reached=False,
+            reason='',
         )
+        return decision.judged(confidence)
+
+    def judged(self, confidence: float | None) -> Decision:
+        """Return the decision with `reached` and `reason` for another confidence."""
+        if confidence is None:
+            reason = 'no confidence is asked for'
+        elif self.p_free < confidence:
+            reason = (
+                f'free of hazards with probability {self.p_free:.3f}: {confidence} is asked for'
+            )
+        else:
+            reason = too_few_draws(confidence, self.independent_draws)
+        return replace(self, reached=not reason, reason=reason)
 
 
 def too_few_draws(confidence: float, independent: float) -> str:

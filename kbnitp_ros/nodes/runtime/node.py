@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import wraps
+from concurrent import futures
+from functools import partial, wraps
 import os
+from threading import Thread
 import time
 import traceback
 from typing import Any, TypeVar
@@ -248,6 +250,23 @@ class MissionNode(Node):
         """Schedule a callback on the executor, from any thread."""
         if self.executor is not None:
             self.executor.create_task(self.guarded(callback))
+
+    def compute(
+        self, function: Callable[[], T], take: Callable[[futures.Future[T]], object]
+    ) -> futures.Future[T]:
+        """Run a function in a thread; `take` its future on the executor at its end."""
+        future: futures.Future[T] = futures.Future()
+        future.add_done_callback(lambda done: self.call_next(partial(take, done)))
+
+        def run() -> None:
+            try:
+                future.set_result(function())
+            except BaseException as error:
+                future.set_exception(error)
+
+        # A daemon thread, since a process waits for the threads of a pool before it ends.
+        Thread(target=run, daemon=True).start()
+        return future
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Wrap a callback: `spin_once` raises its errors; errors in rclpy are only reported."""

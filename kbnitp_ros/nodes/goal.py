@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the estimator tells the planner of its goal: decisions, and draws of the hazards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from kbnitp_msgs.msg import Decision as DecisionMessage
+from kbnitp_msgs.srv import Draws
+from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.configuration import make_goal
+from kbnitp_ros.configuration.mission import make_stop
+from kbnitp_ros.core import Decision, Goal, HazardDraws
+from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.messages.progress import read_decision, read_draws
+from kbnitp_ros.nodes.runtime import qos
+from kbnitp_ros.nodes.runtime.node import FieldNode
+from rclpy.task import Future
+
+# A belief: its stamp, nanoseconds, and its number of deployments.
+Name = tuple[int, int]
+
+
+class GoalState:
+    """The goal of the planner, the decision on it, and draws of the hazards for its plans."""
+
+    def __init__(self, node: FieldNode, state: BaseState, act: Callable[[], object]) -> None:
+        self._node = node
+        self._state = state
+        self._act = act
+        self._newest: Name = 0, 0
+        self._decided: tuple[Name, Decision] | None = None
+        self._drawn: tuple[Name, HazardDraws] | None = None
+        self._asked: Future | None = None
+        # Reason why the plans for the newest belief end the mission, empty if they do not; and the
+        # reason logged last.
+        self.not_worth = ''
+        self._said = ''
+        if self.goal is not None:
+            node.subscribe(DecisionMessage, 'decision', self._on_decision, qos.LATCHED)
+            self._draws = node.create_client(Draws, 'draws')
+
+    @property
+    def goal(self) -> Goal | None:
+        """Return the goal of the mission; None to map the field."""
+        return make_goal(self._node.values, self._state.grid)
+
+    def take(self, newest: Snapshot) -> None:
+        """Await the decision on the newest belief."""
+        self._newest = newest.stamp, newest.deployments
+        self.not_worth = ''
+        self._act()
+
+    def _on_decision(self, message: DecisionMessage) -> None:
+        """Keep a decision; the goal of the estimator must be that of this planner."""
+        values, goal = self._node.values, self.goal
+        try:
+            decision = read_decision(self._state.grid, message)
+            theirs = message.goal, [*message.goal_cells]
+            if goal is not None and theirs != (ours := (goal.name, [*values['goal.cells']])):
+                raise ValueError(
+                    f'the goal is {theirs[0]} of cells {theirs[1]} for the estimator, but '
+                    f'{ours[0]} of cells {ours[1]} for this planner: set the same parameters '
+                    'goal.* for both'
+                )
+        except ValueError as error:
+            self._node.diagnostics.refuse('decision', error)
+            return
+        self._decided = (from_stamp(message.header.stamp), message.deployments), decision
+        self._act()
+
+    @property
+    def is_decided(self) -> bool:
+        """Return whether the decision on the newest belief has arrived, or is not needed."""
+        return self.goal is None or self._decision is not None
+
+    @property
+    def _decision(self) -> Decision | None:
+        """Return the decision on the newest belief, by the confidence of this planner."""
+        if self._decided is None or self._decided[0] != self._newest:
+            return None
+        return self._decided[1].judged(self._node.values['stop.confidence'] or None)
+
+    def why_over(self) -> str:
+        """Return the reason why no more robots leave; empty if robots may leave."""
+        decision = self._decision if self.goal is not None else None
+        why = make_stop(self._node.values).why(decision, self._state.lost) or self.not_worth
+        if why != self._said:
+            self._said = why
+            if why:
+                self._node.get_logger().info(f'no more robots leave: {why}')
+        return why
+
+    def draws(self) -> HazardDraws | None:
+        """Return draws for the newest belief; None until the estimator has answered."""
+        if self._drawn is not None and self._drawn[0] == self._newest:
+            return self._drawn[1]
+        if self._asked is None and self._draws.service_is_ready():
+            newest = self._newest
+            request = Draws.Request(stamp=to_stamp(newest[0]), deployments=newest[1])
+            self._asked = self._draws.call_async(request)
+            self._asked.add_done_callback(
+                self._node.guarded(lambda answer: self._on_draws(newest, answer.result()))
+            )
+        return None
+
+    @property
+    def awaits_draws(self) -> bool:
+        """Return whether a plan waits for draws."""
+        is_drawn = self._drawn is not None and self._drawn[0] == self._newest
+        return self.goal is not None and not is_drawn
+
+    def _on_draws(self, newest: Name, answer: Any) -> None:
+        self._asked = None
+        if answer.success:
+            self._drawn = newest, read_draws(answer, self._state.grid.cells)
+            self._act()
