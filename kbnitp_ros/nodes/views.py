@@ -65,7 +65,7 @@ class NewEvidence:
 
 
 # Minimum seconds between two publications of the views, which cost more than a small belief.
-PERIOD = 0.1
+PERIOD = 0.5
 
 
 class Views:
