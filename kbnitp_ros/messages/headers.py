@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 from hashlib import blake2b
 import struct
@@ -137,36 +137,46 @@ ADDED = {'field_id', 'not_entered'}
 
 def content_hash(message: Any) -> int:
     """Return a hash of the names and values of a message's fields."""
-    return int.from_bytes(
-        blake2b(b''.join(_encoded(message)), digest_size=BYTES).digest(), 'little'
-    )
+    encoded: list[bytes] = []
+    _encode(message, encoded)
+    return int.from_bytes(blake2b(b''.join(encoded), digest_size=BYTES).digest(), 'little')
 
 
-def _encoded(value: Any) -> Iterator[bytes]:
-    """Yield unique bytes for a value: a tag, the size if it varies, and the value."""
-    if isinstance(value, bool):
-        yield b'b\1' if value else b'b\0'
-    elif isinstance(value, int):
+SIZED, FLOAT = struct.Struct('<cQ').pack, struct.Struct('<cd').pack
+
+
+def _encode(value: Any, encoded: list[bytes]) -> None:
+    """Append unique bytes for a value: a tag, the size if it varies, and the value."""
+    # Types are looked up once: most of the nodes' time in Python goes into hashes.
+    kind = value.__class__
+    if kind is float:
+        encoded.append(FLOAT(b'f', value))
+    elif kind is int:
         # Nine bytes, for int64 and uint64.
-        yield b'i' + value.to_bytes(9, 'little', signed=True)
-    elif isinstance(value, float):
-        yield b'f' + struct.pack('<d', value)
-    elif isinstance(value, str):
+        encoded.append(b'i' + value.to_bytes(9, 'little', signed=True))
+    elif kind is bool:
+        encoded.append(b'b\1' if value else b'b\0')
+    elif kind is str:
         text = value.encode()
-        yield b's' + struct.pack('<Q', len(text)) + text
-    elif fields := _encoded_fields(value.__class__):
-        named = [
-            (name, each) for name, each in fields if name not in ADDED or getattr(value, name)
-        ]
-        yield b'm' + struct.pack('<Q', len(named))
-        for name, encoded_name in named:
-            yield encoded_name
-            yield from _encoded(getattr(value, name))
+        encoded += SIZED(b's', len(text)), text
+    elif fields := _encoded_fields(kind):
+        place, count = len(encoded), 0
+        encoded.append(b'')
+        for name, encoded_name in fields:
+            each = getattr(value, name)
+            if each or name not in ADDED:
+                count += 1
+                encoded.append(encoded_name)
+                _encode(each, encoded)
+        encoded[place] = SIZED(b'm', count)
+    elif isinstance(value, float | int):
+        # Numbers of numpy, and enumerations.
+        _encode(float(value) if isinstance(value, float) else int(value), encoded)
     elif isinstance(value, Iterable):
         elements = list(value)
-        yield b'a' + struct.pack('<Q', len(elements))
+        encoded.append(SIZED(b'a', len(elements)))
         for element in elements:
-            yield from _encoded(element)
+            _encode(element, encoded)
     else:
         raise TypeError(f'a field has type {type(value)}, unknown in ROS messages')
 
@@ -178,7 +188,8 @@ def _encoded_fields(kind: type) -> tuple[tuple[str, bytes], ...]:
         names = tuple(kind.get_fields_and_field_types())
     else:
         names = getattr(kind, '__slots__', ())
-    return tuple((name, b''.join(_encoded(name))) for name in names)
+    encoded = [(name, name.encode()) for name in names]
+    return tuple((name, SIZED(b's', len(text)) + text) for name, text in encoded)
 
 
 def check_texts(message: Any) -> None:
