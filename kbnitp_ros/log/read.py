@@ -22,6 +22,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import breakup_chunk, StreamReader
 from mcap.writer import MCAP0_MAGIC
+from mcap_ros2._cdr import CdrReader
+from mcap_ros2._dynamic import ARRAY_PARSERS
 from mcap_ros2.decoder import DecoderFactory
 
 # Maximum bytes of a record.
@@ -333,6 +335,20 @@ def readable(part: Path) -> Iterator[None]:
     except OSError as error:
         raise LogError(f'{part} cannot be read: {error.strerror}') from error
 
+
+def read_floats(reader: CdrReader, length: int) -> list[float]:
+    """Return what `CdrReader.float64_array` returns, in one step for all values."""
+    if not length:
+        return []
+    start = reader.offset + (4 - reader.offset) % 8
+    order = '<' if reader.little_endian else '>'
+    values = struct.unpack_from(f'{order}{length}d', reader.data, start)
+    reader.offset = start + 8 * length
+    return list(values)
+
+
+# Value by value, a belief takes as long to decode as all else that a report does.
+ARRAY_PARSERS['float64'] = read_floats
 
 # Decoders by encoding of the message, and by encoding, name and text of the type's definition.
 Decoders = dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None]
