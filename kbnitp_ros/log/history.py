@@ -12,13 +12,15 @@ from kbnitp_ros.core import Belief, Decision, Grid, Observation, ORDINARY, Senso
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.core.mission import deployments_table
 from kbnitp_ros.log.files import LogError
-from kbnitp_ros.log.read import LoggedMessage
+from kbnitp_ros.log.read import Bookmark, LoggedMessage
 from kbnitp_ros.log.record import RecordedMission, required_belief
 from kbnitp_ros.log.roles import MissionLog, TRUTH
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
 from kbnitp_ros.messages.states import AgentState
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -85,15 +87,23 @@ class History:
     decision: Decision | None = None
     # The last state of each agent.
     states: dict[str, AgentState] = field(default_factory=dict)
-    # The hidden truth, if the agent published it.
-    world: World | None = None
+    # The maps of the hidden truth that the agent published, by role.
+    truth: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     # The first corrupt place of each file, where reading ends.
     corrupt: list[LogError] = field(default_factory=list)
+    # How far the log has been read.
+    bookmark: Bookmark = field(default_factory=Bookmark)
 
     @property
     def grid(self) -> Grid:
         """Return the field."""
         return self.evidence.grid
+
+    @property
+    def world(self) -> World | None:
+        """Return the hidden truth, if the agent published it."""
+        hazard, target = (self.truth.get(name) for name in TRUTH)
+        return None if hazard is None or target is None else World(hazard, target)
 
     @property
     def beliefs(self) -> list[Belief]:
@@ -124,23 +134,26 @@ class History:
 
 def read_history(
     log: str | Path | MissionLog,
+    history: History | None = None,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
 ) -> History:
-    """Read the history of a mission."""
+    """Read the history of a mission; a history read earlier is continued with what is new."""
     log = log if isinstance(log, MissionLog) else MissionLog(log)
-    first = required_belief(log)
-    evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
-    history, truth = History(evidence), {}
-    for role, logged in log.read(*ROLES, corrupt=history.corrupt, progress=progress):
+    if history is None:
+        first = required_belief(log)
+        history = History(RecordedMission(first.grid, first.max_steps, first.robot_types))
+    evidence, grid, refused = history.evidence, history.grid, len(log.left_out)
+    messages = log.read(
+        *ROLES, corrupt=history.corrupt, progress=progress, bookmark=history.bookmark
+    )
+    for role, logged in messages:
         with log.leaving_out(logged):
             if role.name in ('path', 'report', 'status'):
                 evidence.take(role, logged)
             elif role.name == 'belief':
                 snapshot = logged.said
-                if snapshot.grid != first.grid:
-                    raise ValueError(
-                        f'grid is {snapshot.grid}: in the first belief it was {first.grid}'
-                    )
+                if snapshot.grid != grid:
+                    raise ValueError(f'grid is {snapshot.grid}: in the first belief it was {grid}')
                 history.moments.append(Moment(snapshot, logged.log_time, logged.position))
                 evidence.take(role, logged)
             elif role.name == 'model':
@@ -148,13 +161,12 @@ def read_history(
             elif role.name == 'state':
                 history.states[role.agent] = logged.said
             elif role.name == 'decision':
-                history.decision = read_decision(first.grid, logged.message)
+                history.decision = read_decision(grid, logged.message)
             else:
                 shown = logged.said > 0.0
-                if shown.size != first.grid.cells:
-                    raise ValueError(f'it has {shown.size} cells: the grid has {first.grid.cells}')
-                truth[role.name] = shown
-    evidence.refused += [f'{topic}: {why}' for (topic, _), why in log.left_out.items()]
-    if len(truth) == len(TRUTH):
-        history.world = World(*(truth[name] for name in TRUTH))
+                if shown.size != grid.cells:
+                    raise ValueError(f'it has {shown.size} cells: the grid has {grid.cells}')
+                history.truth[role.name] = shown
+    left_out = [f'{topic}: {why}' for (topic, _), why in log.left_out.items()]
+    evidence.refused += left_out[refused:]
     return history

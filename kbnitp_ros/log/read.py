@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import accumulate, count
@@ -101,34 +101,60 @@ class LoggedMessage:
     said: Any = None
 
 
+class Bookmark:
+    """How far a log has been read, to read what is new when it has grown."""
+
+    def __init__(self) -> None:
+        self.parts = defaultdict[Path, Part](Part)
+        self.indices = defaultdict[str, Iterator[int]](count)
+        self.decoders: Decoders = {}
+
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """Return the metadata read: records merge within a file, and replace earlier files'."""
+        return {name: each for part in self.parts.values() for name, each in part.metadata.items()}
+
+
+class Part:
+    """How far a file of a log has been read, and what its later records refer to."""
+
+    def __init__(self) -> None:
+        # End of the last record read, bytes.
+        self.end = 0
+        self.schemas = {0: NO_SCHEMA}
+        self.channels: dict[int, Channel] = {}
+        self.messages = 0
+        self.metadata: dict[str, dict[str, str]] = {}
+
+
 def read_log(
     path: str | Path,
     types: Collection[str] | None = None,
     corrupt: list[LogError] | None = None,
     topics: Collection[str] | None = None,
+    bookmark: Bookmark | None = None,
 ) -> Iterator[LoggedMessage]:
     """
-    Yield the messages of these types and topics in recorded order.
+    Yield the messages of these types and topics in recorded order, after a bookmark if given.
 
     Of a part that was cut, the messages before the cut are read; of a corrupt part, the messages
     before its first error. This error is raised as a LogError, or appended to `corrupt` if given.
     """
-    decoders: Decoders = {}
-    indices = defaultdict[str, Iterator[int]](count)
-    for item in read_recorded(path, corrupt):
+    bookmark = bookmark or Bookmark()
+    for item in read_recorded(path, corrupt, bookmark):
         if not isinstance(item, RecordedMessage):
             continue
         topic, type_name = item.channel.topic, item.schema.name
         if (types is None or type_name in types) and (topics is None or topic in topics):
             yield LoggedMessage(
                 topic,
-                next(indices[topic]),
+                next(bookmark.indices[topic]),
                 type_name,
                 item.log_time,
                 item.publish_time,
                 item.position,
                 item.data,
-                decoded(path, item, decoders),
+                decoded(path, item, bookmark.decoders),
             )
 
 
@@ -136,14 +162,10 @@ def read_metadata(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, str]]:
     """Return metadata by name: records merge within a file, and replace those of earlier files."""
-    records: dict[str, dict[str, str]] = {}
-    for part in log_parts(path):
-        own: dict[str, dict[str, str]] = {}
-        for item in read_part(part, corrupt):
-            if isinstance(item, RecordedMetadata):
-                own[item.name] = {**own.get(item.name, {}), **item.values}
-        records |= own
-    return records
+    bookmark = Bookmark()
+    for _ in read_recorded(path, corrupt, bookmark):
+        pass
+    return bookmark.metadata
 
 
 def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
@@ -165,8 +187,15 @@ def read_parameters(
     path: str | Path, corrupt: list[LogError] | None = None
 ) -> dict[str, dict[str, Any]]:
     """Return the last recorded parameters of each node."""
+    return parse_parameters(path, read_metadata(path, corrupt))
+
+
+def parse_parameters(
+    path: str | Path, metadata: Mapping[str, Mapping[str, str]]
+) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in the metadata of a log."""
     parameters = {}
-    for name, record in read_metadata(path, corrupt).items():
+    for name, record in metadata.items():
         if name.startswith(f'{PARAMETERS}/'):
             try:
                 values = {key: json.loads(text) for key, text in record.items()}
@@ -200,33 +229,36 @@ def file_size(part: Path) -> int:
         return part.stat().st_size
 
 
-def read_recorded(path: str | Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
+def read_recorded(
+    path: str | Path, corrupt: list[LogError] | None = None, bookmark: Bookmark | None = None
+) -> Iterator[Recorded]:
     """Return the undecoded messages and the metadata of all parts, with positions in the log."""
+    bookmark = bookmark or Bookmark()
     parts = log_parts(path)
     starts = accumulate(map(file_size, parts), initial=0)
     return (
         item._replace(position=start + item.position)
         for part, start in zip(parts, starts)
-        for item in read_part(part, corrupt)
+        for item in read_part(part, corrupt, bookmark.parts[part])
     )
 
 
-def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Recorded]:
+def read_part(
+    part: Path, corrupt: list[LogError] | None = None, read: Part | None = None
+) -> Iterator[Recorded]:
     """Yield the messages and metadata of a file; handle cuts and errors as `read_log` does."""
-    schemas = {0: NO_SCHEMA}
-    channels: dict[int, Channel] = {}
-    messages = 0
-    position = 0
+    read = read or Part()
     with readable(part), part.open('rb') as file:
         size = check_start(file, part)
         try:
-            for record, position in read_records(file, size):
+            for record, position in read_records(file, size, read.end):
+                read.end = position
                 if isinstance(record, Message):
-                    messages += 1
-                    channel = channels[record.channel_id]
+                    read.messages += 1
+                    channel = read.channels[record.channel_id]
                     yield RecordedMessage(
                         channel,
-                        schemas[channel.schema_id],
+                        read.schemas[channel.schema_id],
                         record.sequence,
                         record.log_time,
                         record.publish_time,
@@ -234,20 +266,22 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
                         position,
                     )
                 elif isinstance(record, Metadata):
+                    known = read.metadata.get(record.name, {})
+                    read.metadata[record.name] = {**known, **record.metadata}
                     yield RecordedMetadata(record.name, record.metadata, position)
                 elif isinstance(record, Schema):
-                    schemas[record.id] = record
+                    read.schemas[record.id] = record
                 elif isinstance(record, Channel):
-                    channels[record.id] = record
-                elif isinstance(record, Statistics) and record.message_count != messages:
+                    read.channels[record.id] = record
+                elif isinstance(record, Statistics) and record.message_count != read.messages:
                     raise ValueError(
-                        f'it has {messages} messages, but its statistics state '
+                        f'it has {read.messages} messages, but its statistics state '
                         f'{record.message_count}'
                     )
         except Exception as error:
             # The parser raises many types of errors.
             found = LogError(
-                f'{part} is corrupt after byte {position} ({in_words(error)}): mcap recover saves '
+                f'{part} is corrupt after byte {read.end} ({in_words(error)}): mcap recover saves '
                 'what is intact'
             )
             if corrupt is None:
@@ -255,12 +289,20 @@ def read_part(part: Path, corrupt: list[LogError] | None = None) -> Iterator[Rec
             corrupt.append(found)
 
 
-def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
-    """Yield the records in the first `size` bytes of a file, with the end of each in bytes."""
-    ends = list(record_ends(file, size))
-    file.seek(0)
+def read_records(file: BinaryIO, size: int, start: int = 0) -> Iterator[tuple[McapRecord, int]]:
+    """
+    Yield the records in the first `size` bytes of a file, with the end of each in bytes.
+
+    From a `start` on, the check sum of the whole file is not compared.
+    """
+    ends = list(record_ends(file, size, start))
+    file.seek(start)
     records = StreamReader(
-        file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD
+        file,
+        skip_magic=start > 0,
+        emit_chunks=True,
+        validate_crcs=True,
+        record_size_limit=MAX_RECORD,
     ).records
     for end in ends:
         record = next(records)
@@ -270,12 +312,12 @@ def read_records(file: BinaryIO, size: int) -> Iterator[tuple[McapRecord, int]]:
             yield from ((each, end) for each in breakup_chunk(record, validate_crc=True))
         else:
             yield record, end
-    check_cut(file, ends[-1] if ends else len(MCAP0_MAGIC), size)
+    check_cut(file, ends[-1] if ends else start or len(MCAP0_MAGIC), size)
 
 
-def record_ends(file: BinaryIO, size: int) -> Iterator[int]:
-    """Yield the end of each whole record of a file, in bytes."""
-    end = len(MCAP0_MAGIC)
+def record_ends(file: BinaryIO, size: int, start: int = 0) -> Iterator[int]:
+    """Yield the end of each whole record of a file from a start on, in bytes."""
+    end = start or len(MCAP0_MAGIC)
     while end + HEAD.size <= size:
         file.seek(end)
         kind, length = HEAD.unpack(file.read(HEAD.size))

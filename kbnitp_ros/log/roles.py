@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import (
+    Bookmark,
     LoggedMessage,
     read_log,
     read_metadata,
@@ -250,11 +251,12 @@ class MissionLog:
         *names: str,
         corrupt: list[LogError] | None = None,
         progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+        bookmark: Bookmark | None = None,
     ) -> Iterator[tuple[Role, LoggedMessage]]:
-        """Yield the messages of roles with these names in order; `corrupt` is as in `read_log`."""
+        """Yield the messages of roles with these names in order; the rest is as in `read_log`."""
         roles = {topic: each for topic, each in self.roles.by_topic.items() if each.name in names}
         types = {each.type_name for each in roles.values()}
-        for logged in progress(read_log(self.path, types, corrupt, roles.keys())):
+        for logged in progress(read_log(self.path, types, corrupt, roles.keys(), bookmark)):
             role = roles[logged.topic]
             if role.type_name != logged.type_name:
                 continue

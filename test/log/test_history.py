@@ -2,7 +2,7 @@
 """Deployments and departures of a log are each counted once, by their final reports."""
 
 from collections import Counter
-from itertools import permutations
+from itertools import pairwise, permutations
 
 from kbnitp_msgs.msg import AgentStatus as AgentStatusMessage
 from kbnitp_ros.base.state import Departures
@@ -30,7 +30,7 @@ from kbnitp_ros.messages.deployments import (
 )
 from kbnitp_ros.messages.headers import to_stamp
 from laws import for_each
-from mission_log import GRID, MAX_STEPS, Mission, record
+from mission_log import GRID, MAX_STEPS, Mission, record, record_to
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
@@ -67,6 +67,36 @@ def test_a_refused_path_displaces_no_other(tmp_path):
     report = replay(log)
     assert report.reproduced
     assert len(report.evidence.refused) == 3
+
+
+@for_each('seed', range(4))
+def test_a_history_is_continued_when_its_log_has_grown(seed, whole_mission, tmp_path):
+    """Wherever the log was cut, and whether or not it was finished later."""
+    whole = tmp_path / 'whole.mcap'
+    with LogWriter(whole) as written:
+        record_to(written, whole_mission.sent, synced=True)
+    content = whole.read_bytes()
+    rng = np.random.default_rng(seed)
+    cuts = sorted(rng.integers(len(content) // 2, len(content), 5).tolist())
+    path = tmp_path / 'mission.mcap'
+    path.write_bytes(content[: cuts[0]])
+    log = MissionLog(path)
+    history = read_history(log)
+    for start, end in pairwise([*cuts, len(content)]):
+        with path.open('ab') as file:
+            file.write(content[start:end])
+        assert read_history(log, history) is history
+    once = read_history(whole)
+    assert [(each.time, each.position) for each in history.moments] == [
+        (each.time, each.position) for each in once.moments
+    ]
+    assert history.beliefs[-1].joint.tobytes() == once.beliefs[-1].joint.tobytes()
+    assert history.evidence.outcomes.keys() == once.evidence.outcomes.keys()
+    assert history.models.keys() == once.models.keys()
+    assert history.bookmark.metadata == once.bookmark.metadata
+    assert history.evidence.refused == history.corrupt == []
+    seen = len(history.moments)
+    assert len(read_history(log, history).moments) == seen
 
 
 def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
