@@ -27,7 +27,6 @@ PYTHON_PACKAGES = {
     'cyclonedds': (None, 'cyclonedds'),
     'hypothesis': ('python3-hypothesis', 'hypothesis'),
     'irsim': (None, 'ir-sim'),
-    'jinja2': ('python3-jinja2', 'jinja2'),
     'joblib': ('python3-joblib', 'joblib'),
     'lz4': ('mcap-ros2-support', 'lz4'),
     'matplotlib': ('python3-matplotlib', 'matplotlib'),

@@ -11,7 +11,7 @@ from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
-from kbnitp_ros.report.folder import check_is_free, PARTS, write_report
+from kbnitp_ros.report.folder import check_is_free, write_report
 from kbnitp_ros.report.mission import Mission, read_mission
 from kbnitp_ros.report.tables import mission_curves
 from tqdm import tqdm
@@ -63,8 +63,7 @@ def report(log: Path, folder: Path, namespace: str | None = None) -> Mission:
     """Write the report of a log, with progress bars on a terminal."""
     mission = read_mission(log, partial(with_progress, log_size(log)), namespace)
     curves = mission_curves(mission, CURVES)
-    with tqdm(total=len(PARTS), unit='file', desc='writing', disable=None) as bar:
-        left_out = write_report(folder, mission, curves, lambda name: bar.update())
+    left_out = write_report(folder, mission, curves)
     say(f'wrote {folder / "report.html"} and, beside it, tables and maps')
     for note in (*mission.notes, left_out):
         if note:

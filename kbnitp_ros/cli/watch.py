@@ -8,18 +8,19 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Condition, Event, Thread
+from threading import Event, Thread
 import time
 
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.cli.study import count
 from kbnitp_ros.log.files import log_parts
+from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.read import is_finished
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
-from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.page import library, mission_page, mission_title, rendered
+from kbnitp_ros.report.mission import recorded_mission
+from kbnitp_ros.report.page import fitting_facts, page
 from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
@@ -39,9 +40,6 @@ HOST, PORT = '127.0.0.1', 8080
 # Seconds between two reads of the log, and seconds without growth after which the page reports the
 # standstill: a recorder writes diagnostics every second.
 LOOK, STILL = 0.5, 5.0
-
-# Maximum seconds between two messages to a browser, so that it notices a dead server.
-BEAT = 5.0
 
 
 @command('watch')
@@ -121,27 +119,23 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
 
 
 class Follower:
-    """The current page of a log, and its state in a sentence."""
+    """The facts of a log that grows, and its state in a sentence."""
 
     def __init__(self, log: Path, namespace: str | None = None) -> None:
         self.log = log
-        self.page = self._bare = ''
-        # Number of changes of the page, and the state of the log in a sentence.
-        self.version = 0
+        # Facts of the mission in JSON, empty before the first belief; and number of their changes.
+        self.facts, self.version = '', 0
         self.sentence = ''
-        self.changed = Condition()
         self.is_over = Event()
         self._namespace = namespace
-        self._state: list[tuple[int, int, int]] = []
-        self._file = 0
+        # Inode, size and time of change of each part, and the time at which they changed.
+        self._parts: list[tuple[int, int, int]] = []
         self._grown_at = time.monotonic()
-        self._show(self._waiting())
+        # The log and its history, as far as they were read.
+        self._read: tuple[MissionLog, History] | None = None
         # A missing log is awaited. Other errors are raised here, but only shown by `follow`.
         with suppress(FileNotFoundError):
             self._look()
-
-    def _waiting(self) -> str:
-        return rendered('waiting', title=f'Mission {mission_title(self.log)}', log=self.log)
 
     def follow(self) -> None:
         """Read the log repeatedly until the server ends."""
@@ -150,57 +144,56 @@ class Follower:
             try:
                 self._look()
             except FileNotFoundError:
-                self._describe('Waiting for the recorder to begin the log.')
+                self.sentence = 'Waiting for the recorder to begin the log.'
             except (ValueError, OSError) as error:
-                self._describe(f'The page is out of date, since the log cannot be read: {error}')
+                self.sentence = f'The page is out of date, since the log cannot be read: {error}'
             # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)
 
     def _look(self) -> None:
-        parts = [part.stat() for part in log_parts(self.log)]
-        state = [(each.st_ino, each.st_size, each.st_mtime_ns) for each in parts]
-        now = time.monotonic()
-        if state == self._state:
-            if is_finished(self.log):
-                self._describe('The log is finished. The page resumes with the mission.')
-            elif now > self._grown_at + STILL:
-                self._describe(
-                    f'The log has not grown for {now - self._grown_at:.0f} s: its recorder has '
-                    'ended or was killed. The page resumes with the mission.'
-                )
-            return
-        is_replaced = self._file not in (0, state[0][0])
-        self._state, self._file, self._grown_at = state, state[0][0], now
-        if is_replaced:
-            self._show(self._waiting())
-        if first_belief(MissionLog(self.log, self._namespace)) is None:
-            self._describe('Waiting for the first belief: the nodes of the mission are starting.')
-            return
-        mission = read_mission(self.log, namespace=self._namespace)
-        page, _ = mission_page(mission, mission_curves(mission), is_live=True)
-        self._describe(
-            f'Following the log: {len(mission.robots)} robots reported, {mission.in_flight} in '
-            'flight.'
-        )
-        if page != self._bare:
-            self._show(page)
+        """Read what is new in the log, if it has changed."""
+        stats = [part.stat() for part in log_parts(self.log)]
+        parts = [(each.st_ino, each.st_size, each.st_mtime_ns) for each in stats]
+        if parts != self._parts:
+            before, self._parts, self._grown_at = self._parts, parts, time.monotonic()
+            if not before or parts[0][0] != before[0][0] or parts[0][1] < before[0][1]:
+                # The log was replaced.
+                self._read = None
+            self._update()
+        elif is_finished(self.log):
+            self.sentence = 'The log is finished. The page resumes with the mission.'
+        elif (still := time.monotonic() - self._grown_at) > STILL:
+            self.sentence = (
+                f'The log has not grown for {still:.0f} s: its recorder has ended or was killed. '
+                'The page resumes with the mission.'
+            )
 
-    def _show(self, page: str) -> None:
-        with self.changed:
+    def _update(self) -> None:
+        """Read what is new in the log, or all if it must be read anew."""
+        log, facts = MissionLog(self.log, self._namespace), ''
+        # What raises an error here is read again.
+        read, self._read = self._read, None
+        # The check sum of a finished log is that of all of it.
+        if read is None or read[0].roles != log.roles or is_finished(self.log):
+            read = (log, read_history(log)) if first_belief(log) else None
+        else:
+            read_history(*read)
+        self.sentence = 'Waiting for the first belief: the nodes of the mission are starting.'
+        if read is not None:
+            mission = recorded_mission(*read)
+            facts, _ = fitting_facts(mission, mission_curves(mission))
+            self.sentence = (
+                f'Following the log: {len(mission.robots)} robots reported, {mission.in_flight} '
+                'in flight.'
+            )
+        self._read = read
+        if facts != self.facts:
+            self.facts = facts
             self.version += 1
-            named = f'<html lang="en" data-version="{self.version}">'
-            self._bare, self.page = page, page.replace('<html lang="en">', named, 1)
-            self.changed.notify_all()
-
-    def _describe(self, sentence: str) -> None:
-        if sentence != self.sentence:
-            with self.changed:
-                self.sentence = sentence
-                self.changed.notify_all()
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Request handler for the page, for the page without Plotly, and for events."""
+    """Request handler for the page, its facts and events."""
 
     def __init__(self, follower: Follower, *arguments: object) -> None:
         self._follower = follower
@@ -209,48 +202,41 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer a request, unless its Host is foreign: other sites must not read the page."""
         name = self.headers.get('Host', '').rpartition(':')[0]
-        is_local = self.client_address[0] == HOST
-        if is_local and name not in (HOST, 'localhost'):
+        if self.client_address[0] == HOST and name not in (HOST, 'localhost'):
             self.send_error(403)
         elif self.path == '/':
-            self._answer(self._follower.page)
-        elif self.path == '/update':
-            # The browser has loaded Plotly already.
-            self._answer(self._follower.page.replace(library(), ''))
+            self._begin('text/html; charset=utf-8', page(self._follower.log))
+        elif self.path == '/facts':
+            self._begin('application/json', self._follower.facts)
         elif self.path == '/events':
+            self._begin('text/event-stream')
             self._send_changes()
         else:
             self.send_error(404)
 
-    def _answer(self, page: str) -> None:
-        body = page.encode()
+    def _begin(self, kind: str, content: str | None = None) -> None:
+        """Send the head of an answer, and its content if it is known."""
         self.send_response(200)
-        self.send_header('Content-Type', 'text/html; charset=utf-8')
-        self.send_header('Content-Length', str(len(body)))
+        self.send_header('Content-Type', kind)
         self.send_header('Cache-Control', 'no-store')
+        if content is not None:
+            self.send_header('Content-Length', str(len(content.encode())))
         self.end_headers()
-        self.wfile.write(body)
+        self.wfile.write((content or '').encode())
 
     def _send_changes(self) -> None:
         """Send server-sent events until the browser or the server ends."""
-        self.send_response(200)
-        self.send_header('Content-Type', 'text/event-stream')
-        self.send_header('Cache-Control', 'no-store')
-        self.end_headers()
-        follower, known = self._follower, (0, '')
-        while not follower.is_over.is_set():
-            with follower.changed:
-                if known == (follower.version, follower.sentence):
-                    follower.changed.wait(BEAT)
-                version, sentence = news = follower.version, follower.sentence
-            # A comment of the protocol, which browsers ignore.
+        version, sentence = 0, ''
+        while not self._follower.is_over.is_set():
+            # A comment of the protocol, which browsers ignore, and by which a write fails once the
+            # browser has left.
             events = ': \n\n'
-            if version != known[0]:
-                events += f'event: page\ndata: {version}\n\n'
-            if sentence != known[1]:
+            if sentence != (sentence := self._follower.sentence):
                 events += f'event: told\ndata: {" ".join(sentence.split())}\n\n'
-            known = news
+            if version != (version := self._follower.version):
+                events += f'event: facts\ndata: {version}\n\n'
             self.wfile.write(events.encode())
+            self._follower.is_over.wait(LOOK)
 
     def handle(self) -> None:
         """Answer requests until the browser disconnects."""

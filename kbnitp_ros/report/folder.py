@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
@@ -23,27 +23,15 @@ def check_is_free(folder: Path) -> None:
         raise FileExistsError(f'{folder} exists and is not empty: name another with --out')
 
 
-def write_report(
-    folder: Path,
-    mission: Mission,
-    curves: Curves,
-    done: Callable[[str], object] = lambda name: None,
-) -> str:
+def write_report(folder: Path, mission: Mission, curves: Curves) -> str:
     """Write a report, all of its files or none; return a note on moments that the page omits."""
     check_is_free(folder)
     with whole_folder(folder) as new:
         page, left_out = mission_page(mission, curves)
         new.joinpath('report.html').write_text(page, encoding='utf-8')
-        done('report.html')
         write_tables(new, mission, curves)
-        done('deployments.csv')
         write_beliefs(new, mission, curves)
-        done('belief.npz')
     return left_out
-
-
-# Names that `write_report` passes to `done`.
-PARTS = ('report.html', 'deployments.csv', 'belief.npz')
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from kbnitp_ros.core.inference.record import make_observation
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.history import History, Moment, read_history
-from kbnitp_ros.log.read import is_finished, LoggedMessage, read_metadata, RUN
+from kbnitp_ros.log.read import is_finished, LoggedMessage, parse_parameters, RUN
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import Datum, MapError, read_site, Site
@@ -172,8 +172,12 @@ def read_mission(
 ) -> Mission:
     """Return the mission of a log; `namespace` selects one of several."""
     log = MissionLog(path, namespace)
-    history = read_history(log, progress)
-    evidence = history.evidence
+    return recorded_mission(log, read_history(log, progress=progress))
+
+
+def recorded_mission(log: MissionLog, history: History) -> Mission:
+    """Return the mission of a log by its history."""
+    evidence, path = history.evidence, log.path
     grid = evidence.grid
     if not evidence.paths and evidence.refused:
         raise LogError(f'{path}: nothing to report; refused: {evidence.refused[0]}')
@@ -181,11 +185,16 @@ def read_mission(
     moments, notes = recorded_moments(log, history, keys)
     first = history.moments[0].snapshot
     in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
-    parameters = log.parameters
+    metadata = history.bookmark.metadata
+    parameters = {
+        name: values
+        for name, values in parse_parameters(path, metadata).items()
+        if log.roles.is_node(name)
+    }
     site, unseen = map_site(parameters, grid)
     datum, differing = recorded_datum(parameters)
     return Mission(
-        log=log.path,
+        log=path,
         grid=grid,
         rules={
             'method': first.method,
@@ -196,7 +205,7 @@ def read_mission(
         moments=moments,
         deployments=summarise_deployments(history, keys, moments),
         world=history.world,
-        run=read_metadata(path, []).get(RUN, {}),
+        run=metadata.get(RUN, {}),
         parameters=parameters,
         notes=[*notes, *log_notes(path, history, in_flight), *filter(None, [unseen, differing])],
         corrupt=history.corrupt,

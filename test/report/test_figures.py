@@ -2,15 +2,10 @@
 """Figures are legible for every colour vision, without overlapping texts."""
 
 from itertools import combinations
-import json
 
 from colorspacious import deltaE
-from kbnitp_ros.core import Belief, Grid, Unknowns
+from kbnitp_ros.core import Belief, Grid
 from kbnitp_ros.figures import draw_map, plot, save
-from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.plots import curve_plots
-from kbnitp_ros.report.tables import mission_curves
-from kbnitp_ros.study.scenario import NUMBERS
 from kbnitp_ros.styles import COUNTS, DARK_MAPS, MAPS, SERIES, stops
 from laws import for_each
 from legible import as_seen, VISIONS
@@ -18,7 +13,6 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-import mission_log
 import numpy as np
 from PIL import Image
 import pytest
@@ -98,17 +92,3 @@ def test_the_prior_has_the_colour_of_the_paper():
             places = [place for place, _ in stops(scale, 0.0)]
             assert places == sorted(set(places))
     assert [colours[0] for colours in COUNTS.values()] == ['#f7f7f7', '#2e3238']
-
-
-@pytest.mark.slow
-def test_a_learnt_number_of_any_name_is_drawn(tmp_path):
-    names = ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', '']
-    unknowns = Unknowns(**dict.fromkeys(NUMBERS, (0.05, 0.95)))
-    whole = mission_log.mission(1, method='kappa_bnitp_sampled', unknowns=unknowns)
-    for message in whole.sent:
-        if message.topic == '/model':
-            message.message.name = names
-    shown = read_mission(mission_log.record(tmp_path / 'mission.mcap', whole.sent))
-    assert list(shown.moments[-1].state.numbers) == names
-    for _, drawn in curve_plots(shown, mission_curves(shown), np.arange(len(shown.moments))):
-        assert '<b>' not in json.dumps(json.loads(drawn)['layout'])

@@ -12,7 +12,7 @@ import subprocess
 import sys
 
 from extent import FULL, some
-from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation
+from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation, Unknowns
 from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.write import LogWriter
@@ -26,7 +26,9 @@ from kbnitp_ros.report.answers import (
 from kbnitp_ros.report.mission import read_mission
 from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.tables import mission_curves
+from kbnitp_ros.study.scenario import NUMBERS
 from laws import for_each
+import mission_log
 from mission_log import GRID, record, record_to
 from missions import sent_by_single, Shown, single, team
 import numpy as np
@@ -407,6 +409,28 @@ def test_a_turned_field_is_drawn_upright_with_its_positions(opened, surveyed):
     page.get_by_label('image', exact=True).uncheck()
     assert page.evaluate(images) == []
     assert page.evaluate(opacity) == 1
+
+
+def test_a_learnt_number_of_any_name_is_drawn(opened, tmp_path):
+    names = ['$x_{$', '<b>&amp;', '\\frac{', 'a\nb', '%', '\N{BELL}', '']
+    unknowns = Unknowns(**dict.fromkeys(NUMBERS, (0.05, 0.95)))
+    whole = mission_log.mission(1, method='kappa_bnitp_sampled', unknowns=unknowns)
+    for message in whole.sent:
+        if message.topic == '/model':
+            message.message.name = names
+    learnt = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
+    assert list(learnt.moments[-1].state.numbers) == names
+    page = opened(file=page_file(learnt))
+    # Of a mission without a truth there is no log loss.
+    assert page.locator('#curves .plot').count() == 3 + len(names)
+    assert not page.get_by_text('Log loss').is_visible()
+    titles = page.locator('#curves .ytitle').all_text_contents()
+    assert '<b>&amp;' in titles
+    low, high, middle = page.evaluate(
+        'document.getElementById("curve-3").data.map((each) => each.y)'
+    )[:3]
+    assert len(low) == 2
+    assert all(one < other < third for one, other, third in zip(low, middle, high))
 
 
 @pytest.fixture(scope='module')

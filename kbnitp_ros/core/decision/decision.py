@@ -140,6 +140,46 @@ def safest_path(
     return Decision.about('lane', draws, path, confidence, path, draws.survival(path, model))
 
 
+def safest_ways(grid: Grid, p_hazard: ArrayLike, starts: Sequence[int]) -> Path:
+    """
+    Return the safest ways from some cells to all cells, where hazards are independent.
+
+    A way has the least sum of the costs of its cells, without a limit of its steps: -log P(no
+    hazard), and `STEP_COST`.
+
+    Parameters
+    ----------
+    grid : Grid
+        The field.
+    p_hazard : array_like, shape (cells,)
+        P(hazard) of each cell, in [0, 1].
+    starts : sequence of int
+        The first cells of the ways.
+
+    Returns
+    -------
+    ndarray of int, shape (starts, cells)
+        The cell before each cell on its safest way; negative for a start, and for cells without a
+        way.
+
+    """
+    from_cells, which = grid.neighbor_table, np.arange(len(starts))
+    with np.errstate(divide='ignore'):
+        entered = STEP_COST - np.log(1.0 - np.asarray(p_hazard)).clip(min=LEAST)
+    # The last row is of no cell.
+    cost = np.full((grid.cells + 1, len(starts)), np.inf)
+    cost[starts, which] = 0.0
+    while True:
+        shorter = np.minimum(cost[:-1], cost[from_cells].min(axis=1) + entered[:, None])
+        if np.array_equal(shorter, cost[:-1]):
+            break
+        cost[:-1] = shorter
+    before = np.take_along_axis(from_cells, cost[from_cells].argmin(axis=1), axis=1)
+    before[np.isinf(shorter)] = -1
+    before[starts, which] = -1
+    return before.T
+
+
 def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
     """Check that the cell `to` can be reached from `start`."""
     cells_on(grid, [start], 'start')

@@ -1,31 +1,29 @@
 'use strict';
 
-// Functions of both pages: of a mission, and of two missions.
+// What draws without knowing the mission.
 const page = (id) => document.getElementById(id);
+
+function element(name, content = [], attributes = {}) {
+  const made = Object.assign(document.createElement(name), attributes);
+  made.append(...[content].flat());
+  return made;
+}
+
+// Unpack what page.py has packed.
+async function unpacked(text, format) {
+  const bytes = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream(format)));
+}
 
 function isDark() {
   const chosen = document.documentElement.dataset.theme;
   return chosen ? chosen === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
 }
 
-// Let the button change between light and dark; paint now and after each change.
-function changeTheme(paint, signal) {
-  const painted = () => {
-    page('theme').textContent = isDark() ? 'Light' : 'Dark';
-    paint();
-  };
-  page('theme').addEventListener('click', () => {
-    document.documentElement.dataset.theme = isDark() ? 'light' : 'dark';
-    painted();
-  });
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', painted, { signal });
-  painted();
-}
-
 function colours() {
   const style = getComputedStyle(document.documentElement);
   const of = (name) => style.getPropertyValue(`--${name}`).trim();
-  return { text: of('text'), paper: of('paper'), line: of('line') };
+  return { text: of('text'), paper: of('paper'), line: of('line'), obstacle: of('obstacle') };
 }
 
 function themed(layout) {
@@ -86,51 +84,99 @@ function hatching(grid, entered) {
   }] : [];
 }
 
-// Resize plots for print: a sheet of A4 is 700 pixels wide between its margins.
-function fitSheet(ids, width, height, signal) {
-  const resize = (size) => ids.forEach((id) => Plotly.relayout(page(id), size));
-  window.addEventListener('beforeprint', () => resize({ width, height }), { signal });
-  window.addEventListener('afterprint', () => resize({ width: null, height: null, autosize: true }), { signal });
+const scatter = (mode, at, style) => ({ type: 'scatter', mode, x: [], y: [], hoverinfo: 'skip', ...at, ...style });
+const curve = (x, y, name, line, style) => scatter('lines', { x, y }, { name, line, hoverinfo: 'all', hovertemplate: '%{y:.4g}', ...style });
+const bare = { dragmode: false, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)' };
+
+// A panel of curves. Plotly reads labels as HTML and TeX.
+function panel(label, data, look = {}) {
+  const text = label.replaceAll('&', '&amp;').replaceAll('<', '&lt;').replaceAll('$', '&#36;');
+  const layout = {
+    ...bare, height: look.height || 280, hovermode: 'x unified', showlegend: true, margin: { l: 50, r: 10, t: 40, b: 40 },
+    legend: { orientation: 'h', x: 0, y: 1, yanchor: 'bottom' },
+    xaxis: { title: { text: 'reports taken in' }, automargin: true },
+    yaxis: { title: { text, standoff: 6 }, automargin: true, ...(look.range && { range: look.range }) },
+  };
+  return { label, data, layout };
 }
 
-function saveFigures(name) {
-  document.querySelectorAll('.save').forEach((button) => {
-    const { plot } = button.dataset;
-    button.addEventListener('click', () => Plotly.downloadImage(page(plot), {
-      format: 'png', scale: 3, filename: `${name}_${plot}`,
-    }));
+// A heatmap of the cells of a field, where it lies.
+const heatmap = (grid, z, style) => ({
+  type: 'heatmap', z, x0: grid.x + grid.resolution / 2, dx: grid.resolution, y0: grid.y + grid.resolution / 2, dy: grid.resolution, ...style,
+});
+
+// An arrow above the left edge of a map, at an angle in rad from the right, with a label at its head.
+const ABOVE = 64;
+const arrow = ([text, angle]) => ({
+  xref: 'paper', yref: 'paper', x: 0, y: 1, xshift: ABOVE / 2, yshift: ABOVE / 2, text,
+  ax: 20 * Math.cos(angle), ay: -20 * Math.sin(angle), arrowside: 'start', arrowhead: 2, arrowcolor: '#808080',
+});
+
+// The layout of a map: rows of a turned field are drawn to the right.
+function mapLayout(grid) {
+  const turned = grid.yaw ? { x: -grid.yaw, y: Math.PI / 2 - grid.yaw } : {};
+  const arrows = Object.entries({ ...turned, ...(grid.north !== null && { N: grid.north - grid.yaw }) });
+  const axis = (least, cells, text) => ({
+    showgrid: false, zeroline: false, constrain: 'domain', ticks: 'outside', nticks: 6, automargin: true,
+    range: [least, least + cells * grid.resolution], title: { text, standoff: 4 },
   });
+  return {
+    ...bare, showlegend: false, margin: { l: 40, r: 10, t: arrows.length ? ABOVE : 8, b: 36 }, annotations: arrows.map(arrow),
+    xaxis: axis(grid.x, grid.width, grid.yaw ? 'along the rows (m)' : 'x (m)'),
+    yaxis: { ...axis(grid.y, grid.height, grid.yaw ? 'across the rows (m)' : 'y (m)'), scaleanchor: 'x' },
+  };
 }
 
-function sort(heading) {
-  const head = heading.closest('th');
-  const place = [...head.parentNode.children].indexOf(head);
-  // The first click sorts in descending order.
-  const ascending = head.getAttribute('aria-sort') === 'descending';
-  [...head.parentNode.children].forEach((each) => each.removeAttribute('aria-sort'));
-  head.setAttribute('aria-sort', ascending ? 'ascending' : 'descending');
-  const body = head.closest('table').tBodies[0];
-  const key = (row) => row.children[place].dataset.value;
-  const sign = ascending ? 1 : -1;
-  const rows = [...body.rows].sort((one, other) => {
+// A row of a table: columns are [heading, key, decimals], without decimals for texts, with null for metres.
+function tableRow(columns, values, hasButton) {
+  const row = element('tr', [], { values });
+  if ('cell' in values) row.dataset.cell = values.cell;
+  columns.forEach(([, key, decimals, isMinor], place) => {
+    const value = values[key] ?? '';
+    const text = value === '' || decimals === undefined ? String(value) : decimals === null ? metres(value) : value.toFixed(decimals);
+    const field = element('td', place || !hasButton ? text : element('button', text, { type: 'button' }));
+    field.className = kind(decimals, isMinor);
+    field.dataset.value = value;
+    row.append(field);
+  });
+  return row;
+}
+
+const metres = (number) => String(Number(number.toFixed(3)) + 0);
+const kind = (decimals, isMinor) => `${decimals === undefined ? 'text' : ''} ${isMinor ? 'minor' : ''}`.trim();
+
+// Fill a table, in the order that its headings have been given.
+function fill(table, columns, rows) {
+  const heads = table.tHead.rows[0];
+  if (heads.textContent !== columns.map(([heading]) => heading).join('')) {
+    heads.replaceChildren(...columns.map(([heading, , decimals, isMinor]) => element(
+      'th', element('button', heading, { type: 'button' }), { scope: 'col', className: kind(decimals, isMinor) },
+    )));
+  }
+  table.tBodies[0].replaceChildren(...rows);
+  order(table);
+}
+
+function order(table) {
+  const head = table.querySelector('[aria-sort]');
+  if (!head) return;
+  const place = head.cellIndex;
+  const key = (row) => row.cells[place].dataset.value;
+  const sign = head.getAttribute('aria-sort') === 'ascending' ? 1 : -1;
+  table.tBodies[0].append(...[...table.tBodies[0].rows].sort((one, other) => {
     const [a, b] = [key(one), key(other)];
     // Unknown values come last.
     if (a === '' || b === '') return (a === '') - (b === '');
-    const order = head.classList.contains('text') ? a.localeCompare(b) : Number(a) - Number(b);
-    return sign * order;
-  });
-  body.append(...rows);
+    return sign * (head.classList.contains('text') ? a.localeCompare(b) : Number(a) - Number(b));
+  }));
 }
 
-// The headings to click, by index, that reproduce the order of a table.
-function sortedBy(table) {
-  return [...table.tHead.rows[0].cells].flatMap((head, place) => ({ descending: [place], ascending: [place, place] })[head.getAttribute('aria-sort')] || []);
-}
-
-function sortable(table) {
-  table.tHead.addEventListener('click', (event) => {
-    if (event.target.tagName === 'BUTTON') sort(event.target);
-  });
+function sort(head) {
+  // The first click sorts in descending order.
+  const next = head.getAttribute('aria-sort') === 'descending' ? 'ascending' : 'descending';
+  [...head.parentNode.cells].forEach((each) => each.removeAttribute('aria-sort'));
+  head.setAttribute('aria-sort', next);
+  order(head.closest('table'));
 }
 
 function keep(name, type, text) {
