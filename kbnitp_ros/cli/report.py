@@ -14,7 +14,6 @@ from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report.folder import check_is_free, write_report
 from kbnitp_ros.report.mission import Mission, read_mission
 from kbnitp_ros.report.tables import mission_curves
-from tqdm import tqdm
 
 DESCRIPTION = """
 Show a mission's log: report.html, a page that works without a network and saves its figures as
@@ -29,10 +28,6 @@ EXAMPLES = (
     'python3 -m kbnitp_ros report runs/small --out runs/small/report',
     'python3 -m kbnitp_ros report runs/small/mission.mcap --out shown',
 )
-
-
-# A progress bar on a terminal while the curves of a mission are computed.
-CURVES = partial(tqdm, unit='belief', desc='curves', disable=None)
 
 
 @command('report')
@@ -60,10 +55,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report(log: Path, folder: Path, namespace: str | None = None) -> Mission:
-    """Write the report of a log, with progress bars on a terminal."""
+    """Write the report of a log, with a progress bar on a terminal."""
     mission = read_mission(log, partial(with_progress, log_size(log)), namespace)
-    curves = mission_curves(mission, CURVES)
-    left_out = write_report(folder, mission, curves)
+    left_out = write_report(folder, mission, mission_curves(mission))
     say(f'wrote {folder / "report.html"} and, beside it, tables and maps')
     for note in (*mission.notes, left_out):
         if note:

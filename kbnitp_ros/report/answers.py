@@ -25,26 +25,6 @@ FOUND, LISTED = 0.95, 0.5
 LAST, MIN_ROBOTS = 0.25, 5
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A target or a suspected hazard."""
-
-    # 'target' or 'hazard'.
-    kind: str
-    cell: int
-    # Centre in metres.
-    x: float
-    y: float
-    # Probability, in [0, 1].
-    probability: float
-    # Number of readings in the cell, and number of positive readings.
-    looks: int
-    seen: int
-    # Centre on the earth, WGS84 in degrees; None without a datum.
-    latitude: float | None
-    longitude: float | None
-
-
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Classes of cells by the last belief, each of shape (cells,)."""
@@ -67,32 +47,37 @@ def classify_cells(mission: Mission) -> Cells:
     return Cells(entered, entered & free, free & ~entered, suspected)
 
 
-def list_findings(mission: Mission) -> list[Finding]:
-    """Return the targets and the suspected hazards, the most probable first."""
-    belief, grid = mission.moments[-1].belief, mission.grid
-    known = {
-        each.cell: each
-        for each in targets(belief, mission.moments[-1].snapshot.model, mission.ended)
-        if grid.free[each.cell]
-    }
+def list_findings(mission: Mission) -> list[dict[str, Any]]:
+    """Return the targets and the suspected hazards as rows of a table, the most probable first."""
+    belief, model = mission.moments[-1].belief, mission.moments[-1].snapshot.model
+    known = {each.cell: each for each in targets(belief, model, mission.ended)}
     suspected = np.flatnonzero(classify_cells(mission).suspected).tolist()
     found = [
         *(('target', cell, each.probability) for cell, each in known.items()),
         *(('hazard', cell, float(belief.hazard[cell])) for cell in suspected),
     ]
-    listed = sorted(
-        (each for each in found if each[2] >= LISTED), key=lambda each: (-each[2], each[:2])
-    )
-    centers = grid.centers([cell for _, cell, _ in listed])
-    places = [(None, None)] * len(listed)
-    if mission.datum is not None:
-        places = mission.datum.on_earth(centers).tolist()
-    return [
-        Finding(
-            kind, cell, x, y, probability, known[cell].looks, known[cell].found, *places[number]
-        )
-        for number, ((kind, cell, probability), (x, y)) in enumerate(zip(listed, centers.tolist()))
+    table = [
+        {
+            'kind': kind,
+            'cell': cell,
+            'probability': probability,
+            # Number of readings in the cell, and number of positive readings.
+            'looks': known[cell].looks,
+            'seen': known[cell].found,
+        }
+        for kind, cell, probability in sorted(found, key=lambda each: (-each[2], each[:2]))
+        if probability >= LISTED and mission.grid.free[cell]
     ]
+    return placed(mission, table)
+
+
+def placed(mission: Mission, table: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows with the centres of their cells in metres and, with a datum, in degrees."""
+    centers = mission.grid.centers([row['cell'] for row in table])
+    columns = dict(zip('xy', centers.T.tolist()))
+    if mission.datum is not None:
+        columns |= zip(('latitude', 'longitude'), mission.datum.on_earth(centers).T.tolist())
+    return [row | dict(zip(columns, place)) for row, place in zip(table, zip(*columns.values()))]
 
 
 def metres(value: float) -> str:
@@ -111,36 +96,29 @@ MAX_SAFE = 1000
 
 def safe_cells(mission: Mission) -> list[dict[str, Any]]:
     """Return the free cells as rows of a table, the safest first, at most `MAX_SAFE`."""
-    grid, belief, cells = mission.grid, mission.moments[-1].belief, classify_cells(mission)
-    free = np.flatnonzero(cells.free)
+    grid, belief = mission.grid, mission.moments[-1].belief
+    free = np.flatnonzero(classify_cells(mission).free)
     listed = free[np.argsort(belief.hazard[free], kind='stable')][:MAX_SAFE]
     losses = expected_losses(mission)
-    table = []
-    for cell in listed.tolist():
-        row, column = divmod(cell, grid.width)
-        corners = [(column, row), (column + 1, row), (column + 1, row + 1), (column, row + 1)]
-        around = grid.in_metres(corners)
-        ((x, y),) = grid.centers([cell])
-        on_earth: dict[str, float] = {}
-        if mission.datum is not None:
-            ((latitude, longitude),) = mission.datum.on_earth(np.array([[x, y]]))
-            on_earth = {'latitude': latitude, 'longitude': longitude}
-            # Longitude before latitude, as in RFC 7946.
-            around = mission.datum.on_earth(around)[:, ::-1]
-        table.append(
-            {
-                'cell': cell,
-                'x': x,
-                'y': y,
-                'hazard': belief.hazard[cell],
-                'target': belief.target[cell],
-                # In a cell that is free of a hazard a robot fails by itself.
-                'malfunctions': losses[cell],
-                'corners': [*around.tolist(), around[0].tolist()],
-                **on_earth,
-            }
-        )
-    return table
+    # Counterclockwise and closed, as in RFC 7946.
+    ring = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
+    lower_left = np.stack([listed % grid.width, listed // grid.width], axis=-1)
+    corners: NDArray[np.float64] = grid.in_metres(lower_left[:, None] + ring).reshape(-1, 2)
+    if mission.datum is not None:
+        # Longitude before latitude, as in RFC 7946.
+        corners = mission.datum.on_earth(corners)[:, ::-1]
+    table = [
+        {
+            'cell': cell,
+            'hazard': belief.hazard[cell],
+            'target': belief.target[cell],
+            # In a cell that is free of a hazard a robot fails by itself.
+            'malfunctions': losses[cell],
+            'corners': around,
+        }
+        for cell, around in zip(listed.tolist(), corners.reshape(-1, 5, 2).tolist())
+    ]
+    return placed(mission, table)
 
 
 def expected_losses(mission: Mission) -> NDArray[np.float64]:
@@ -157,7 +135,7 @@ def loss_shares(
     mission: Mission, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
     """Return P(step | lost) by the last belief, or that after the report if hazards change."""
-    stays = mission.rules['dynamics'] == 'static' or deployment.moment is None
+    stays = mission.dynamics == 'static' or deployment.moment is None
     moment = mission.moments[-1 if stays or deployment.moment is None else deployment.moment]
     hazard = moment.belief.hazard[seen.path[1:]]
     return shares(seen, moment.agent_model(deployment.key.agent).survival(hazard))
@@ -266,15 +244,15 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
         'safe-title',
     )
     found = list_findings(mission)
-    sure = [each for each in found if each.kind == 'target' and each.probability >= FOUND]
-    probable = sum(each.kind == 'target' for each in found) - len(sure)
+    sure = [each for each in found if each['kind'] == 'target' and each['probability'] >= FOUND]
+    probable = sum(each['kind'] == 'target' for each in found) - len(sure)
     yield Tile(
         'Where are targets? (x, y in m)',
         f'{len(sure)} found',
         f'{places(sure)} with 95 % or more; {probable} more with 50 % or more',
         'findings-title',
     )
-    suspected = [each for each in found if each.kind == 'hazard']
+    suspected = [each for each in found if each['kind'] == 'hazard']
     yield Tile(
         'Where are hazards suspected? (x, y in m)',
         counted(len(suspected), 'cell'),
@@ -365,7 +343,7 @@ def fit(mission: Mission) -> Tile:
     details = [f'Hazards: {learnt}.'] if len(kinds) > 1 else []
     after = counted(checked.deployments, 'deployment')
     details += [f'{check.reason[0].upper()}{check.reason[1:]} (checked after {after}).']
-    if mission.rules['dynamics'] == 'static':
+    if mission.dynamics == 'static':
         details.append('Returns hardly reveal moving hazards.')
     answer = 'The model is in doubt' if check.is_in_doubt else 'The evidence fits the model'
     return Tile(question, answer, right + ' '.join(details), 'curves-title')
@@ -411,8 +389,8 @@ def brief(number: float) -> str:
     return f'{number:.2g}' if number >= 0.01 else 'less than 0.01'
 
 
-def places(findings: list[Finding]) -> str:
+def places(findings: list[dict[str, Any]]) -> str:
     """Return the places of the first findings."""
     if not findings:
         return 'none'
-    return some((spot(each.x, each.y) for each in findings), NAMED)
+    return some((spot(each['x'], each['y']) for each in findings), NAMED)

@@ -37,33 +37,19 @@ SECOND = 10**9
 # Minimum likelihood, relative to the likeliest step, of a step shown as the place of a loss.
 LIKELY = 0.5
 
-# Colour layers of the map: names in the page, and descriptions.
+# Colour layers of the map: names in the page, and descriptions; used-up only if hazards can be.
 COLOURS = {name: f'probability of a {name}' for name in ('hazard', 'target')} | {
     'kappa': 'probability of a target in a cell with a hazard',
     'robots-lost': 'robots lost, expected',
     'used-up': 'hazards used up, expected',
 }
 
-# Layers that exist only for the last belief.
-ENDS = {'robots-lost': expected_losses, 'used-up': expected_used_up}
-
 # Maximum number of cells of a field with the last belief in full precision and safest ways from
 # its bases, and of a field with safest ways from every cell.
 MAX_EXACT, MAX_STARTS = 10_000, 400
 
-# Columns of `rows` on the page.
-SHOWN = (
-    'deployment',
-    'agent',
-    'outcome',
-    'steps',
-    'steps_survived',
-    'detected',
-    'information_expected',
-    'information_gained',
-    'entropy',
-    'log_loss',
-)
+# Columns of `rows` that the page has elsewhere.
+LISTS = ('path', 'walk', 'readings')
 
 NAMES = ('hazard', 'target', 'kappa')
 LEVELS = 255
@@ -74,7 +60,9 @@ def mission_facts(
 ) -> dict[str, Any]:
     """Return the facts of a mission, with the moments of these indices."""
     grid, world, last = mission.grid, mission.world, mission.moments[-1]
-    colours = map_colours(mission)
+    ends = {'robots-lost': expected_losses(mission)}
+    if mission.dynamics == 'used_up':
+        ends['used-up'] = expected_used_up(mission)
     table, out = rows(mission, curves), out_at(mission)
     shown = deployments_shown(mission, kept)
     needed = {*shown, *(int(each) for place in kept for each in out[place])}
@@ -84,7 +72,7 @@ def mission_facts(
         'summary': summary(mission, curves),
         'notes': [*filter(None, [left_out]), *mission.notes],
         'tiles': list(answer_tiles(mission, curves)),
-        'findings': [vars(each) for each in list_findings(mission)],
+        'findings': list_findings(mission),
         'safe': safe_cells(mission),
         'table': [on_page(table[each], kept) for each in shown],
         'configuration': configuration(mission),
@@ -95,12 +83,9 @@ def mission_facts(
         'cell': int(np.argmax(last.belief.hazard)),
         'series': [{'color': each.colour, 'dash': each.plotly_dash} for each in SERIES],
         'scales': colour_scales(mission),
-        'colours': colours,
-        'ends': {
-            name: np.round(count(mission), 4).tolist()
-            for name, count in ENDS.items()
-            if name in colours
-        },
+        'colours': {name: COLOURS[name] for name in (*NAMES, *ends)},
+        # Layers that exist only for the last belief.
+        'ends': {name: np.round(count, 4).tolist() for name, count in ends.items()},
         'free': FREE,
         'lane': [] if mission.decision is None else mission.decision.path.tolist(),
         'assumed': mission.assumed,
@@ -176,20 +161,11 @@ def summary(mission: Mission, curves: Curves) -> str:
         f'{len(ended) - lost} returned, {lost} lost.',
         f'{counted(unmoved, "robot")} came back without a step.' if unmoved else '',
         f'{share:.0f} % of the uncertainty about hazards and targets is left.',
-        f'Method {mission.rules["method"]}.',
+        f'Method {mission.moments[0].snapshot.method}.',
     ]
     if 'time' in mission.run:
         words.append(f'Recorded {mission.run["time"][:16].replace("T", " ")} UTC.')
     return ' '.join(filter(None, words))
-
-
-def map_colours(mission: Mission) -> dict[str, str]:
-    """Return the colour layers of the map."""
-    return {
-        name: words
-        for name, words in COLOURS.items()
-        if name != 'used-up' or mission.rules['dynamics'] == 'used_up'
-    }
 
 
 def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:
@@ -218,10 +194,9 @@ def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, 
 
 
 def field_facts(mission: Mission) -> dict[str, Any]:
-    """Return the field; a turned field is drawn from (0, 0), without its rotation."""
+    """Return the field."""
     grid = mission.grid
     corner, along, across = grid.in_metres([(0, 0), (1, 0), (0, 1)])
-    x, y = (0.0, 0.0) if grid.yaw else grid.origin
     return {
         'width': grid.width,
         'height': grid.height,
@@ -229,9 +204,7 @@ def field_facts(mission: Mission) -> dict[str, Any]:
         'yaw': grid.yaw,
         # Direction of north in the frame, rad from its x axis.
         'north': None if mission.datum is None else pi / 2 - mission.datum.heading,
-        # The corner as drawn; the corner in the frame, and a step along and across the rows.
-        'x': x,
-        'y': y,
+        # The corner in the frame, and a step along and across the rows.
         'corner': corner.tolist(),
         'along': (along - corner).tolist(),
         'across': (across - corner).tolist(),
@@ -322,7 +295,7 @@ def described_facts(
                 yield 'last contact', f'after {counted(seen.steps_survived, "step")}'
             if likely := likely_steps(seen):
                 yield 'most likely lost', f'in steps {likely[0] + 1} to {likely[1]}'
-        if mission.rules['dynamics'] == 'used_up' and place:
+        if mission.dynamics == 'used_up' and place:
             yield 'hazards used up', f'{used_up_at(mission, place).sum():.2f} expected'
     for name, values in (('expected', curves.expected), ('gained', curves.gained)):
         if np.isfinite(values[place]):
@@ -342,7 +315,7 @@ def on_page(row: dict[str, Any], kept: NDArray[np.intp]) -> dict[str, Any]:
     """Return a row of the table, with the index of its moment on the page."""
     moment, sent, told = row['moment'], row['sent'], row['told']
     return {
-        **{name: row[name] for name in SHOWN},
+        **{name: value for name, value in row.items() if name not in LISTS},
         'moment': None if moment is None else int(np.searchsorted(kept, moment)),
         'duration': None if sent is None or told is None else (told - sent) / SECOND,
     }

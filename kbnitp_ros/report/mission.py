@@ -92,8 +92,6 @@ class Mission:
     # The log.
     log: Path
     grid: Grid
-    # Method and seed of the estimator, maximum steps of a path, and dynamics of hazards.
-    rules: dict[str, Any]
     moments: list[Moment]
     deployments: list[DeploymentSummary]
     # The hidden truth, if recorded.
@@ -114,6 +112,11 @@ class Mission:
     datum: Datum | None
     # The image of the field's map, if available.
     site: Site | None
+
+    @property
+    def dynamics(self) -> str:
+        """Return how hazards change, as in `Dynamics.kind`."""
+        return self.moments[0].snapshot.dynamics.kind
 
     @property
     def assumed(self) -> dict[str, float]:
@@ -183,7 +186,6 @@ def recorded_mission(log: MissionLog, history: History) -> Mission:
         raise LogError(f'{path}: nothing to report; refused: {evidence.refused[0]}')
     keys = evidence.orders
     moments, notes = recorded_moments(log, history, keys)
-    first = history.moments[0].snapshot
     in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
     metadata = history.bookmark.metadata
     parameters = {
@@ -196,12 +198,6 @@ def recorded_mission(log: MissionLog, history: History) -> Mission:
     return Mission(
         log=path,
         grid=grid,
-        rules={
-            'method': first.method,
-            'seed': first.seed,
-            'max_steps': evidence.max_steps,
-            'dynamics': first.dynamics.kind,
-        },
         moments=moments,
         deployments=summarise_deployments(history, keys, moments),
         world=history.world,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from contextlib import suppress
 from csv import DictWriter
 from dataclasses import dataclass
@@ -61,10 +60,8 @@ class Curves:
 MAX_INTERPRETED = 400
 
 
-def mission_curves(
-    mission: Mission, progress: Callable[[Iterable[int]], Iterable[int]] = iter
-) -> Curves:
-    """Return the curves of a mission; `progress` wraps the iteration over its moments."""
+def mission_curves(mission: Mission) -> Curves:
+    """Return the curves of a mission."""
     moments, world = mission.moments, mission.world
     beliefs = [each.belief for each in moments]
     joint_entropy = np.array([each.joint_entropy() for each in beliefs])
@@ -72,7 +69,7 @@ def mission_curves(
     gained = np.concatenate([[nan], -np.diff(joint_entropy)])
     gained[gaps] = nan
     with interpreted(len(moments) < MAX_INTERPRETED):
-        expected = [information_at(mission, place) for place in progress(range(len(moments)))]
+        expected = [information_at(mission, place) for place in range(len(moments))]
     unknown = np.full(len(moments), nan)
     return Curves(
         hazard_entropy=np.array([binary_entropy(each.hazard).sum() for each in beliefs]),

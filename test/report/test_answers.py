@@ -63,7 +63,7 @@ def test_every_cell_is_counted_by_its_definition(told):
 def test_findings_are_sorted_by_probability(told):
     mission, _ = told
     belief = mission.moments[-1].belief
-    found = {(finding.kind, finding.cell): finding for finding in list_findings(mission)}
+    found = {(finding['kind'], finding['cell']): finding for finding in list_findings(mission)}
     free = mission.grid.free
     assert {cell for kind, cell in found if kind == 'target'} == {
         *np.flatnonzero(free & (belief.target >= 0.5)).tolist()
@@ -72,11 +72,11 @@ def test_findings_are_sorted_by_probability(told):
         *np.flatnonzero(classify_cells(mission).suspected).tolist()
     }
     for (kind, cell), each in found.items():
-        assert each.probability == getattr(belief, kind)[cell]
-        assert [each.x, each.y] == mission.grid.centers([cell])[0].tolist()
+        assert each['probability'] == getattr(belief, kind)[cell]
+        assert [each['x'], each['y']] == mission.grid.centers([cell])[0].tolist()
         looks = sum((seen.path[1:] == cell).sum() for seen in mission.ended if seen.survived)
-        assert each.looks == looks
-    probable = [each.probability for each in list_findings(mission)]
+        assert each['looks'] == looks
+    probable = [each['probability'] for each in list_findings(mission)]
     assert probable == sorted(probable, reverse=True)
 
 

@@ -168,9 +168,9 @@ def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
         )
     move(page, len(mission.moments) - 1)
     assert marked(page, 'free', GRID) == np.flatnonzero(classify_cells(mission).free).tolist()
-    found = [finding for finding in list_findings(mission) if finding.kind == 'target']
+    found = [finding for finding in list_findings(mission) if finding['kind'] == 'target']
     for name, is_found in (('found', True), ('target', False)):
-        cells = [each.cell for each in found if (each.probability >= 0.95) == is_found]
+        cells = [each['cell'] for each in found if (each['probability'] >= 0.95) == is_found]
         assert marked(page, name, GRID) == sorted(cells)
 
 
@@ -462,9 +462,9 @@ def test_findings_have_positions_on_the_earth(opened, surveyed):
     assert len(findings) == len(collection['features']) == len(table) > 1
     latitude, longitude, heading = DATUM
     for each, feature, row in zip(findings, collection['features'], table):
-        azimuth = 90.0 - np.degrees(heading + np.arctan2(each.y, each.x))
+        azimuth = 90.0 - np.degrees(heading + np.arctan2(each['y'], each['x']))
         x, y = (float(row[f'{axis} (m)']) for axis in 'xy')
-        assert (x, y) == (each.x, each.y)
+        assert (x, y) == (each['x'], each['y'])
         at = EARTH.fwd(longitude, latitude, azimuth, np.hypot(x, y))[:2]
         for found in (
             feature['geometry']['coordinates'],
@@ -703,7 +703,7 @@ def test_findings_are_sorted_and_downloaded(opened, shown):
     page.locator('#findings th button').nth(1).click()
     table = rows(downloaded(page, 'CSV'))
     findings = list_findings(mission)
-    largest_first = sorted((each.x for each in findings), reverse=True)
+    largest_first = sorted((each['x'] for each in findings), reverse=True)
     assert [float(row['x (m)']) for row in table] == largest_first
     features = json.loads(downloaded(page, 'GeoJSON', nth=1).read_text())['features']
     told = {
@@ -712,9 +712,9 @@ def test_findings_are_sorted_and_downloaded(opened, shown):
     }
     assert len(told) == len(findings)
     for finding in findings:
-        values = told[finding.kind, finding.x, finding.y]
-        assert values['probability'] == finding.probability
-        assert values['looks'] == finding.looks
+        values = told[finding['kind'], finding['x'], finding['y']]
+        assert values['probability'] == finding['probability']
+        assert values['looks'] == finding['looks']
     assert len(rows(downloaded(page, 'CSV', nth=-1))) == len(mission.deployments)
     assert Image.open(downloaded(page, 'Save the map')).format == 'PNG'
 

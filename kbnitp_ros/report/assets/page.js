@@ -550,6 +550,8 @@ async function load(text) {
   const size = NAMES.length * cells();
   for (let place = size; place < frames.length; place += 1) frames[place] += frames[place - size];
   blocked = new Set(mission.grid.blocked);
+  // A turned field is drawn from (0, 0), without its rotation.
+  [mission.grid.x, mission.grid.y] = mission.grid.yaw ? [0, 0] : mission.grid.corner;
   last = mission.moments.length - 1;
   now = isAtEnd ? last : Math.min(now, last);
   if (!isNamed || cell >= cells()) [cell, isNamed, ends] = [mission.cell, false, [null, null]];
