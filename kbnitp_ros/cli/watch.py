@@ -12,7 +12,6 @@ from threading import Event, Thread
 import time
 
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
-from kbnitp_ros.cli.study import count
 from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.read import is_finished
@@ -57,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         '--port',
         metavar='N',
-        type=partial(count, least=0),
+        type=int,
         default=PORT,
         help=f'port to listen on, from 0 to 65535; default {PORT}, 0 for a free one',
     )

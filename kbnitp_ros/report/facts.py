@@ -344,10 +344,9 @@ def learnt_facts(mission: Mission, kept: NDArray[np.intp]) -> dict[str, dict[str
         numbers = [mission.moments[place].state.numbers.get(name) for place in kept]
         quantiles = np.array([each.quantiles if each else [np.nan] * 5 for each in numbers])
         facts[name] = {
-            **{
-                each: known(quantiles[:, at])
-                for each, at in (('low', 0), ('middle', 2), ('high', 4))
-            },
+            'low': known(quantiles[:, 0]),
+            'middle': known(quantiles[:, 2]),
+            'high': known(quantiles[:, 4]),
             'truth': mission.numbers.get(name),
         }
     return facts

@@ -165,6 +165,26 @@ def test_cheapest_ways_cost_least_of_all_ways(seed):
     assert [[*map(tuple, each)] for each in one_by_one] == [[*map(tuple, each)] for each in found]
 
 
+@for_each('seed', range(10))
+def test_safest_ways_are_the_cheapest_lanes_from_each_cell(seed):
+    rng = np.random.default_rng(seed)
+    blocked = rng.choice(np.arange(1, 30), 6, replace=False).tolist()
+    grid = Grid(6, 5, blocked=blocked, connectivity=int(rng.choice([4, 8])))
+    hazard = rng.choice([0.0, 0.1, rng.uniform(), 1.0], grid.cells)
+    with np.errstate(divide='ignore'):
+        cost = lanes.STEP_COST - np.log(1.0 - hazard).clip(min=lanes.LEAST)
+    free = np.flatnonzero(grid.free).tolist()
+    for start, before in zip(free, lanes.safest_ways(grid, hazard, free)):
+        reached = grid.steps_from(start, grid.free) < grid.cells
+        assert np.array_equal(before >= 0, reached & (np.arange(grid.cells) != start))
+        for to in np.flatnonzero(before >= 0).tolist():
+            [[best]] = lanes.cheapest_lanes(grid, cost[None], start, to, [grid.cells])
+            way = [to]
+            while way[0] != start:
+                way.insert(0, int(before[way[0]]))
+            assert cost[way[1:]].sum() == pytest.approx(cost[best[1:]].sum(), abs=1e-9)
+
+
 @for_each('seed', range(60))
 def test_information_of_readings_is_exact(seed):
     """The expected fall of the entropies, over all states, fates and readings."""
