@@ -213,9 +213,9 @@ def test_the_core_reads_and_writes_nothing():
 
 
 @pytest.mark.processes
-def test_core_and_replay_run_without_pandas():
+def test_core_and_replay_run_without_pandas_and_jinja2():
     code = (
-        'import sys; sys.modules.update(pandas=None); '
+        'import sys; sys.modules.update(pandas=None, jinja2=None); '
         'import kbnitp_ros.core, kbnitp_ros.cli.replay'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
