@@ -177,14 +177,13 @@ class Follower:
             read = (log, read_history(log)) if first_belief(log) else None
         else:
             read_history(*read)
-        self.sentence = 'Waiting for the first belief: the nodes of the mission are starting.'
+        sentence = 'Waiting for the first belief: the nodes of the mission are starting.'
         if read is not None:
             mission = recorded_mission(*read)
             facts, _ = fitting_facts(mission, mission_curves(mission))
-            self.sentence = (
-                f'Following the log: {len(mission.robots)} robots reported, {mission.in_flight} '
-                'in flight.'
-            )
+            robots, out = len(mission.robots), mission.in_flight
+            sentence = f'Following the log: {robots} robots reported, {out} in flight.'
+        self.sentence = sentence
         self._read = read
         if facts != self.facts:
             self.facts = facts
