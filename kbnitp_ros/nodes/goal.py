@@ -17,7 +17,6 @@ from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.messages.progress import read_decision, read_draws
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
-from rclpy.task import Future
 
 # A belief: its stamp, nanoseconds, and its number of deployments.
 Name = tuple[int, int]
@@ -33,7 +32,8 @@ class GoalState:
         self._newest: Name = 0, 0
         self._decided: tuple[Name, Decision] | None = None
         self._drawn: tuple[Name, HazardDraws] | None = None
-        self._asked: Future | None = None
+        # The belief of the last request for draws, unless it was answered.
+        self._asked: Name | None = None
         # Reason why the plans for the newest belief end the mission, empty if they do not; and the
         # reason logged last.
         self.not_worth = ''
@@ -97,11 +97,11 @@ class GoalState:
         """Return draws for the newest belief; None until the estimator has answered."""
         if self._drawn is not None and self._drawn[0] == self._newest:
             return self._drawn[1]
-        if self._asked is None and self._draws.service_is_ready():
-            newest = self._newest
+        # An estimator that ended answers no more, and the next one publishes another belief.
+        if self._asked != self._newest and self._draws.service_is_ready():
+            newest = self._asked = self._newest
             request = Draws.Request(stamp=to_stamp(newest[0]), deployments=newest[1])
-            self._asked = self._draws.call_async(request)
-            self._asked.add_done_callback(
+            self._draws.call_async(request).add_done_callback(
                 self._node.guarded(lambda answer: self._on_draws(newest, answer.result()))
             )
         return None
@@ -113,7 +113,8 @@ class GoalState:
         return self.goal is not None and not is_drawn
 
     def _on_draws(self, newest: Name, answer: Any) -> None:
-        self._asked = None
+        if newest == self._asked:
+            self._asked = None
         if answer.success:
             self._drawn = newest, read_draws(answer, self._state.grid.cells)
             self._act()

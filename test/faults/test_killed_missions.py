@@ -166,6 +166,10 @@ KINDS = {
         {'hazards.dynamics': 'used_up', 'objective': 'behavioral', 'alpha': 2.0},
         lambda made, _: moves(made),
     ),
+    'area': (
+        {'goal.kind': 'area', 'goal.cells': [12, 13], 'agents': ['scout_1']},
+        lambda made, _: all(each.decision for each in made),
+    ),
     # Compared with the belief of its own log: the order of returns differs.
     'rolling': ({'rolling': True}, lambda made, _: made),
 }  # fmt: skip
