@@ -32,9 +32,9 @@ class Parameter:
     name: str
     # Default value, which has the type of the parameter.
     default: Any
-    # One sentence, with the unit.
-    description: str
     nodes: tuple[str, ...]
+    # One sentence, with the unit.
+    description: str = ''
     # Default value in the field; None if it is the same.
     in_field: Any = None
     # The type of a list's elements.
