@@ -23,19 +23,12 @@ from typing import Any
 from cases import Benchmark
 from kbnitp_msgs.msg import BeliefMaps
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration.known import node_parameters
+from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.nodes.runtime import qos
 import numpy as np
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
-
-AWAITED = {
-    'recorder': [],
-    'estimator': ['planner', 'recorder'],
-    'agent': ['planner', 'estimator', 'recorder'],
-    'planner': ['agent', 'estimator', 'recorder'],
-}
 
 DEPLOYMENTS = 2000  # unless told otherwise
 PERIOD = 0.5  # seconds between two looks
@@ -92,21 +85,17 @@ def run_nodes(deployments: int, **common: Any) -> list[Sample]:
     """
     samples: list[Sample] = []
     with TemporaryDirectory() as folder, free_domain() as domain, Processes(domain) as processes:
-        parameters: dict[str, dict[str, Any]] = {
-            'recorder': {'file': str(Path(folder, 'mission.mcap'))},
-            'estimator': {},
-            'agent': {'recorded': True},
-            'planner': {
-                'robots': deployments,
-                'planner': 'relaxed',
-                'recorded': True,
-                'keep_running': True,
-            },
+        parameters = {
+            'file': str(Path(folder, 'mission.mcap')),
+            'robots': deployments,
+            'recorded': True,
+            'keep_running': True,
+            'planner': 'relaxed',
+            **common,
         }
-        for name, awaited in AWAITED.items():
-            given = {'await_nodes': awaited} if awaited else {}
-            given |= {each: common[each] for each in common.keys() & node_parameters(name).keys()}
-            processes.start(name, parameters[name] | given)
+        for name in ('recorder', 'estimator', 'agent', 'planner'):
+            awaited = {'await_nodes': awaited_nodes(name, is_recorded=True)}
+            processes.start(name, parameters | awaited)
         os.environ |= environment(domain)
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = rclpy.create_node('onlooker')

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of the launch files: arguments, the nodes of the base, and the end of a mission."""
+"""Common parts of the launch files: arguments, nodes that are restarted, and the mission's end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import os
 from pathlib import Path
 import signal
+from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.configuration import node_parameters, Parameter
+from kbnitp_ros.configuration import node_parameters
 from kbnitp_ros.configuration.given import check_counts, read_sections, values_for
 from kbnitp_ros.configuration.mission import learnt_by_default
-from kbnitp_ros.files import nearest
+from kbnitp_ros.configuration.starts import awaited_nodes, DEFAULTS, OPTIONS, parameters_for
+from kbnitp_ros.files import nearest, share
 from kbnitp_ros.log.files import new_log
 from kbnitp_ros.nodes.runtime.graph import udp_only
 from launch import Action, LaunchContext, LaunchDescription
@@ -26,12 +28,8 @@ from launch.actions import (
     Shutdown,
     TimerAction,
 )
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, PushROSNamespace
-from launch_ros.substitutions import FindPackageShare
-
-SHARE = FindPackageShare('kbnitp_ros')
-SWITCH = ['true', 'false']
 
 # Exit codes of processes stopped by ros2 launch: negative if the signal arrived before the process
 # handled signals; 255, from asyncio, if the process had just ended.
@@ -42,33 +40,19 @@ FINAL = (0, 2)
 
 RESPAWN_DELAY = 2.0  # Seconds.
 
-# Parameters that are launch arguments as well, passed to all nodes that have them.
-OPTIONS = (
-    'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
-    'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
-    'method', 'learn.numbers', 'seed', 'approval', 'keep_running', 'defaults', 'minimum_reach',
-)  # fmt: skip
+SWITCH = ['true', 'false']
 
-
-def transport(context: LaunchContext) -> list[SetEnvironmentVariable]:
-    """Return the actions that set the transport of the nodes."""
-    config = Path(SHARE.perform(context), 'config')
-    return [SetEnvironmentVariable(*each) for each in udp_only(os.environ, config).items()]
-
-
-# DDS over UDP without shared memory, unless the user has a Fast DDS profile.
-TRANSPORT = OpaqueFunction(function=transport)
-
-
-# Arguments that all launch files of missions take: name, default, choices and description.
+# Arguments of launch files besides parameters: name, default, choices and description.
 ARGUMENTS = (
-    ('namespace', '', None, 'Namespace of all nodes and topics.'),
+    ('namespace', '', None, 'Namespace of all nodes and topics of the mission.'),
     (
         'params_file',
-        PathJoinSubstitution([SHARE, 'config', 'mission.yaml']),
+        str(share('config/mission.yaml')),
         None,
-        'YAML file with the parameters of the nodes.',
+        'YAML file with the parameters of the nodes; robots have the same as their base.',
     ),
+)
+OF_MISSIONS = (
     ('record', 'true', SWITCH, 'Whether to record the mission.'),
     (
         'file',
@@ -80,49 +64,54 @@ ARGUMENTS = (
     ('rviz', 'false', SWITCH, 'Whether to show the mission in RViz.'),
 )
 
-
-def arguments_of_missions(**defaults: str) -> list[DeclareLaunchArgument]:
-    """Return the arguments that all launch files of missions take, with these defaults."""
-    known = node_parameters('estimator') | node_parameters('planner')
-    return [
-        *(
-            DeclareLaunchArgument(name, default_value=default, choices=choices, description=what)
-            for name, default, choices, what in ARGUMENTS
-        ),
-        *(launch_argument(known[name], defaults.get(name, '')) for name in OPTIONS),
-    ]
+PARAMETERS = {
+    name: parameter
+    for node in ('robot', 'estimator', 'planner')
+    for name, parameter in node_parameters(node).items()
+}
 
 
-def launch_argument(parameter: Parameter, default: str = '') -> DeclareLaunchArgument:
-    """Return the launch argument that sets a parameter."""
-    description = f'{parameter.description} Empty: the value in params_file.'
-    return DeclareLaunchArgument(parameter.name, default_value=default, description=description)
-
-
-def mission_description(
-    arguments: Sequence[DeclareLaunchArgument],
-    nodes: Callable[[MissionArguments], Iterable[Action]],
+def description(
+    kind: str,
+    own: Sequence[DeclareLaunchArgument],
+    nodes: Callable[[Launch], Iterable[Action]],
+    **defaults: str,
 ) -> LaunchDescription:
-    """Return the description of a launch file, whose nodes are made from its arguments."""
+    """Return the description of a launch file of a kind, with arguments of its own."""
     # Launch handles SIGINT itself.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: None)
+    arguments = [
+        *own,
+        *(
+            DeclareLaunchArgument(name, default_value=default, choices=choices, description=what)
+            for name, default, choices, what in ARGUMENTS + OF_MISSIONS * (kind != 'robot')
+        ),
+        *(
+            DeclareLaunchArgument(
+                name,
+                default_value=defaults.get(name, ''),
+                description=f'{PARAMETERS[name].description} Empty: the value in params_file.',
+            )
+            for name in OPTIONS[kind]
+        ),
+    ]
     names = [argument.name for argument in arguments]
 
     def start(context: LaunchContext) -> list[Action]:
         check_arguments(context, names)
-        return list(nodes(MissionArguments(context)))
+        return list(nodes(Launch(kind, context, names)))
 
-    mission = GroupAction(
-        [PushROSNamespace(LaunchConfiguration('namespace')), OpaqueFunction(function=start)]
+    # DDS over UDP without shared memory, unless the user has a Fast DDS profile.
+    transport = udp_only(os.environ, share('config'))
+    space = PushROSNamespace(LaunchConfiguration('namespace'))
+    return LaunchDescription(
+        [
+            *arguments,
+            *(SetEnvironmentVariable(*each) for each in transport.items()),
+            GroupAction([space, OpaqueFunction(function=start)]),
+        ]
     )
-    return LaunchDescription([*arguments, TRANSPORT, mission])
-
-
-def respawned(make: Callable[[], Node]) -> TimerAction:
-    """Return an action that restarts a node after a pause."""
-    start = OpaqueFunction(function=lambda _: [make()])
-    return TimerAction(period=RESPAWN_DELAY, actions=[start])
 
 
 def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
@@ -138,100 +127,118 @@ def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
                 raise ValueError(f'launch argument {name} is unknown: {meant}see --show-args')
 
 
-class MissionArguments:
-    """A mission as described by the arguments of a launch file."""
+class Launch:
+    """The nodes that the arguments of a launch file describe."""
 
-    def __init__(self, context: LaunchContext) -> None:
-        self._context = context
-        self._failures: list[str] = []
+    def __init__(self, kind: str, context: LaunchContext, names: Sequence[str]) -> None:
+        self._kind = kind
+        self.given = {name: LaunchConfiguration(name).perform(context) for name in names}
         # Evaluated here, since a restarted node is outside the groups of launch files.
         self._namespace = context.launch_configurations.get('ros_namespace', '').strip('/')
-        self._sections = read_sections(self.argument('params_file'))
-        self._options = {name: text for name in OPTIONS if (text := self.argument(name))}
-        self.agents = agents_named(self.argument('agents')) or list(
-            self._values('planner').get('agents', node_parameters('planner')['agents'].default)
+        self._sections = read_sections(self.given['params_file'])
+        self._options = {
+            name: PARAMETERS[name].read(self.given[name])
+            for name in OPTIONS[kind]
+            if self.given[name]
+        }
+        self._failures: list[str] = []
+        self.agents = agents_named(self.given.get('agents', '')) or list(
+            self._values('planner').get('agents', PARAMETERS['agents'].default)
         )
         # The log that restarted nodes resume.
         self._log: Path | None = None
-        if self.argument('record') == 'true':
-            file = self.argument('file') or self._values('recorder').get('file')
-            self._log = Path(self.argument('resume') or file or new_log())
-
-    def argument(self, name: str) -> str:
-        """Return the value of an argument."""
-        return str(LaunchConfiguration(name).perform(self._context))
+        if self.given.get('record') == 'true':
+            file = self.given['file'] or self._values('recorder').get('file')
+            self._log = Path(self.given['resume'] or file or new_log())
 
     def _values(self, node: str) -> dict[str, Any]:
         """Return the values of the parameter file for a node of this mission."""
-        return values_for(self._sections, self._full_name(node))
+        return values_for(self._sections, self.full_name(node))
 
-    def _full_name(self, *names: str) -> str:
+    def full_name(self, *names: str) -> str:
+        """Return the full name of something in the namespace of the mission."""
         return '/' + '/'.join(filter(None, [self._namespace, *names]))
 
     @property
     def poses(self) -> list[tuple[str, str]]:
         """Return the remapping of poses, which separates equally named robots of two teams."""
-        return [('/tf', self._full_name('tf'))] if self._namespace else []
+        return [('/tf', self.full_name('tf'))] if self._namespace else []
 
-    def base(self, **of_real_robots: str) -> list[Action]:
+    def base(self) -> list[Action]:
         """Return the nodes of the base, and RViz."""
-        said, known, log = self._values('planner'), node_parameters('planner'), self._log
+        said, log = self._values('estimator') | self._values('planner'), self._log
+        method = self._options.get('method') or said.get('method', PARAMETERS['method'].default)
+        added = DEFAULTS[self._kind] | {'learn.numbers': learnt_by_default(method)}
+        # The shipped file has all defaults, which its users need not mean.
         self._options = {
-            name: text
-            for name, text in of_real_robots.items()
-            if said.get(name, known[name].default) == known[name].default
+            name: value
+            for name, value in added.items()
+            if said.get(name) in (None, PARAMETERS[name].default)
         } | self._options
-        numbers = self._values('estimator').get('learn.numbers')
-        method = self._options.get('method') or self._values('estimator').get('method')
-        learnt = learnt_by_default(method or node_parameters('estimator')['method'].default)
-        if numbers is None and learnt:
-            self._options = {'learn.numbers': f'[{", ".join(learnt)}]'} | self._options
-        view = 'team.rviz' if len(self.agents) > 1 else 'mission.rviz'
+        view = share('config/rviz') / ('team.rviz' if len(self.agents) > 1 else 'mission.rviz')
         rviz = Node(
             package='rviz2',
             executable='rviz2',
-            arguments=['-d', PathJoinSubstitution([SHARE, 'config', 'rviz', view])],
+            arguments=['-d', str(view)],
             remappings=self.poses,
         )
         return [
             # RViz first, so that no node has started if RViz is not installed.
-            *([rviz] if self.argument('rviz') == 'true' else []),
+            *([rviz] if self.given['rviz'] == 'true' else []),
             *([LogInfo(msg=f'recording to {log}')] if log else []),
             *([self.node('recorder', {'file': str(log)})] if log else []),
-            self.node('estimator', awaits=['planner']),
-            self.node('planner', awaits=['agent', 'estimator']),
+            self.node('estimator'),
+            self.node('planner'),
         ]
 
     def node(
         self,
         name: str,
-        own: dict[str, Any] | None = None,
+        own: Mapping[str, Any] = MappingProxyType({}),
         *,
-        awaits: Sequence[str] = (),
         namespace: str = '',
+        remappings: Sequence[tuple[str, str]] = (),
         ends_mission: bool = True,
     ) -> Node:
-        """Return a node of the mission; its executable has the same name."""
-        known, log = node_parameters(name), self._log
-        values = {
+        """Return a node, which is restarted if it can resume; its executable has the same name."""
+        log, params_file = self._log, self.given['params_file']
+        full_name = self.full_name(namespace, name)
+        of_mission = {
             'agents': self.agents,
-            'resume': self.argument('resume'),
+            'resume': self.given.get('resume'),
             'recorded': log is not None,
-            'await_nodes': [*awaits, *(['recorder'] if log else [])],
-        } | {each: known[each].read(text) for each, text in self._options.items() if each in known}
-        given = {each: value for each, value in values.items() if each in known} | (own or {})
-        # Launch takes no empty lists as values of parameters.
-        filled = {each: value for each, value in given.items() if value != ()}
-        empty = given.keys() - filled.keys()
-        rules = [word for each in empty for word in ('-p', f'{name}:{each}:=[]')]
-        full_name = self._full_name(namespace, name)
+            'await_nodes': awaited_nodes(name, is_recorded=log is not None),
+        }
+        shared = {} if self._kind == 'robot' else of_mission
+        given = parameters_for(name, shared | self._options) | {**own}
         check_counts(self._sections, full_name, full_name, given)
-        params_file = self.argument('params_file')
+        # Launch takes no empty lists as values of parameters.
+        empty = [each for each, value in given.items() if value in ((), [])]
+        rules = [word for each in empty for word in ('-p', f'{name}:{each}:=[]')]
+        filled = {each: value for each, value in given.items() if each not in empty}
+
+        def make(again: dict[str, str]) -> Node:
+            return Node(
+                package='kbnitp_ros',
+                executable=name,
+                name=name,
+                namespace=self.full_name(namespace),
+                parameters=[params_file, filled | again],
+                remappings=remappings,
+                ros_arguments=['--enclave', full_name, *rules],
+                output='screen',
+                on_exit=end,
+            )
+
+        def restart(_: LaunchContext) -> list[Node]:
+            return [make({'resume': str(log) if log.exists() else ''} if log else {})]
 
         def end(event: Any, context: LaunchContext) -> Shutdown | TimerAction | None:
             """Handle the node's end: restart it or end the mission; raise if a node failed."""
-            if log and event.returncode not in FINAL and not context.is_shutdown:
-                return respawned(lambda: make(str(log) if log.exists() else ''))
+            may_restart = (log or self._kind == 'robot') and not context.is_shutdown
+            if may_restart and event.returncode not in FINAL:
+                actions = [OpaqueFunction(function=restart)]
+                return TimerAction(period=RESPAWN_DELAY, actions=actions)
             if event.returncode not in (ENDED if context.is_shutdown else (0,)):
                 self._failures.append(
                     f'{event.process_name} ended with exit code {event.returncode}'
@@ -243,29 +250,15 @@ class MissionArguments:
                 raise RuntimeError(f'the mission failed: {failures}; see the output above')
             return Shutdown() if ends_mission else None
 
-        def make(resume: str) -> Node:
-            return Node(
-                package='kbnitp_ros',
-                executable=name,
-                name=name,
-                namespace=self._full_name(namespace),
-                parameters=[params_file, filled | {'resume': resume}],
-                remappings=self.poses if name == 'agent' else [],
-                ros_arguments=['--enclave', full_name, *rules],
-                output='screen',
-                on_exit=end,
-            )
-
-        return make(self.argument('resume'))
+        return make({})
 
 
 def agents_named(given: str) -> list[str]:
     """Return the agents of an argument, which is their number, their names, or empty."""
     if given.isdecimal() and int(given):
         return [f'scout_{number}' for number in range(1, int(given) + 1)]
-    names = given.split(',') if given else []
     try:
-        return list(node_parameters('planner')['agents'].check(names))
+        return list(PARAMETERS['agents'].check(given.split(',') if given else []))
     except ValueError as error:
         raise ValueError(
             f'agents is {given!r}: it must be a whole number, at least 1, or names with commas '

@@ -16,27 +16,18 @@ from types import FrameType
 from kbnitp_ros.plugins import extra
 
 # Extras of pip that install the imports of a command; other executables need ROS 2.
-EXTRAS = dict.fromkeys(('replay', 'report', 'watch'), 'report') | {
-    'study': 'study',
-    'forecast': 'all',
-}
+EXTRAS = {
+    'replay': 'report', 'report': 'report', 'watch': 'report', 'study': 'study', 'forecast': 'all',
+}  # fmt: skip
 
 # Each module has main(argv=None), which returns the exit code.
-COMMANDS = {
-    'demo': 'kbnitp_ros.cli.demo',
-    'study': 'kbnitp_ros.cli.study',
-    'replay': 'kbnitp_ros.cli.replay',
-    'report': 'kbnitp_ros.cli.report',
-    'watch': 'kbnitp_ros.cli.watch',
-    'forecast': 'kbnitp_ros.cli.forecast',
-}
-NODES = {
-    'planner': 'kbnitp_ros.nodes.planner',
-    'agent': 'kbnitp_ros.nodes.agent',
-    'robot': 'kbnitp_ros.nodes.robot',
-    'estimator': 'kbnitp_ros.nodes.estimator',
-    'recorder': 'kbnitp_ros.nodes.recorder',
-}
+COMMANDS, NODES = (
+    {name: f'kbnitp_ros.{room}.{name}' for name in names.split()}
+    for room, names in (
+        ('cli', 'demo study replay report watch forecast'),
+        ('nodes', 'planner agent robot estimator recorder'),
+    )
+)
 EXECUTABLES = {**COMMANDS, **NODES}
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch the base of a mission: planner, estimator and recorder, for robots that are elsewhere."""
 
-from kbnitp_ros.launching import arguments_of_missions, mission_description
+from kbnitp_ros.launching import description, Launch
 from launch.actions import DeclareLaunchArgument
 
 
@@ -13,10 +13,4 @@ def generate_launch_description():
         'on); empty for the names in the parameters.',
     )
     # A lost real robot sends no report.
-    defaults = {'keep_running': 'false', 'silent_loss': 'true'}
-    # A robot at 0.4 m/s needs 3.5 s for the diagonal of a cell of 1 m.
-    of_real_robots = {'defaults': 'field', 'step_period': '5.0', 'return_deadline': '60.0'}
-    return mission_description(
-        [agents, *arguments_of_missions(**defaults)],
-        lambda mission: mission.base(**of_real_robots),
-    )
+    return description('base', [agents], Launch.base, keep_running='false', silent_loss='true')

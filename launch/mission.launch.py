@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch a mission of simulated robots, which is recorded by default and ends by itself."""
 
-from kbnitp_ros.launching import arguments_of_missions, mission_description
+from kbnitp_ros.launching import description
 from launch.actions import DeclareLaunchArgument
 
 
@@ -12,7 +12,7 @@ def generate_launch_description():
         description='Number of agents (scout_1 and so on, whatever the parameters name), or their '
         'names, separated by commas. Each agent is a process.',
     )
-    return mission_description([agents, *arguments_of_missions(keep_running='false')], nodes)
+    return description('mission', [agents], nodes, keep_running='false')
 
 
 def nodes(mission):
@@ -23,8 +23,8 @@ def nodes(mission):
             mission.node(
                 'agent',
                 {'agent': name},
-                awaits=['planner', 'estimator'],
                 namespace=name,
+                remappings=mission.poses,
                 # The other agents of a team continue.
                 ends_mission=len(mission.agents) == 1,
             )

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from kbnitp_ros.cli.output import command, complain
-from kbnitp_ros.cli.parameters import DEFAULTS, NODES, OPTIONS, OWN
-from kbnitp_ros.configuration.known import node_parameters
+from kbnitp_ros.configuration import node_parameters
+from kbnitp_ros.configuration.starts import DEFAULTS, FIXED, OPTIONS
 from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 
@@ -52,22 +52,21 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     """Return the options; options that were not given are None."""
-    table = {name: each for node in NODES for name, each in node_parameters(node).items()}
+    table = node_parameters('estimator') | node_parameters('agent') | node_parameters('planner')
     parser = command_parser('demo', DESCRIPTION, *EXAMPLES)
-    for option, name in OPTIONS.items():
-        default = DEFAULTS.get(name, table[name].default)
-        parameter, flag = replace(table[name], default=default), f'--{option.replace("_", "-")}'
+    for name in OPTIONS['demo']:
+        parameter = replace(table[name], default=DEFAULTS['demo'].get(name, table[name].default))
+        flag = f'--{name.removeprefix("sensor.").replace("_", "-")}'
         if parameter.default is False:
+            words = f'{parameter.description} Default false.'
+            parser.add_argument(flag, dest=name, action='store_true', default=None, help=words)
+        else:
             parser.add_argument(
                 flag,
-                action='store_true',
-                default=None,
-                help=f'{parameter.description} Default false.',
-            )
-        else:
-            metavar = 'FILE' if option == 'map' else 'X'
-            parser.add_argument(
-                flag, metavar=metavar, type=type(parameter.default), help=parameter.summary
+                dest=name,
+                metavar='FILE' if name == 'map' else 'X',
+                type=type(parameter.default),
+                help=parameter.summary,
             )
     parser.add_argument(
         '--size',
@@ -83,7 +82,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         '--params',
         metavar='FILE',
         help='YAML file with parameters of the nodes, such as config/mission.yaml. The demo '
-        f'sets these itself: {", ".join(OWN)}',
+        f'sets these itself: {", ".join(FIXED)}',
     )
     parser.add_argument(
         '--set',
@@ -111,9 +110,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='log, or its folder, of the mission to resume; takes no other options but --page',
     )
     options = parser.parse_args(argv)
-    others = {
-        name: value for name, value in vars(options).items() if name not in ('resume', 'page')
-    }
-    if options.resume and any(value not in (None, []) for value in others.values()):
+    others = vars(options).keys() - {'resume', 'page'}
+    if options.resume and any(vars(options)[name] not in (None, []) for name in others):
         raise ValueError('--resume takes no other options but --page: the log has their values')
     return options

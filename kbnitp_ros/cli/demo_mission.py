@@ -22,12 +22,8 @@ from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import (
     asked_on_record,
-    DEFAULTS,
-    HELD,
+    assign,
     node_values,
-    NODES,
-    OPTIONS,
-    OWN,
     recorded_values,
     set_parameter,
 )
@@ -39,21 +35,25 @@ from kbnitp_ros.configuration import (
     agent_names,
     make_estimator,
     make_grid,
-    node_parameters,
+    Parameter,
     value_for,
     with_defaults,
 )
-from kbnitp_ros.configuration.agents import (
-    make_execution,
-    make_robot_types,
-    true_dynamics,
-)
+from kbnitp_ros.configuration.agents import make_execution, make_robot_types, true_dynamics
 from kbnitp_ros.configuration.checks import check_reach, reach_note
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
-from kbnitp_ros.configuration.known import check_own
+from kbnitp_ros.configuration.known import check_own, CLOCK
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
+from kbnitp_ros.configuration.starts import (
+    awaited_nodes,
+    DEFAULTS,
+    FIXED,
+    OPTIONS,
+    parameters_for,
+)
+from kbnitp_ros.configuration.table import LEARNT
 from kbnitp_ros.core import METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
@@ -72,12 +72,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from tqdm import tqdm
 
-# Nodes that must subscribe before a node publishes, so that they miss no message.
-AWAITED = {
-    'estimator': ['planner', 'recorder'],
-    'agent': ['planner', 'estimator', 'recorder'],
-    'planner': ['agent', 'estimator', 'recorder'],
-}
+# The nodes of the demo.
+NODES = ('recorder', 'estimator', 'agent', 'planner')
 
 # Seconds per step with `silent_loss`, which needs a step_period above 0.
 SILENT_STEP = 0.01
@@ -134,31 +130,28 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Return the parameters of each node of a new mission."""
     sections = read_sections(options.params) if options.params else {}
-    if any(values_for(sections, f'/{node}').get('use_sim_time') for node in NODES):
+    if any(values_for(sections, f'/{node}').get(CLOCK) for node in NODES):
         raise ValueError('use_sim_time is true: the demo has no simulated clock')
     given = node_values(sections, NODES)
     for name, value in given_by_options(options):
-        for table, values in ((node_parameters(node), given[node]) for node in NODES):
-            if name in table:
-                values[name] = table[name].check(value)
+        for node in NODES:
+            assign(given[node], node, name, partial(Parameter.check, value=value))
     for rule in options.set:
-        set_parameter(given, rule, 'demo', OWN)
-    parameters = {node: with_defaults(node, values, DEFAULTS) for node, values in given.items()}
-    if parameters['planner']['silent_loss']:
-        for values in (parameters['planner'], parameters['agent']):
+        set_parameter(given, rule, 'demo', FIXED)
+    defaults = DEFAULTS['demo'] | {'learn.numbers': LEARNT}
+    parameters = {node: with_defaults(node, values, defaults) for node, values in given.items()}
+    for node, values in parameters.items():
+        if values.get('silent_loss'):
             values['step_period'] = values['step_period'] or SILENT_STEP
-    for values in parameters.values():
-        values |= {name: value for name, value in HELD.items() if name in values}
-        values |= {name: '' for name in ('agent', 'file', 'resume') if name in values}
-        values.pop('await_nodes', None)
+        values |= parameters_for(node, FIXED)
     check_mission(parameters)
     return parameters
 
 
 def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
     """Yield the parameters set by options other than --set."""
-    for option, name in OPTIONS.items():
-        if (value := getattr(options, option)) is not None:
+    for name in OPTIONS['demo']:
+        if (value := getattr(options, name)) is not None:
             yield name, value
     if options.size is not None:
         sides = re.fullmatch(r'(\d+)(?:x(\d+))?', options.size)
@@ -252,7 +245,7 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
             'that domain'
         )
         for node in NODES:
-            awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
+            awaited = {'await_nodes': awaited_nodes(node, is_recorded=True)}
             # The progress bar shows deployments.
             levels = {f'{node}.{DEPLOYMENTS}': 'warn'}
             processes.start(node, {**parameters[node], **awaited}, levels=levels)

@@ -3,89 +3,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 from kbnitp_ros.cli.output import complain
-from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
+from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters, Parameter
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known, gone_note
 from kbnitp_ros.configuration.parameter import own_name
-from kbnitp_ros.configuration.table import LEARNT
 from kbnitp_ros.files import nearest
 from kbnitp_ros.log.record import first_belief
 from kbnitp_ros.log.replay import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
 
-# The nodes of the demo.
-NODES = ('recorder', 'estimator', 'agent', 'planner')
 
-# Seconds after its expected return at which a silent robot is given up. Robots of the demo take no
-# time, but processes on a busy machine do.
-RETURN_DEADLINE = 1.0
-
-# Defaults of the demo.
-DEFAULTS = {'return_deadline': RETURN_DEADLINE, 'learn.numbers': LEARNT}
-
-# Options, each with the parameter that it sets in every node that has this parameter.
-OPTIONS = {
-    'robots': 'robots',
-    'map': 'map',
-    'lethality': 'sensor.lethality',
-    'max_steps': 'max_steps',
-    'method': 'method',
-    'planner': 'planner',
-    'allocation': 'allocation',
-    'silent_loss': 'silent_loss',
-    'seed': 'seed',
-}
-
-# Settings of every demo, to resume it and to know the truth; and all parameters it sets itself.
-HELD = {'publish_truth': True, 'recorded': True, 'keep_running': True}
-OWN = (*HELD, 'await_nodes', 'file', 'resume', 'agent')
-
-
-def node_values(
-    sections: Sections,
-    nodes: Collection[str],
-) -> dict[str, dict[str, Any]]:
+def node_values(sections: Sections, nodes: Collection[str]) -> dict[str, dict[str, Any]]:
     """Return the values that the sections of a file give each node."""
-    parameters = {}
+    values: dict[str, dict[str, Any]] = {node: {} for node in nodes}
     for node in nodes:
-        values = {}
         for name, value in values_for(sections, f'/{node}').items():
-            if parameter := find_parameter(node, name):
-                values[name] = parameter.check(value)
-            elif note := gone_note(node, name):
-                complain('warning', note)
-        parameters[node] = values
-    return parameters
+            assign(values[node], node, name, partial(Parameter.check, value=value))
+    return values
+
+
+def assign(values: dict[str, Any], node: str, name: str, read: Callable[[Parameter], Any]) -> None:
+    """Set a parameter if the node has it; warn if it is gone."""
+    if parameter := find_parameter(node, name):
+        values[name] = read(parameter)
+    elif note := gone_note(node, name):
+        complain('warning', note)
 
 
 def set_parameter(
-    parameters: Mapping[str, dict[str, Any]], rule: str, command: str, own: Collection[str] = ()
+    values: Mapping[str, dict[str, Any]], rule: str, command: str, fixed: Collection[str] = ()
 ) -> None:
     """Apply a rule [NODE:]NAME=VALUE to all nodes that have the parameter, or to NODE."""
     target, is_rule, text = rule.partition('=')
     node, of_one, name = target.rpartition(':')
-    if not is_rule:
-        raise ValueError(f'--set {rule}: it must be NAME=VALUE or NODE:NAME=VALUE')
-    if of_one and node not in parameters:
-        raise ValueError(
-            f'--set {rule}: {node!r} is no node of the {command}: {nearest(node, parameters)}'
-            f'its nodes are {", ".join(parameters)}'
-        )
-    if name in own:
-        raise ValueError(f'--set {rule}: the {command} sets {name} itself')
-    nodes = [node] if of_one else [*parameters]
     try:
+        if not is_rule:
+            raise ValueError('it must be NAME=VALUE or NODE:NAME=VALUE')
+        if of_one and node not in values:
+            raise ValueError(
+                f'{node!r} is no node of the {command}: {nearest(node, values)}its nodes are '
+                f'{", ".join(values)}'
+            )
+        if name in fixed:
+            raise ValueError(f'the {command} sets {name} itself')
+        nodes = [node] if of_one else [*values]
         check_known(name, nodes)
-        for owner in nodes:
-            if parameter := find_parameter(owner, name):
-                parameters[owner][name] = parameter.read(text)
-            elif note := gone_note(owner, name):
-                complain('warning', note)
+        for each in nodes:
+            assign(values[each], each, name, partial(Parameter.read, text=text))
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
 
@@ -119,6 +89,6 @@ def asked_on_record(log: MissionLog) -> RecordedGoal | None:
             cells = next((getattr(each, 'goal_cells', ()) for each in decisions), ())
             if len(cells):
                 planner |= {'goal.cells': [*map(int, cells)], 'goal.mask': ''}
-        goal = make_goal(planner, first.grid) if first else None
-        return (goal, planner['max_steps']) if goal else None
+        if first and (goal := make_goal(planner, first.grid)):
+            return goal, planner['max_steps']
     return None

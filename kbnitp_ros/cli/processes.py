@@ -16,6 +16,7 @@ import sys
 import time
 from typing import Any, IO
 
+from kbnitp_ros.configuration.starts import parameters_for
 from kbnitp_ros.files import share
 from kbnitp_ros.nodes.runtime.graph import udp_only
 
@@ -64,21 +65,20 @@ def free_domain() -> Iterator[int]:
     """Reserve a ROS domain that nothing else on this machine uses."""
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         first_port = 7400 + 250 * domain
+        # Ports of the domain's first 32 participants.
+        ports = range(first_port + 10, first_port + 74, 2)
         # DDS uses UDP, so the TCP port of the same number serves as a lock.
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as lock:
-            if _bind(lock, first_port) and not _in_use(first_port):
+            if _bind(lock, first_port) and all(map(_is_free, ports)):
                 yield domain
                 return
     raise OSError('every ROS domain from 1 to 101 is in use on this machine')
 
 
-def _in_use(first_port: int) -> bool:
-    """Return whether any of a domain's first 32 participants exists."""
-    for participant in range(32):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            if not _bind(probe, first_port + 10 + 2 * participant):
-                return True
-    return False
+def _is_free(port: int) -> bool:
+    """Return whether no participant has a port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        return _bind(probe, port)
 
 
 def _bind(to_bind: socket.socket, port: int) -> bool:
@@ -107,12 +107,12 @@ class Processes:
         levels: Mapping[str, str] | None = None,
         output: IO[Any] | None = None,
     ) -> subprocess.Popen[bytes]:
-        """Start a node."""
+        """Start a node with those of the parameters that it has."""
         full_name = f'{namespace.rstrip("/")}/{node}'
         arguments = [node, '--ros-args', '--enclave', full_name]
         for name, other in {'__ns': namespace, **(remaps or {})}.items():
             arguments += ['--remap', f'{name}:={other}']
-        for name, value in (parameters or {}).items():
+        for name, value in parameters_for(node, parameters or {}).items():
             # ROS parses values as YAML, which includes JSON.
             arguments += ['--param', f'{name}:={json.dumps(value)}']
         for logger, level in (levels or {}).items():

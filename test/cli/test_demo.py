@@ -18,8 +18,13 @@ from demo_mission import demo_mission
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli import demo_mission as demo_mission_module
 from kbnitp_ros.cli.demo import main, parse
-from kbnitp_ros.cli.demo_mission import chosen_parameters, observed, recorded_parameters, watch
-from kbnitp_ros.cli.parameters import NODES
+from kbnitp_ros.cli.demo_mission import (
+    chosen_parameters,
+    NODES,
+    observed,
+    recorded_parameters,
+    watch,
+)
 from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.configuration.table import IN_FIELD

@@ -3,15 +3,13 @@
 
 from collections import Counter
 from contextlib import ExitStack
-from functools import partial
 from math import inf
 from pathlib import Path
 import signal
 import time
 
 from kbnitp_ros.cli.processes import Processes
-from kbnitp_ros.configuration import find_parameter
-from kbnitp_ros.configuration.known import ROS_PARAMETERS
+from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
@@ -33,13 +31,6 @@ ANSWERED = 1.0
 
 # The recorder runs without topics outside the mission.
 NAMESPACE = '/mission'
-
-AWAITED = {
-    'recorder': [],
-    'estimator': ['planner', 'recorder'],
-    'agent': ['planner', 'estimator', 'recorder'],
-    'planner': ['agent', 'estimator', 'recorder'],
-}
 
 
 class StuckError(Exception):
@@ -66,7 +57,7 @@ class Mission:
         self.log.parent.mkdir(parents=True)
         self._folder = folder
         self._parameters = parameters | {'recorded': True, 'file': str(self.log)}
-        self._awaited = AWAITED | (awaited or {})
+        self._awaited = awaited or {}
         self._remaps = remaps or {}
         self._struck = set()
         self._clients = {}
@@ -102,16 +93,15 @@ class Mission:
             self._struck.discard(name)
             self.onlooker.forget(full_name(name, self._namespace))
             parameters = self._parameters | {
-                'await_nodes': self._awaited[name],
+                'await_nodes': self._awaited.get(name, awaited_nodes(name, is_recorded=True)),
                 'resume': str(self.log) if self.log.exists() else '',
             }
             if name.startswith('agent'):
                 parameters |= true_values(parameters)
-            own = [*filter(partial(find_parameter, name), parameters), *ROS_PARAMETERS]
             with (self._folder / f'{name}.txt').open('ab') as output:
                 self.processes.start(
                     name,
-                    {each: value for each, value in parameters.items() if each in own},
+                    parameters,
                     namespace=self._namespace,
                     remaps=self._remaps.get(name),
                     output=output,

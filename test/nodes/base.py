@@ -6,6 +6,7 @@ import time
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction, Recorded
 from kbnitp_msgs.srv import GiveUp
+from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import read_path, report_message
@@ -25,7 +26,6 @@ PARAMETERS = {
     'presume_departure': True,
 }
 NODES = ('recorder', 'estimator', 'planner')
-AWAITED = {'estimator': ['planner', 'recorder'], 'planner': ['agent', 'estimator', 'recorder']}
 
 # Seconds after which an unanswered call without an action is repeated: DDS may take a killed
 # planner for alive for another 20.
@@ -61,7 +61,7 @@ class Base:
 
     def start(self, **own):
         for node in NODES:
-            awaited = {'await_nodes': AWAITED[node]} if node in AWAITED else {}
+            awaited = {'await_nodes': awaited_nodes(node, is_recorded=True)}
             self.field.start(node, {**self.parameters, **awaited, **own})
 
     def crash(self):

@@ -10,8 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forked import COVERED, ForkedProcesses
 from kbnitp_msgs.msg import AgentState, AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
-from kbnitp_ros.configuration import find_parameter
-from kbnitp_ros.configuration.known import ROS_PARAMETERS
+from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.states import Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
@@ -47,32 +46,21 @@ class Field:
 
     def start(self, name, parameters=None, namespace='/', remaps=None):
         """Start a node with those of the parameters that it has; return its process."""
-        given = {
-            each: value
-            for each, value in (parameters or {}).items()
-            if each in ROS_PARAMETERS or find_parameter(name, each)
-        }
         full_name = f'{namespace.rstrip("/")}/{name}'
         self._outputs[full_name] = self.folder / f'{full_name.replace("/", ".")}.txt'
         with self._outputs[full_name].open('ab') as output:
             return self.processes.start(
-                name, given, namespace=namespace, remaps=remaps, output=output
+                name, parameters, namespace=namespace, remaps=remaps, output=output
             )
 
     def start_mission(self, parameters, namespace='/', log=None):
         """Start the nodes of a mission, with a recorder if there is a log."""
         if log is not None:
             parameters = {**parameters, 'file': str(log)}
-        recorder = []
-        if {'file', 'resume'} & parameters.keys():
-            self.start('recorder', parameters, namespace)
-            recorder = ['recorder']
-        for name, awaited in (
-            ('estimator', ['planner']),
-            ('agent', ['planner', 'estimator']),
-            ('planner', ['agent', 'estimator']),
-        ):
-            self.start(name, {**parameters, 'await_nodes': awaited + recorder}, namespace)
+        is_recorded = bool({'file', 'resume'} & parameters.keys())
+        for name in (*(['recorder'] if is_recorded else []), 'estimator', 'agent', 'planner'):
+            awaited = {'await_nodes': awaited_nodes(name, is_recorded=is_recorded)}
+            self.start(name, {**parameters, **awaited}, namespace)
 
     def keep_fewer(self, depth):
         """Limit the paths and reports that nodes started from now on keep for late joiners."""
