@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-import csv
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +23,7 @@ from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.given import read_sections
 from kbnitp_ros.configuration.known import check_own
 from kbnitp_ros.configuration.mission import check_search, make_stop, search_options, type_to_plan
-from kbnitp_ros.core import forecast, Grid, RobotType, Team
+from kbnitp_ros.core import forecast, Team
 from kbnitp_ros.core.forecast import Course, Forecast, PossibleWorld, wilson_interval
 from kbnitp_ros.figures import forecast_figure, save
 from kbnitp_ros.log.record import read_ledger
@@ -69,9 +67,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if options.out:
             check_is_free(options.out)
-        made = from_log(options) if options.log else from_prior(options)
+        mission = mission_arguments(options)
         with workers('loky', options.workers) as pool:
-            found = made(worlds=options.worlds, rng=options.seed, run=partial(run, pool))
+            found = forecast(
+                **mission, worlds=options.worlds, rng=options.seed, run=partial(run, pool)
+            )
         say(*lines(found))
         if options.out:
             say(*(f'wrote {path}' for path in write(found, options.out)))
@@ -139,65 +139,46 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def from_prior(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """Return a function that forecasts a new mission, given `worlds`, `rng` and `run`."""
+def mission_arguments(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the arguments of `forecast` for a new mission, or to resume that of a log."""
+    log = MissionLog(options.log, options.namespace) if options.log else None
+    ledger = read_ledger(log) if log else None
     sections = read_sections(options.params) if options.params else {}
-    given = node_values(sections, ('planner', 'estimator'))
+    given = node_values(sections, ('planner',) if log else ('planner', 'estimator'))
+    if log and not options.params:
+        given['planner'] = recorded_planner(log)
     for rule in options.set:
         set_parameter(given, rule, 'forecast')
-    planner, estimator = (with_defaults(node, values) for node, values in given.items())
-    if planner['map_topic']:
+    planner = with_defaults('planner', given['planner'])
+    if ledger:
+        grid, estimator, believed = ledger.grid, ledger.estimator, ledger.robot_types
+    else:
+        values = with_defaults('estimator', given['estimator'])
+        if planner['map_topic']:
+            raise ValueError(
+                f'map_topic is {planner["map_topic"]}: the forecast subscribes to no map; '
+                'set the parameter map instead'
+            )
+        grid = make_grid(planner)
+        if make_grid(values) != grid:
+            raise ValueError(
+                'planner and estimator have different fields: give both the same field'
+            )
+        estimator, believed = make_estimator(values, grid), make_robot_types(values, grid)
+    before = [ledger.outcomes[key] for key in ledger.deployments] if ledger else []
+    if before and len(before) >= planner['robots']:
         raise ValueError(
-            f'map_topic is {planner["map_topic"]}: the forecast subscribes to no map; '
-            'set the parameter map instead'
+            f'{options.log} has {len(before)} deployments, and robots is {planner["robots"]}: '
+            f'raise it with --set robots={len(before) + 10}'
         )
-    grid = make_grid(planner)
-    if make_grid(estimator) != grid:
-        raise ValueError('planner and estimator have different fields: give both the same field')
-    believed = make_robot_types(estimator, grid)
-    return partial(
-        forecast,
-        grid,
-        make_estimator(estimator, grid),
-        planner['robots'],
-        **planning_arguments(planner, grid, believed),
-    )
-
-
-def from_log(options: argparse.Namespace) -> Callable[..., Forecast]:
-    """Return a function that forecasts a resumed mission, given `worlds`, `rng` and `run`."""
-    ledger = read_ledger(log := MissionLog(options.log, options.namespace))
-    given = (
-        node_values(read_sections(options.params), ('planner',))
-        if options.params
-        else {'planner': recorded_planner(log)}
-    )
-    for rule in options.set:
-        set_parameter(given, rule, 'forecast')
-    planner, sent = with_defaults('planner', given['planner']), len(ledger.deployments)
-    if sent >= planner['robots']:
-        raise ValueError(
-            f'{options.log} has {sent} deployments, and robots is {planner["robots"]}: raise it '
-            f'with --set robots={sent + 10}'
-        )
-    return partial(
-        forecast,
-        ledger.grid,
-        ledger.estimator,
-        planner['robots'] - sent,
-        before=[ledger.outcomes[key] for key in ledger.deployments],
-        **planning_arguments(planner, ledger.grid, ledger.robot_types),
-    )
-
-
-def planning_arguments(
-    planner: Mapping[str, Any], grid: Grid, believed: Mapping[str, RobotType]
-) -> dict[str, Any]:
-    """Return the planning arguments of `forecast` from the planner's parameters."""
     check_own(planner)
     check_search(planner, grid, believed)
     types = [type_to_plan(planner, agent, grid, believed) for agent in agent_names(planner, grid)]
     return {
+        'grid': grid,
+        'estimator': estimator,
+        'robots': planner['robots'] - len(before),
+        'before': before,
         'options': search_options(planner),
         'team': Team(len(types), planner['allocation'], tuple(types)),
         'goal': make_goal(planner, grid),
@@ -219,55 +200,46 @@ def run(
 
 def lines(found: Forecast) -> Iterator[str]:
     """Yield the results as text."""
-    sought = 'no goal' if found.goal == 'map' else f'goal {found.goal}'
-    if found.confidence is not None:
-        sought += f' at a confidence of {found.confidence:.4g}'
+    is_goal, is_sure = found.goal != 'map', found.confidence is not None
+    sought = f'goal {found.goal}' if is_goal else 'no goal'
+    sought += f' at a confidence of {found.confidence:.4g}' if is_sure else ''
     yield f'{len(found.sent)} missions of at most {found.robots} robots, {sought}'
-    if found.confidence is not None:
+    if is_sure:
         yield f'reached in {in_percent(found.reached[:, -1])} of the missions'
-    if found.goal != 'map':
+    if is_goal:
         yield (
             f'at the end the {found.goal} is free of hazards in '
             f'{in_percent(found.free)} of the missions; mean believed probability '
             f'{found.p_free[:, -1].mean():.3f}'
         )
     yield ''
-    totals = {'robots sent': found.sent, 'robots lost': found.lost[:, -1]}
-    yield in_markdown(
-        'In a mission:',
-        ['', 'mean', *SPREAD],
-        [
-            [name, f'{each.mean():.1f}', *(f'{value:.0f}' for value in quantiles(each))]
-            for name, each in totals.items()
-        ],
-    )
+    rows = [
+        [name, f'{each.mean():.1f}', *(f'{value:.0f}' for value in quantiles(each))]
+        for name, each in (('robots sent', found.sent), ('robots lost', found.lost[:, -1]))
+    ]
+    yield markdown_table('In a mission:', DataFrame(rows, columns=['', 'mean', *SPREAD]))
     what, known, decimals = (
-        ('entropy', found.entropy, 1) if found.goal == 'map' else ('probability', found.p_free, 3)
+        ('probability', found.p_free, 3) if is_goal else ('entropy', found.entropy, 1)
     )
-    reached = [] if found.confidence is None else ['reached']
-    yield in_markdown(
-        'By number of robots sent; missions that ended earlier count with their last values:',
-        ['robots', *(f'{name}, {each}' for name in ('lost', what) for each in SPREAD), *reached],
+    rows = [
         [
-            [
-                str(robots),
-                *(f'{value:.0f}' for value in quantiles(found.lost[:, robots])),
-                *(f'{value:.{decimals}f}' for value in quantiles(known[:, robots])),
-                *(in_percent(found.reached[:, robots]) for _ in reached),
-            ]
-            for robots in (*(each for each in AFTER if each < found.robots), found.robots)
-        ],
+            str(robots),
+            *(f'{value:.0f}' for value in quantiles(found.lost[:, robots])),
+            *(f'{value:.{decimals}f}' for value in quantiles(known[:, robots])),
+            *([in_percent(found.reached[:, robots])] if is_sure else []),
+        ]
+        for robots in (*(each for each in AFTER if each < found.robots), found.robots)
+    ]
+    spreads = [f'{name}, {each}' for name in ('lost', what) for each in SPREAD]
+    yield markdown_table(
+        'By number of robots sent; missions that ended earlier count with their last values:',
+        DataFrame(rows, columns=['robots', *spreads, *(['reached'] if is_sure else [])]),
     )
 
 
-def in_markdown(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a caption and a table in Markdown."""
-    return markdown_table(caption, DataFrame(rows, columns=heads))
-
-
-def quantiles(values: NDArray[np.float64]) -> list[float]:
-    """Return the `QUANTILES` of some values, without interpolation."""
-    found: list[float] = np.quantile(values, QUANTILES, method='inverted_cdf').tolist()
+def quantiles(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the `QUANTILES` of some values over missions, without interpolation."""
+    found: NDArray[np.float64] = np.quantile(values, QUANTILES, axis=0, method='inverted_cdf')
     return found
 
 
@@ -280,14 +252,13 @@ def in_percent(successes: NDArray[np.float64]) -> str:
 def write(found: Forecast, folder: Path) -> list[Path]:
     """Write the table and the figure; return their files."""
     folder.mkdir(parents=True, exist_ok=True)
+    table = {'robots': range(found.robots + 1)} | {
+        f'{name}_{100 * level:.0f}': spread
+        for name in ('lost', 'entropy', 'p_free')
+        for level, spread in zip(QUANTILES, quantiles(getattr(found, name)))
+    }
     file = folder / 'forecast.csv'
-    names = ('lost', 'entropy', 'p_free')
-    with file.open('w', newline='') as stream:
-        rows = csv.writer(stream)
-        heads = [f'{name}_{100 * level:.0f}' for name in names for level in QUANTILES]
-        rows.writerow(['robots', *heads, 'reached'])
-        for robots in range(found.robots + 1):
-            series = (quantiles(getattr(found, name)[:, robots]) for name in names)
-            reached = float(found.reached[:, robots].mean())
-            rows.writerow([robots, *chain.from_iterable(series), reached])
+    DataFrame(table | {'reached': found.reached.mean(axis=0)}).to_csv(
+        file, index=False, na_rep='nan', lineterminator='\r\n'
+    )
     return [file, *save(forecast_figure(found), folder / 'forecast', 'png', 'svg')]
