@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
-from kbnitp_ros.files import share
+from kbnitp_ros.files import in_words, share
 from kbnitp_ros.nodes.runtime.command_line import command_parser
 from tqdm import tqdm
 
@@ -40,14 +40,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     options = parse(argv)
     end_on_signals()
+    return study(options)
+
+
+def study(options: argparse.Namespace) -> int:
+    """Run the benchmark, or the missing trials of a study; return the exit code."""
     is_benchmark = options.scenario == BENCHMARK
     try:
         # Pandas takes a second to import, and the help does not need it.
-        return run_benchmark(options) if is_benchmark else study(options)
+        written = run_benchmark(options) if is_benchmark else run_trials(options)
     except KeyboardInterrupt:
         further = '' if is_benchmark else f'; the same command continues in {options.out}'
         complain('study', f'interrupted{further}')
         return 130
+    except ValueError as error:
+        complain('study', error)
+        return 2
+    except (RuntimeError, OSError) as error:
+        complain('study', error)
+        return 1
+    say(*(f'wrote {path}' for path in written))
+    return 0
 
 
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -115,27 +128,17 @@ def changes(options: argparse.Namespace) -> dict[str, Any]:
     return trials | read_changes(options.set)
 
 
-def run_benchmark(options: argparse.Namespace) -> int:
-    """Run the benchmark; return the exit code."""
+def run_benchmark(options: argparse.Namespace) -> list[Path]:
+    """Run the benchmark; return the files written."""
     from kbnitp_ros.study import benchmark
 
     if options.backend != 'loky':
-        complain('study', f'backend is {options.backend}: the benchmark runs on this machine')
-        return 2
-    try:
-        written = benchmark.run_benchmark(options.out, options.workers, changes(options))
-    except ValueError as error:
-        complain('study', error)
-        return 2
-    except (RuntimeError, OSError) as error:
-        complain('study', error)
-        return 1
-    say(*(f'wrote {path}' for path in written))
-    return 0
+        raise ValueError(f'backend is {options.backend}: the benchmark runs on this machine')
+    return benchmark.run_benchmark(options.out, options.workers, changes(options))
 
 
-def study(options: argparse.Namespace) -> int:
-    """Run the missing trials, then write the report; return the exit code."""
+def run_trials(options: argparse.Namespace) -> list[Path]:
+    """Run the missing trials of a study, then write the report; return the files written."""
     from kbnitp_ros.study.comparing import write_report
     from kbnitp_ros.study.results import Results
     from kbnitp_ros.study.scenario_file import read_study, scenario_file
@@ -150,29 +153,18 @@ def study(options: argparse.Namespace) -> int:
             pool = stack.enter_context(
                 workers(options.backend, options.workers, options.scheduler)
             )
-        except (ValueError, OSError) as error:
-            complain('study', error)
-            return 2
-        try:
-            outcomes = folder.outcomes()
-            trials = list_trials(scenario)
-            missing = [trial for trial in trials if trial not in outcomes]
-            # World after world, so that an interrupted study has complete worlds.
-            missing.sort(key=attrgetter('number'))
-            with tqdm(
-                initial=len(outcomes),
-                total=len(trials),
-                unit='trial',
-                desc='missions',
-                disable=None,
-            ) as bar:
-                for trial, outcome in pool.run(partial(run_trial, scenario), missing):
-                    folder.save(trial, outcome)
-                    outcomes[trial] = outcome
-                    bar.update()
-            written = write_report(Results.of(scenario, outcomes), options.out)
-        except (RuntimeError, OSError) as error:
-            complain('study', error)
-            return 1
-    say(*(f'wrote {path}' for path in written))
-    return 0
+        except OSError as error:
+            raise ValueError(in_words(error)) from error
+        outcomes = folder.outcomes()
+        trials = list_trials(scenario)
+        missing = [trial for trial in trials if trial not in outcomes]
+        # World after world, so that an interrupted study has complete worlds.
+        missing.sort(key=attrgetter('number'))
+        with tqdm(
+            initial=len(outcomes), total=len(trials), unit='trial', desc='missions', disable=None
+        ) as bar:
+            for trial, outcome in pool.run(partial(run_trial, scenario), missing):
+                folder.save(trial, outcome)
+                outcomes[trial] = outcome
+                bar.update()
+        return write_report(Results.of(scenario, outcomes), options.out)
