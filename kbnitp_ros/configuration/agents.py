@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 import itertools
 from typing import Any
@@ -148,8 +148,7 @@ def value_for(values: Mapping[str, Any], name: str, agent: str) -> Any:
 
 def most_steps(values: Mapping[str, Any]) -> int:
     """Return the largest `max_steps` of any agent."""
-    most: int = max(value_for(values, 'max_steps', agent) for agent in values['agents'])
-    return most
+    return max(int(value_for(values, 'max_steps', agent)) for agent in values['agents'])
 
 
 def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
@@ -158,20 +157,29 @@ def most_distance(values: Mapping[str, Any], agents: Iterable[str]) -> float:
     return max(distances) if all(distances) else 0.0
 
 
+def cell_at(values: Mapping[str, Any], name: str, grid: Grid) -> int | None:
+    """Return the cell at the position in a parameter; None if it is empty."""
+    position = values.get(name)
+    check_position(name, position)
+    try:
+        return int(grid.cells_at([position])[0]) if position else None
+    except ValueError as error:
+        raise ValueError(f'parameter {name}: {error}') from error
+
+
+def check_position(name: str, position: Sequence[float] | None) -> None:
+    """Check that a position has two coordinates, unless it is empty."""
+    if position and len(position) != 2:
+        raise ValueError(f'parameter {name} is {list(position)}: it must be x and y, or empty')
+
+
 def own_base(values: Mapping[str, Any], agent: str, grid: Grid) -> int | None:
     """Return an agent's own base; None if it has the common base."""
     name = f'team.{agent}.base'
-    cell, position = values.get(name), values.get(f'{name}_position')
-    if cell is not None and position:
+    cell, has_position = values.get(name), bool(values.get(f'{name}_position'))
+    if cell is not None and has_position:
         raise ValueError(f'parameters {name} and {name}_position are both given: give one of them')
-    if not position:
-        return cell
-    if len(position) != 2:
-        raise ValueError(f'parameter {name}_position is {list(position)}: it must be x and y')
-    try:
-        return int(grid.cells_at([position])[0])
-    except ValueError as error:
-        raise ValueError(f'parameter {name}_position: {error}') from error
+    return cell_at(values, f'{name}_position', grid) if has_position else cell
 
 
 def make_robot_type(values: Mapping[str, Any], agent: str, grid: Grid) -> RobotType:

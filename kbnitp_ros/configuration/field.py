@@ -9,7 +9,7 @@ from math import isfinite, radians, tau
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.configuration.agents import cell_at, check_position, own_base
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.configuration.table import MAX_SIDE
 from kbnitp_ros.core import Grid, World
@@ -26,10 +26,7 @@ CELL = 1.0
 def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
     """Return the grid that these parameters describe."""
     position = values['grid.base_position']
-    if position and len(position) != 2:
-        raise ValueError(
-            f'parameter grid.base_position is {list(position)}: it must be x and y, or empty'
-        )
+    check_position('grid.base_position', position)
     if position and values['grid.base']:
         raise ValueError(
             f'parameters grid.base, {values["grid.base"]}, and grid.base_position both name the '
@@ -80,9 +77,9 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
         origin=origin[:2],
         yaw=rounded_yaw(*origin[2:] or (0.0,)),
     )
-    base = int(grid.cells_at([position])[0]) if position else values['grid.base']
-    grid = replace(grid, base=base, blocked=values['grid.blocked'], **steps)
-    return with_bases(grid, values)
+    at = cell_at(values, 'grid.base_position', grid)
+    base = values['grid.base'] if at is None else at
+    return with_bases(replace(grid, base=base, blocked=values['grid.blocked'], **steps), values)
 
 
 def check_angle(name: str, angle: float) -> None:
@@ -96,8 +93,7 @@ def check_angle(name: str, angle: float) -> None:
 
 def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
     """Return the grid with the bases of all agents."""
-    agents = dict.fromkeys(own[0] for name in values if (own := own_name(name)))
-    for agent in agents:
+    for agent in dict.fromkeys(own[0] for name in values if (own := own_name(name))):
         base = own_base(values, agent, grid)
         if base is None:
             continue

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
-from itertools import chain, islice
+from itertools import chain, pairwise
 from pathlib import Path
 import re
 from typing import Any
@@ -110,25 +110,25 @@ def _fits(section: str, node: str) -> bool:
 
 def check_given(name: str, arguments: Sequence[str]) -> None:
     """Check the parameters on a node's command line."""
-    given = list(_ros_arguments(arguments))
+    given = [each for _, *each in _ros_flags(arguments)]
     remaps = dict(rule.split(':=', 1) for flag, rule in given if flag in REMAP and ':=' in rule)
     called = remaps.get('__node', name)
+    full_name = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
     sections: Sections = {}
     for path in (path for flag, path in given if flag in FILE):
         for section, values in read_sections(path, {called: name}).items():
             sections.setdefault(section, {}).update(values)
     for rule in (rule for flag, rule in given if flag in RULE):
-        node, _, parameter = rule.partition(':=')[0].rpartition(':')
-        if node and not (nodes := _nodes_in(node, {called: name})):
-            meant = nearest(node, [called])
-            raise ValueError(f'-p {rule}: this node is not {node!r}: {meant}it is {called}')
+        target, _, text = rule.partition(':=')
+        node, _, parameter = target.rpartition(':')
         if node:
+            if not (nodes := _nodes_in(node, {called: name})):
+                meant = nearest(node, [called])
+                raise ValueError(f'-p {rule}: this node is not {node!r}: {meant}it is {called}')
             check_known(parameter, nodes)
         elif parameter == CLOCK or find_parameter(name, parameter):
             # ROS treats the rule like a line of section /**.
-            own = f'{remaps.get("__ns", "").rstrip("/")}/{called}'
-            value = parse_yaml(rule.partition(':=')[2])
-            check_counts(sections, '/**', own, {parameter: value}, '-p ')
+            check_counts(sections, '/**', full_name, {parameter: parse_yaml(text)}, '-p ')
         else:
             # Launch gives each node the parameters of all nodes.
             foreign_note(parameter, [name])
@@ -151,29 +151,23 @@ def check_counts(
 
 def rules_last(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with the -p rules last: they count, and not a file's section /**."""
-    rest, rules, is_for_ros = list[str](), list[str](), False
-    words = iter(arguments)
-    for word in words:
-        if is_for_ros and word in RULE:
-            rules += [word, *islice(words, 1)]
-            continue
-        if word in ('--ros-args', '--'):
-            is_for_ros = word == '--ros-args'
-        rest.append(word)
-    return [*rest, '--ros-args', *rules] if rules else rest
+    flags = [at for at, flag, _ in _ros_flags(arguments) if flag in RULE]
+    moved = [at for flag in flags for at in (flag, flag + 1)]
+    rest = [word for at, word in enumerate(arguments) if at not in moved]
+    return [*rest, '--ros-args', *(arguments[at] for at in moved)] if moved else rest
 
 
 def names_given(arguments: Sequence[str]) -> list[str]:
     """Return the arguments that name the node and remap its topics."""
-    renamed = [each for each in _ros_arguments(arguments) if each[0] in REMAP]
+    renamed = [each for _, *each in _ros_flags(arguments) if each[0] in REMAP]
     return ['--ros-args', *chain.from_iterable(renamed)]
 
 
-def _ros_arguments(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the ROS flags, each with its argument."""
+def _ros_flags(arguments: Sequence[str]) -> Iterator[tuple[int, str, str]]:
+    """Yield the positions of the ROS flags, with each flag and the word that follows it."""
     is_for_ros = False
-    for word, following in zip(arguments, [*arguments[1:], '']):
+    for at, (word, following) in enumerate(pairwise([*arguments, ''])):
         if word in ('--ros-args', '--'):
             is_for_ros = word == '--ros-args'
         elif is_for_ros and word.startswith('-'):
-            yield word, following
+            yield at, word, following

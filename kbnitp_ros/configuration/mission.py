@@ -11,6 +11,7 @@ from typing import Any
 
 from kbnitp_ros.configuration.agents import (
     agent_names,
+    cell_at,
     make_clustering,
     make_dynamics,
     make_robot_type,
@@ -55,17 +56,14 @@ def make_goal(values: Mapping[str, Any], grid: Grid) -> Goal | None:
 
 def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     """Return the cells of the goal, given by number, position or mask."""
-    cells, position, mask = (values[f'goal.{name}'] for name in ('cells', 'position', 'mask'))
-    if sum(map(bool, (cells, position, mask))) > 1:
+    cells, mask = values['goal.cells'], values['goal.mask']
+    if sum(map(bool, (cells, values['goal.position'], mask))) > 1:
         raise ValueError(
             'parameters goal.cells, goal.position and goal.mask all name cells: give one of them'
         )
-    if position:
-        if len(position) != 2:
-            raise ValueError(
-                f'parameter goal.position is {list(position)}: it must be x and y, or empty'
-            )
-        return [int(grid.cells_at([position])[0])]
+    at = cell_at(values, 'goal.position', grid)
+    if at is not None:
+        return [at]
     if not mask:
         return list(cells)
     marked = read_map(mask)
