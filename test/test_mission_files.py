@@ -103,7 +103,7 @@ def configured(tmp_path):
         config = CONFIG.read_text()
         # Planning takes no time, so that nodes end quickly.
         for name, value in {'width': 4, 'height': 4, 'max_steps': 6, **values}.items():
-            config = re.sub(rf'(?m)^( *)(?:# )?({name}:) \S+$', rf'\1\2 {value}', config)
+            config = re.sub(rf'(?m)^( *)(?:# )?({name}:) \S+(  #.*)?$', rf'\1\2 {value}', config)
         (tmp_path / 'short.yaml').write_text(config)
 
     return change
