@@ -40,40 +40,31 @@ FINAL = (0, 2)
 
 RESPAWN_DELAY = 2.0  # Seconds.
 
-SWITCH = ['true', 'false']
-
-# Arguments of launch files besides parameters: name, default, choices and description.
-ARGUMENTS = (
-    ('namespace', '', None, 'Namespace of all nodes and topics of the mission.'),
-    (
-        'params_file',
+# Arguments besides parameters, of all launch files and of those of missions: default, description.
+ARGUMENTS = {
+    'namespace': ('', 'Namespace of all nodes and topics of the mission.'),
+    'params_file': (
         str(share('config/mission.yaml')),
-        None,
         'YAML file with the parameters of the nodes; robots have the same as their base.',
     ),
-)
-OF_MISSIONS = (
-    ('record', 'true', SWITCH, 'Whether to record the mission.'),
-    (
-        'file',
+}
+OF_MISSIONS = {
+    'record': ('true', 'Whether to record the mission.'),
+    'file': (
         '',
-        None,
         'Log to write. Empty: the file named in params_file, or else runs/TIME/mission.mcap.',
     ),
-    ('resume', '', None, 'Log of an interrupted mission to resume; empty for a new mission.'),
-    ('rviz', 'false', SWITCH, 'Whether to show the mission in RViz.'),
-)
-
-PARAMETERS = {
-    name: parameter
-    for node in ('robot', 'estimator', 'planner')
-    for name, parameter in node_parameters(node).items()
+    'resume': ('', 'Log of an interrupted mission to resume; empty for a new mission.'),
+    'rviz': ('false', 'Whether to show the mission in RViz.'),
 }
+SWITCHES = {'record': ['true', 'false'], 'rviz': ['true', 'false']}
+
+PARAMETERS = node_parameters('robot') | node_parameters('estimator') | node_parameters('planner')
 
 
 def description(
     kind: str,
-    own: Sequence[DeclareLaunchArgument],
+    own: Mapping[str, tuple[str, str]],
     nodes: Callable[[Launch], Iterable[Action]],
     **defaults: str,
 ) -> LaunchDescription:
@@ -81,40 +72,39 @@ def description(
     # Launch handles SIGINT itself.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda *_: None)
-    arguments = [
-        *own,
-        *(
-            DeclareLaunchArgument(name, default_value=default, choices=choices, description=what)
-            for name, default, choices, what in ARGUMENTS + OF_MISSIONS * (kind != 'robot')
-        ),
-        *(
-            DeclareLaunchArgument(
-                name,
-                default_value=defaults.get(name, ''),
-                description=f'{PARAMETERS[name].description} Empty: the value in params_file.',
-            )
+    empty = 'Empty: the value in params_file.'
+    arguments = {
+        **own,
+        **ARGUMENTS,
+        **({} if kind == 'robot' else OF_MISSIONS),
+        **{
+            name: (defaults.get(name, ''), f'{PARAMETERS[name].description} {empty}')
             for name in OPTIONS[kind]
-        ),
-    ]
-    names = [argument.name for argument in arguments]
+        },
+    }
 
     def start(context: LaunchContext) -> list[Action]:
-        check_arguments(context, names)
-        return list(nodes(Launch(kind, context, names)))
+        check_arguments(context, arguments)
+        return list(nodes(Launch(kind, context, arguments)))
 
+    space = PushROSNamespace(LaunchConfiguration('namespace'))
     # DDS over UDP without shared memory, unless the user has a Fast DDS profile.
     transport = udp_only(os.environ, share('config'))
-    space = PushROSNamespace(LaunchConfiguration('namespace'))
     return LaunchDescription(
         [
-            *arguments,
+            *(
+                DeclareLaunchArgument(
+                    name, default_value=default, choices=SWITCHES.get(name), description=what
+                )
+                for name, (default, what) in arguments.items()
+            ),
             *(SetEnvironmentVariable(*each) for each in transport.items()),
             GroupAction([space, OpaqueFunction(function=start)]),
         ]
     )
 
 
-def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
+def check_arguments(context: LaunchContext, names: Iterable[str]) -> None:
     """Check that no argument of this file is misspelt; files that include it may have more."""
     known = context.get_locals_as_dict()
     ours = Path(known['current_launch_file_path']).resolve()
@@ -130,16 +120,16 @@ def check_arguments(context: LaunchContext, names: Sequence[str]) -> None:
 class Launch:
     """The nodes that the arguments of a launch file describe."""
 
-    def __init__(self, kind: str, context: LaunchContext, names: Sequence[str]) -> None:
+    def __init__(self, kind: str, context: LaunchContext, names: Iterable[str]) -> None:
         self._kind = kind
         self.given = {name: LaunchConfiguration(name).perform(context) for name in names}
         # Evaluated here, since a restarted node is outside the groups of launch files.
         self._namespace = context.launch_configurations.get('ros_namespace', '').strip('/')
         self._sections = read_sections(self.given['params_file'])
         self._options = {
-            name: PARAMETERS[name].read(self.given[name])
+            name: PARAMETERS[name].read(text)
             for name in OPTIONS[kind]
-            if self.given[name]
+            if (text := self.given[name])
         }
         self._failures: list[str] = []
         self.agents = agents_named(self.given.get('agents', '')) or list(
@@ -203,14 +193,17 @@ class Launch:
         """Return a node, which is restarted if it can resume; its executable has the same name."""
         log, params_file = self._log, self.given['params_file']
         full_name = self.full_name(namespace, name)
-        of_mission = {
-            'agents': self.agents,
-            'resume': self.given.get('resume'),
-            'recorded': log is not None,
-            'await_nodes': awaited_nodes(name, is_recorded=log is not None),
-        }
-        shared = {} if self._kind == 'robot' else of_mission
-        given = parameters_for(name, shared | self._options) | {**own}
+        given = (
+            {}
+            if self._kind == 'robot'
+            else {
+                'agents': self.agents,
+                'resume': self.given['resume'],
+                'recorded': log is not None,
+                'await_nodes': awaited_nodes(name, is_recorded=log is not None),
+            }
+        )
+        given = parameters_for(name, given | self._options) | {**own}
         check_counts(self._sections, full_name, full_name, given)
         # Launch takes no empty lists as values of parameters.
         empty = [each for each, value in given.items() if value in ((), [])]

@@ -21,13 +21,14 @@ EXTRAS = {
 }  # fmt: skip
 
 # Each module has main(argv=None), which returns the exit code.
-COMMANDS, NODES = (
-    {name: f'kbnitp_ros.{room}.{name}' for name in names.split()}
-    for room, names in (
-        ('cli', 'demo study replay report watch forecast'),
-        ('nodes', 'planner agent robot estimator recorder'),
-    )
-)
+COMMANDS = {
+    name: f'kbnitp_ros.cli.{name}'
+    for name in ('demo', 'study', 'replay', 'report', 'watch', 'forecast')
+}
+NODES = {
+    name: f'kbnitp_ros.nodes.{name}'
+    for name in ('planner', 'agent', 'robot', 'estimator', 'recorder')
+}
 EXECUTABLES = {**COMMANDS, **NODES}
 
 

@@ -2,17 +2,15 @@
 """Launch a mission of simulated robots, which is recorded by default and ends by itself."""
 
 from kbnitp_ros.launching import description
-from launch.actions import DeclareLaunchArgument
 
 
 def generate_launch_description():
-    agents = DeclareLaunchArgument(
-        'agents',
-        default_value='1',
-        description='Number of agents (scout_1 and so on, whatever the parameters name), or their '
-        'names, separated by commas. Each agent is a process.',
+    agents = (
+        '1',
+        'Number of agents (scout_1 and so on, whatever the parameters name), or their names, '
+        'separated by commas. Each agent is a process.',
     )
-    return description('mission', [agents], nodes, keep_running='false')
+    return description('mission', {'agents': agents}, nodes, keep_running='false')
 
 
 def nodes(mission):

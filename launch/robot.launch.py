@@ -2,21 +2,17 @@
 """Launch the agent of one real robot, on its own computer; it resumes from its journal."""
 
 from kbnitp_ros.launching import description
-from launch.actions import DeclareLaunchArgument
 
 
 def generate_launch_description():
-    arguments = [
-        DeclareLaunchArgument(
-            'agent', default_value='scout_1', description='Name of the agent that this robot is.'
+    arguments = {
+        'agent': ('scout_1', 'Name of the agent that this robot is.'),
+        'nav_namespace': (
+            '',
+            "Namespace of the robot's Nav2: of its actions, tf, tf_static, fix and detections; / "
+            'for none, empty for the namespace of the agent.',
         ),
-        DeclareLaunchArgument(
-            'nav_namespace',
-            default_value='',
-            description="Namespace of the robot's Nav2: of its actions, tf, tf_static, fix and "
-            'detections; / for none, empty for the namespace of the agent.',
-        ),
-    ]
+    }
     return description('robot', arguments, nodes)
 
 
