@@ -20,15 +20,9 @@ from typing import Any
 
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
-from kbnitp_ros.cli.parameters import (
-    asked_on_record,
-    assign,
-    node_values,
-    recorded_values,
-    set_parameter,
-)
+from kbnitp_ros.cli.parameters import assign, node_values, recorded_values, set_parameter
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
-from kbnitp_ros.cli.replay import lines, with_progress
+from kbnitp_ros.cli.replay import lines, replayed
 from kbnitp_ros.cli.report import report
 from kbnitp_ros.cli.watch import HOST, serving
 from kbnitp_ros.configuration import (
@@ -57,8 +51,7 @@ from kbnitp_ros.configuration.table import LEARNT
 from kbnitp_ros.core import METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
-from kbnitp_ros.log.read import log_size, read_parameters
-from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.progress import MissionState
@@ -226,9 +219,7 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
                 f'{log} does not record the parameters of /{node}: resume its mission with the '
                 'launch file, which reads parameters from params_file'
             )
-        parameters[node] = recorded_values(recorded[f'/{node}'], node)
-        if 'resume' in parameters[node]:
-            parameters[node]['resume'] = str(log)
+        parameters[node] = recorded_values(recorded[f'/{node}'], node) | {'resume': str(log)}
     METHODS.load(parameters['estimator']['method'])
     # The report compares the belief with the truth, which the log may lack so far.
     parameters['agent']['publish_truth'] = True
@@ -322,9 +313,7 @@ def watch(observer: Node, received: deque[Progress], robots: int, processes: Pro
 def conclude(log: Path) -> int:
     """Replay and report the log, and print what was learnt; return the exit code."""
     say('replaying the log and writing the report')
-    recorded, progress = MissionLog(log), partial(with_progress, log_size(log))
-    reproduction = replay(recorded, progress, asked_on_record(recorded))
-    folder = report_folder(log)
+    reproduction, folder = replayed(log), report_folder(log)
     # A resumed mission may already have a report.
     shutil.rmtree(folder, ignore_errors=True)
     say(*lines(reproduction))

@@ -45,21 +45,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
     add_log(parser)
     options = parser.parse_args(argv)
-    log = options.log
     try:
-        mission = MissionLog(log, options.namespace)
-        progress = partial(with_progress, log_size(log))
-        report = replay(mission, progress, asked_on_record(mission))
+        report = replayed(options.log, options.namespace)
     except (LogError, OSError) as error:
         complain('replay', error)
         return 2
     say(*lines(report))
     if report.roundings:
-        say(*computed_with(log, report))
+        say(*computed_with(options.log, report))
     if report.corrupt:
         complain('replay', report.corrupt[0])
         return 2
     return 1 if report.grade == Grade.DIFFERENT else 0
+
+
+def replayed(log: Path, namespace: str | None = None) -> ReplayReport:
+    """Replay a log, with a progress bar on a terminal."""
+    mission, progress = MissionLog(log, namespace), partial(with_progress, log_size(log))
+    return replay(mission, progress, asked_on_record(mission))
 
 
 def with_progress(size: int, items: Iterator[LoggedMessage]) -> Iterator[LoggedMessage]:
