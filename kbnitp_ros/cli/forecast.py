@@ -110,24 +110,16 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='set a parameter of planner and estimator, or of one NODE (with LOG, of the planner '
         'only). Can be repeated; `python3 -m kbnitp_ros NODE --help` lists the parameters',
     )
-    parser.add_argument(
-        '--worlds',
-        metavar='N',
-        type=count,
-        default=200,
-        help='number of missions to run, at least 1; default 200',
-    )
-    parser.add_argument(
+    number = partial(parser.add_argument, metavar='N', type=count)
+    number('--worlds', default=200, help='number of missions to run, at least 1; default 200')
+    number(
         '--seed',
-        metavar='N',
         type=partial(count, least=0),
         default=0,
         help='seed of the fields and of the outcomes of robots, at least 0; default 0',
     )
-    parser.add_argument(
+    number(
         '--workers',
-        metavar='N',
-        type=count,
         help='number of processes, at least 1; default one per core; no effect on the result',
     )
     parser.add_argument(

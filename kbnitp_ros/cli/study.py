@@ -79,12 +79,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         required=True,
         help='folder for the results; trials whose results it holds are not run again',
     )
-    parser.add_argument(
-        '--trials',
-        metavar='N',
-        type=count,
-        help='number of worlds, at least 1; default that of the scenario',
-    )
+    number = partial(parser.add_argument, metavar='N', type=count)
+    number('--trials', help='number of worlds, at least 1; default that of the scenario')
     parser.add_argument(
         '--set',
         metavar='NAME=VALUE',
@@ -99,12 +95,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         default='loky',
         help='where trials run: processes of this machine (loky, the default) or Dask',
     )
-    parser.add_argument(
-        '--workers',
-        metavar='N',
-        type=count,
-        help='number of processes, at least 1; default one per core',
-    )
+    number('--workers', help='number of processes, at least 1; default one per core')
     parser.add_argument(
         '--scheduler',
         metavar='ADDRESS',

@@ -58,25 +58,24 @@ def make_unknowns(values: Mapping[str, Any]) -> Unknowns:
 
 def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
     """Return the believed dynamics of hazards."""
+    kind = values['hazards.dynamics']
+    # Agents have no parameter learn.numbers.
+    learn = values.get('learn.numbers', ())
+    priors = make_priors(values) if 'learn.numbers' in values else {}
+    rates = {}
     try:
-        kind = values['hazards.dynamics']
-        rates = {
-            name: values[f'hazards.{name}'] for name in itertools.chain(*HAZARD_RATES.values())
-        }
-        # Agents have no parameter learn.numbers.
-        for name, prior in make_priors(values).items() if 'learn.numbers' in values else ():
-            if name in values['learn.numbers'] and rates.get(name):
+        for own, name in ((own, name) for own, names in HAZARD_RATES.items() for name in names):
+            rate = values[f'hazards.{name}']
+            if name in learn and rate:
                 raise ValueError(
-                    f'{name} is {rates[name]}, but learn.numbers names {name}: leave it at 0'
+                    f'{name} is {rate}, but learn.numbers names {name}: leave it at 0'
                 )
-            own = next((each for each, names in HAZARD_RATES.items() if name in names), kind)
-            if name in values['learn.numbers'] and kind not in (own, 'learn'):
+            if name in learn and kind not in (own, 'learn'):
                 raise ValueError(
                     f'dynamics is {kind}, but learn.numbers has {name}, a rate of {own} hazards'
                 )
-            is_open = kind == 'learn' and not rates.get(name)
-            if name in rates and (is_open or name in values['learn.numbers']):
-                rates[name] = prior
+            is_open = name in learn or (kind == 'learn' and not rate)
+            rates[name] = priors.get(name, rate) if is_open else rate
         return Dynamics(kind, **rates)
     except ValueError as error:
         raise ValueError(f'parameter hazards.{error}') from error
@@ -119,25 +118,19 @@ def make_execution(values: Mapping[str, Any]) -> Execution:
 def agent_names(values: Mapping[str, Any], grid: Grid) -> tuple[str, ...]:
     """Return the names of the agents."""
     agents: tuple[str, ...] = values['agents']
+    named = f'parameter agents is {list(agents)}'
+    counted = f'parameter agents has {len(agents)} names'
     if not agents or len(set(agents)) < len(agents):
-        raise ValueError(
-            f'parameter agents is {list(agents)}: it must be one or more names, no two alike'
-        )
+        raise ValueError(f'{named}: it must be one or more names, no two alike')
     if OPERATOR in agents:
         raise ValueError(
-            f'parameter agents is {list(agents)}: {OPERATOR} cannot name an agent, since a '
-            'topic of the planner has that name'
+            f'{named}: {OPERATOR} cannot name an agent, since a topic of the planner has that name'
         )
     if len(agents) > MAX_AGENTS:
-        raise ValueError(
-            f'parameter agents has {len(agents)} names: there can be at most {MAX_AGENTS}'
-        )
+        raise ValueError(f'{counted}: there can be at most {MAX_AGENTS}')
     free = int(grid.free.sum())
     if len(agents) > free:
-        raise ValueError(
-            f'parameter agents has {len(agents)} names: there can be at most one for each of the '
-            f'{free} free cells'
-        )
+        raise ValueError(f'{counted}: there can be at most one for each of the {free} free cells')
     return agents
 
 
