@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from kbnitp_ros.configuration import make_goal, make_grid, TABLE
+from kbnitp_ros.configuration import make_goal, make_grid, node_parameters, TABLE
 from kbnitp_ros.configuration.field import make_datum, read_world
 from kbnitp_ros.configuration.mission import (
     check_goal,
@@ -13,6 +13,15 @@ from kbnitp_ros.configuration.mission import (
     make_prior,
     make_stop,
     search_options,
+)
+from kbnitp_ros.configuration.starts import (
+    awaited_nodes,
+    FIXED,
+    OPTIONS,
+    parameters_for,
+)
+from kbnitp_ros.configuration.starts import (
+    DEFAULTS as STARTED,
 )
 from kbnitp_ros.core import Area, Belief, Grid, Lane, Stop
 from laws import for_each
@@ -270,3 +279,35 @@ def test_a_bad_world_is_refused(write_world, text, told):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(OSError, match=r'nowhere\.yaml'):
         read_world(tmp_path / 'nowhere.yaml', SMALL_GRID)
+
+
+STARTED_NODES = ('recorder', 'estimator', 'planner', 'agent')
+
+
+def test_options_and_defaults_of_starts_are_of_the_table():
+    # A robot and a simulated agent have different parameters `agent`.
+    known = {
+        name: each
+        for node in ('robot', *STARTED_NODES)
+        for name, each in node_parameters(node).items()
+    }
+    assert all(name in known for names in OPTIONS.values() for name in names)
+    for values in (*STARTED.values(), FIXED):
+        for name, value in values.items():
+            known[name].check(value)
+
+
+@for_each('node, awaited', [
+    ('recorder', []),
+    ('estimator', ['planner', 'recorder']),
+    ('agent', ['planner', 'estimator', 'recorder']),
+    ('planner', ['agent', 'estimator', 'recorder']),
+])  # fmt: skip
+def test_nodes_of_a_recorded_mission_await_its_recorder_as_well(node, awaited):
+    assert awaited_nodes(node, is_recorded=True) == awaited
+    assert awaited_nodes(node, is_recorded=False) == awaited[:-1]
+
+
+def test_a_node_is_given_those_parameters_that_it_has():
+    given = {'robots': 3, 'seed': 4, 'team.scout_1.max_steps': 9, 'use_sim_time': True}
+    assert parameters_for('agent', given).keys() == given.keys() - {'robots'}
