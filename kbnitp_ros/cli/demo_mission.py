@@ -7,7 +7,6 @@ import argparse
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from functools import partial
 from itertools import pairwise
 from math import inf
 import os
@@ -29,7 +28,6 @@ from kbnitp_ros.configuration import (
     agent_names,
     make_estimator,
     make_grid,
-    Parameter,
     value_for,
     with_defaults,
 )
@@ -128,7 +126,7 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     given = node_values(sections, NODES)
     for name, value in given_by_options(options):
         for node in NODES:
-            assign(given[node], node, name, partial(Parameter.check, value=value))
+            assign(given[node], node, name, value)
     for rule in options.set:
         set_parameter(given, rule, 'demo', FIXED)
     defaults = DEFAULTS['demo'] | {'learn.numbers': LEARNT}

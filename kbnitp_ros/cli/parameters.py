@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 from kbnitp_ros.cli.output import complain
-from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters, Parameter
+from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known, gone_note
 from kbnitp_ros.configuration.parameter import own_name
@@ -24,14 +23,16 @@ def node_values(sections: Sections, nodes: Collection[str]) -> dict[str, dict[st
     values: dict[str, dict[str, Any]] = {node: {} for node in nodes}
     for node in nodes:
         for name, value in values_for(sections, f'/{node}').items():
-            assign(values[node], node, name, partial(Parameter.check, value=value))
+            assign(values[node], node, name, value)
     return values
 
 
-def assign(values: dict[str, Any], node: str, name: str, read: Callable[[Parameter], Any]) -> None:
+def assign(
+    values: dict[str, Any], node: str, name: str, given: Any, *, is_text: bool = False
+) -> None:
     """Set a parameter if the node has it; warn if it is gone."""
     if parameter := find_parameter(node, name):
-        values[name] = read(parameter)
+        values[name] = parameter.read(given) if is_text else parameter.check(given)
     elif note := gone_note(node, name):
         complain('warning', note)
 
@@ -55,7 +56,7 @@ def set_parameter(
         nodes = [node] if of_one else [*values]
         check_known(name, nodes)
         for each in nodes:
-            assign(values[each], each, name, partial(Parameter.read, text=text))
+            assign(values[each], each, name, text, is_text=True)
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
 

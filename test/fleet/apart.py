@@ -12,6 +12,7 @@ import sys
 import time
 
 from fleet import FIELD, GRID, SIMULATOR, TARGETS
+from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.files import share
 from kbnitp_ros.log.read import LogError, read_log
 from kbnitp_ros.log.roles import REPORT
@@ -173,7 +174,7 @@ class Apart:
                 **parameters,
                 'nav_namespace': 'scout_1',
                 'journal': str(self._folder / f'{number}.journal'),
-                'await_nodes': ['planner', 'estimator', 'recorder'],
+                'await_nodes': awaited_nodes('robot', is_recorded=True),
             },
             '__ns:=/m/scout_1',
             '/tf:=/scout_1/tf',
