@@ -10,9 +10,8 @@ import signal
 from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.configuration import node_parameters
+from kbnitp_ros.configuration import node_parameters, with_defaults
 from kbnitp_ros.configuration.given import check_counts, read_sections, values_for
-from kbnitp_ros.configuration.mission import learnt_by_default
 from kbnitp_ros.configuration.starts import awaited_nodes, DEFAULTS, OPTIONS, parameters_for
 from kbnitp_ros.files import nearest, share
 from kbnitp_ros.log.files import new_log
@@ -157,20 +156,18 @@ class Launch:
     def base(self) -> list[Action]:
         """Return the nodes of the base, and RViz."""
         said, log = self._values('estimator') | self._values('planner'), self._log
-        method = self._options.get('method') or said.get('method', PARAMETERS['method'].default)
-        added = DEFAULTS[self._kind] | {'learn.numbers': learnt_by_default(method)}
+        added = DEFAULTS[self._kind]
+        # As many numbers as the method learns.
+        learnt = with_defaults('estimator', said | self._options, added)['learn.numbers']
         # The shipped file has all defaults, which its users need not mean.
         self._options = {
             name: value
-            for name, value in added.items()
+            for name, value in (added | {'learn.numbers': learnt}).items()
             if said.get(name) in (None, PARAMETERS[name].default)
         } | self._options
         view = share('config/rviz') / ('team.rviz' if len(self.agents) > 1 else 'mission.rviz')
         rviz = Node(
-            package='rviz2',
-            executable='rviz2',
-            arguments=['-d', str(view)],
-            remappings=self.poses,
+            package='rviz2', executable='rviz2', arguments=['-d', str(view)], remappings=self.poses
         )
         return [
             # RViz first, so that no node has started if RViz is not installed.

@@ -38,14 +38,7 @@ from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.known import check_own, CLOCK
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
-from kbnitp_ros.configuration.starts import (
-    awaited_nodes,
-    DEFAULTS,
-    FIXED,
-    OPTIONS,
-    parameters_for,
-)
-from kbnitp_ros.configuration.table import LEARNT
+from kbnitp_ros.configuration.starts import awaited_nodes, DEFAULTS, FIXED, OPTIONS, parameters_for
 from kbnitp_ros.core import METHODS
 from kbnitp_ros.files import in_words, share
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
@@ -129,8 +122,9 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
             assign(given[node], node, name, value)
     for rule in options.set:
         set_parameter(given, rule, 'demo', FIXED)
-    defaults = DEFAULTS['demo'] | {'learn.numbers': LEARNT}
-    parameters = {node: with_defaults(node, values, defaults) for node, values in given.items()}
+    parameters = {
+        node: with_defaults(node, values, DEFAULTS['demo']) for node, values in given.items()
+    }
     for node, values in parameters.items():
         if values.get('silent_loss'):
             values['step_period'] = values['step_period'] or SILENT_STEP

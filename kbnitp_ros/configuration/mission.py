@@ -169,11 +169,6 @@ def earlier_belief(log: str, grid: Grid) -> Belief:
     return known.belief.on(grid)
 
 
-def learnt_by_default(method: str) -> tuple[str, ...]:
-    """Return the numbers that a mission with this method learns unless it is told otherwise."""
-    return LEARNT if getattr(METHODS.find(method), 'learns', False) else ()
-
-
 def with_defaults(
     node: str, given: Mapping[str, Any], own: Mapping[str, Any] = MappingProxyType({})
 ) -> dict[str, Any]:
@@ -186,7 +181,8 @@ def with_defaults(
         for name, each in table.items()
     } | {name: value for name, value in own.items() if name in table}
     if values.get('learn.numbers'):
-        values['learn.numbers'] = learnt_by_default(given.get('method', values['method']))
+        method = METHODS.find(given.get('method', values['method']))
+        values['learn.numbers'] = LEARNT if getattr(method, 'learns', False) else ()
     return {**values, **given, **({'defaults': kind} if 'defaults' in table else {})}
 
 

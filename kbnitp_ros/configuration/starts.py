@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration.known import find_parameter, node_parameters, ROS_PARAMETERS
+from kbnitp_ros.configuration.table import LEARNT
 
 # Parameters that the launch files of missions have as arguments.
 OF_MISSIONS = (
@@ -27,13 +28,18 @@ OPTIONS = {
     'robot': ('journal', 'driver', 'base_frame'),
 }  # fmt: skip
 
-# Defaults of demo and of launch files, besides the numbers that they learn.
+# Defaults of demo and of launch files, where they differ from the table's.
 DEFAULTS: dict[str, dict[str, Any]] = {
     # Robots of the demo take no time, but processes on a busy machine do.
-    'demo': {'return_deadline': 1.0},
-    'mission': {},
+    'demo': {'learn.numbers': LEARNT, 'return_deadline': 1.0},
+    'mission': {'learn.numbers': LEARNT},
     # A real robot at 0.4 m/s needs 3.5 s for the diagonal of a cell of 1 m.
-    'base': {'defaults': 'field', 'step_period': 5.0, 'return_deadline': 60.0},
+    'base': {
+        'learn.numbers': LEARNT,
+        'defaults': 'field',
+        'step_period': 5.0,
+        'return_deadline': 60.0,
+    },
 }
 
 # Parameters that every demo sets itself, to be able to resume and to know the truth.
