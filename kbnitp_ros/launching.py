@@ -41,10 +41,10 @@ RESPAWN_DELAY = 2.0  # Seconds.
 
 # Arguments besides parameters, of all launch files and of those of missions: default, description.
 ARGUMENTS = {
-    'namespace': ('', 'Namespace of all nodes and topics of the mission.'),
+    'namespace': ('', 'Namespace of the mission, the same for its base and its robots.'),
     'params_file': (
         str(share('config/mission.yaml')),
-        'YAML file with the parameters of the nodes; robots have the same as their base.',
+        'YAML file with the parameters of the nodes, the same for a base and its robots.',
     ),
 }
 OF_MISSIONS = {

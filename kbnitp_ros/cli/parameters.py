@@ -55,8 +55,8 @@ def set_parameter(
             raise ValueError(f'the {command} sets {name} itself')
         nodes = [node] if of_one else [*values]
         check_known(name, nodes)
-        for each in nodes:
-            assign(values[each], each, name, text, is_text=True)
+        for owner in nodes:
+            assign(values[owner], owner, name, text, is_text=True)
     except ValueError as error:
         raise ValueError(f'--set {rule}: {error}') from error
 
