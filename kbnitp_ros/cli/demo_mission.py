@@ -7,7 +7,7 @@ import argparse
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from itertools import pairwise
+from itertools import combinations
 from math import inf
 import os
 from pathlib import Path
@@ -152,7 +152,7 @@ def given_by_options(options: argparse.Namespace) -> Iterator[tuple[str, Any]]:
 
 def check_mission(parameters: Mapping[str, dict[str, Any]]) -> None:
     """Check that the nodes accept their parameters, and agree on the mission."""
-    for one, other in pairwise(('estimator', 'agent', 'planner')):
+    for one, other in combinations(('estimator', 'agent', 'planner'), 2):
         ours, theirs = parameters[one], parameters[other]
         check_own(theirs)
         for name in sorted({*ours, *theirs}):
