@@ -74,6 +74,9 @@ def decodable(look: Callable[..., Iterable[Any]]) -> Callable[..., list[Any]]:
     return found
 
 
+# End of the topic of lanes.
+LANE = '/decision/lane'
+
 # Message types that identify nodes by role: of AGENT/path, AGENT/report, belief, AGENT/recorded.
 PUBLISHED = {
     'planner': PATH,
@@ -91,7 +94,10 @@ def listening_roles(node: Node, topics: Iterable[str]) -> dict[str, set[str]]:
         # The node may have ended, have no known name yet, or be no ROS node.
         with suppress(RuntimeError):
             published = node.get_publisher_names_and_types_by_node(name, namespace)
-            return {kind for _, kinds in published for kind in kinds}
+            # The lane of an estimator has the type of paths.
+            return {
+                kind for topic, kinds in published if not topic.endswith(LANE) for kind in kinds
+            }
         return set()
 
     own = node.get_name(), node.get_namespace()
