@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a base knows of its mission: a fold over paths, statuses, reports and actions."""
+"""The state of a mission at its base: a fold over paths, statuses, reports and actions."""
 
 from __future__ import annotations
 

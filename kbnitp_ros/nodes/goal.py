@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator tells the planner of its goal: decisions, and draws of the hazards."""
+"""The decisions and draws that a planner with a goal gets from the estimator."""
 
 from __future__ import annotations
 

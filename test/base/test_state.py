@@ -152,24 +152,24 @@ def answers(state):
 @given(missions(), st.data())
 def test_the_state_after_a_crash_at_any_message_is_that_without(told, data):
     whole = BaseState(GRID, 6, values=VALUES)
-    for each in told:
-        hear(whole, *each)
+    for said in told:
+        hear(whole, *said)
     crash = data.draw(st.integers(0, len(told)))
     resumed = fold(told[:crash])
     # Publishers repeat what they had published, which changes nothing.
     repeated = [each for each in told if each[0] in ('status', 'report')]
-    for each in [*told[crash:], *repeated]:
-        hear(resumed, *each)
+    for said in [*told[crash:], *repeated]:
+        hear(resumed, *said)
     assert answers(resumed) == answers(whole)
 
 
 @settings(max_examples=100)
 @given(missions(), st.data())
 def test_topics_may_overtake_each_other(told, data):
-    """What is known in the end does not depend on which topic was read first."""
+    """The state in the end does not depend on which topic was read first."""
     topics = {}
-    for each in told:
-        topics.setdefault(each[:2], []).append(each)
+    for said in told:
+        topics.setdefault(said[:2], []).append(said)
     mixed = []
     left = [[*each] for each in topics.values()]
     while left:
@@ -177,18 +177,18 @@ def test_topics_may_overtake_each_other(told, data):
         left = [each for each in left if each]
     states = BaseState(GRID, 6, values=VALUES), BaseState(GRID, 6, values=VALUES)
     for state, order in zip(states, (told, mixed)):
-        for each in order:
-            hear(state, *each)
+        for said in order:
+            hear(state, *said)
         # A loss that arrives before its departure is read again.
-        for each in order:
-            if each[0] == 'report':
-                hear(state, *each)
+        for said in order:
+            if said[0] == 'report':
+                hear(state, *said)
     one, other = map(answers, states)
     # Where robots came back without a step counts in the order of arrival.
-    for said in (one, other):
-        said.pop('still')
-        said['in flight'] = sorted(said['in flight'])
-        said['undeparted'] = sorted(said['undeparted'])
+    for known in (one, other):
+        known.pop('still')
+        known['in flight'] = sorted(known['in flight'])
+        known['undeparted'] = sorted(known['undeparted'])
     assert one == other
 
 
