@@ -48,8 +48,6 @@ from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode, PendingMessages
 from kbnitp_ros.nodes.runtime.process import run
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -82,9 +80,6 @@ LOOKED_AT_ONCE = 500
 
 class RecorderNode(MissionNode):
     """Record all topics of this namespace, each as soon as it is published."""
-
-    # EventsExecutor raises SystemError for raw subscriptions with event callbacks.
-    make_executor = SingleThreadedExecutor
 
     def __init__(self) -> None:
         super().__init__('recorder')
@@ -134,7 +129,7 @@ class RecorderNode(MissionNode):
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, RecordedTopic] = {}
         # Topics with subscriptions for all publishers, and topics that cannot be recorded.
-        self._settled: set[str] = set()
+        self._settled: dict[str, None] = {}
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
         # Beliefs that arrived before the paths of their deployments, and losses before departures.
@@ -186,6 +181,8 @@ class RecorderNode(MissionNode):
         # publisher, all publishers that were created before it.
         found: dict[str, Any] = {}
         others: list[str] = []
+        # A publisher that returns may offer another profile: one settled topic is looked at again.
+        self._settled.pop(next(iter(self._settled), ''), None)
         looked = True
         while looked:
             before = found.keys()
@@ -259,7 +256,7 @@ class RecorderNode(MissionNode):
                 if topic.subscriptions:
                     self._log.add_topic(name, type_name, offered_by(publishers, type_name))
                 topic.subscriptions[kind] = self._subscribe(topic, profile)
-            self._settled.add(name)
+            self._settled[name] = None
 
     def _topic(self, name: str, type_name: str, publishers: Sequence[Any]) -> RecordedTopic:
         """Return a topic, adding it to the log if it is new."""
@@ -303,17 +300,12 @@ class RecorderNode(MissionNode):
         )
 
     def _subscribe(self, topic: RecordedTopic, profile: QoSProfile) -> Subscription:
-        events = SubscriptionEventCallbacks(
-            matched=lambda _: self._settled.discard(topic.name), use_default_callbacks=False
-        )
-        events.incompatible_qos = events.matched
         return self.create_subscription(
             message_class(topic.type_name),
             topic.name,
             partial(self._on_message, topic),
             profile,
             raw=True,
-            event_callbacks=events,
         )
 
     def _on_message(self, topic: RecordedTopic, data: bytes, info: Any) -> None:

@@ -429,7 +429,7 @@ def test_of_two_robots_of_one_name_only_one_moves(tmp_path):
     robots = 4
     with apart(tmp_path, robots, namesakes=2) as mission:
         mission.until(lambda: len(mission.reports()) == robots, 'reports')
-        mission.until(lambda: mission.count('that the departure of scout_1 at'), 'wait')
+        mission.until(lambda: mission.count('acknowledge the departure of scout_1 at'), 'wait')
         assert mission.count('leaving on') == robots
     told = replay(mission.log)
     assert told.reproduced
