@@ -125,6 +125,8 @@ class Peers:
         _, self._own = describe(REPORT)
         self._versions: dict[str, set[str]] = {}
         self._unknown_agents: set[str] = set()
+        # Agents whose nodes do not report departures.
+        self.silent = [*agents]
 
     @property
     def estimators(self) -> int:
@@ -141,12 +143,6 @@ class Peers:
         """Return the agents whose nodes have reports of another version."""
         known = {self._own, UNHASHED}
         return [agent for agent in self._agents if self._versions.get(agent, set()) - known]
-
-    @property
-    def silent(self) -> list[str]:
-        """Return the agents whose nodes do not report departures."""
-        count = self._node.count_authors
-        return [agent for agent in self._agents if not count(f'{agent}/status', STATUS)]
 
     def look(self) -> bool:
         """Check the graph and warn; return whether one of several estimators has left."""
@@ -168,6 +164,8 @@ class Peers:
                     'gets orders again when it is back',
                 )
             self._look_for_planners(f'{agent}/path')
+        count = self._node.count_authors
+        self.silent = [each for each in self._agents if not count(f'{each}/status', STATUS)]
         self._look_for_unknown_agents()
         before, now = self._count('belief', BELIEF)
         if now > max(before, 1):
