@@ -79,7 +79,7 @@ class Decisions:
             while self._deciding is not None:
                 self._deciding.result(LAST)
                 self._take(self._deciding)
-        except TimeoutError:
+        except futures.TimeoutError:
             self._node.get_logger().warning(
                 f'the decision on the last belief takes more than {LAST:g} s and is left out'
             )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent import futures
 
 from kbnitp_msgs.msg import ModelBelief
 from kbnitp_ros.core import Ledger
@@ -26,7 +26,7 @@ class Models:
         self._checked = NOT_CHECKED
         # The ledger of the newest belief, and the stamp of that belief.
         self._newest: tuple[Ledger, int] | None = None
-        self._running: Future[Checked] | None = None
+        self._running: futures.Future[Checked] | None = None
         # Number of deployments in the belief that a check was begun for last.
         self._begun = -self._every
 
@@ -48,13 +48,13 @@ class Models:
             if self._checked[1:] != (len(ledger.deployments), stamp):
                 self._checked = self._check().result(LAST)
                 self._publish()
-        except TimeoutError:
+        except futures.TimeoutError:
             self._node.get_logger().warning(
                 f'the model check of the last belief takes more than {LAST:g} s and is left out: '
                 'replay shows it'
             )
 
-    def _check(self) -> Future[Checked]:
+    def _check(self) -> futures.Future[Checked]:
         """Check the model of the newest belief on a thread of its own."""
         assert self._newest is not None
         ledger, stamp = self._newest
@@ -63,7 +63,7 @@ class Models:
         deployments = self._begun
         return self._node.compute(lambda: Checked(estimator.check, deployments, stamp), self._take)
 
-    def _take(self, running: Future[Checked]) -> None:
+    def _take(self, running: futures.Future[Checked]) -> None:
         if running is self._running:
             self._checked, self._running = running.result(), None
             self._publish()
