@@ -23,7 +23,7 @@ from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
-from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.beliefs import read_assimilated, Snapshot
 from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
@@ -209,6 +209,17 @@ class RecordedMission(BaseState):
         if min(self._by_stamp[key], default=stamp) > stamp:
             raise MissingError(f'{missing}, but a later report is')
         raise ValueError(missing)
+
+    def has(self, belief: Any) -> bool:
+        """Return whether all evidence that a belief names is on record."""
+        try:
+            named = read_assimilated(belief)
+        except ValueError:
+            return True
+        return all(
+            (key, path) in self._paths_read and (key, report) in self._reports_read
+            for key, (path, report) in named.items()
+        )
 
     @property
     def actions(self) -> list[OperatorAction]:

@@ -29,7 +29,7 @@ from kbnitp_ros.log.replayed import (
     ReplayReport,
     TOLERANCE,
 )
-from kbnitp_ros.log.roles import GRID, MissionLog, MODEL, VIEWS
+from kbnitp_ros.log.roles import MissionLog, VIEWS
 from kbnitp_ros.messages.beliefs import (
     belief_fields,
     newest_deployment,
@@ -40,9 +40,9 @@ from kbnitp_ros.messages.beliefs import (
 from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
 from kbnitp_ros.messages.progress import decision_fields
 
-# Roles that are computed again from the evidence, and all roles that are read.
-COMPUTED = ('belief', *(f'belief/{name}' for name in VIEWS), 'model', 'decision')
-READ = (*COMPUTED, 'path', 'report', 'status', 'operator', 'progress')
+# Roles that are computed from the beliefs, and all other roles that are read.
+COMPUTED = (*(f'belief/{name}' for name in VIEWS), 'model', 'decision')
+READ = ('belief', 'path', 'report', 'status', 'operator', 'progress')
 
 # Fields of a decision that processors may round differently.
 ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
@@ -62,22 +62,33 @@ def replay(
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     report = ReplayReport(evidence, finished=is_finished(log.path))
     fold = Fold(report, log.roles.names['belief'], asked)
-    for role, logged in log.read(*READ, corrupt=report.corrupt, progress=progress):
-        if role.name == 'progress':
-            report.standing = logged.said
-        elif role.type_name in (GRID, MODEL):
-            fold.views.note(role, logged)
-        elif role.name == 'decision':
+    # Read first, since a check or decision is computed while the ledger has its evidence.
+    for role, logged in log.read(*COMPUTED, corrupt=report.corrupt, progress=progress):
+        if role.name == 'decision':
             fold.note_decision(logged)
         else:
-            with log.leaving_out(logged):
-                evidence.take(role, logged)
+            fold.views.note(role, logged)
+    # Index of the first belief that is recorded before evidence that it names.
+    left: int | None = None
+    for role, logged in log.read(*READ, corrupt=[], progress=progress):
+        if role.name == 'progress':
+            report.standing = logged.said
+            continue
+        with log.leaving_out(logged):
+            evidence.take(role, logged)
+        if role.name == 'belief' and left is None:
+            if evidence.has(logged.message):
+                fold.take(logged)
+            else:
+                left = logged.index
+    if left is not None:
+        for _, logged in log.read('belief', corrupt=[], progress=progress):
+            if logged.index >= left:
+                fold.take(logged)
     report.changes = list(read_changes(log.path, log.roles.is_node))
-    for _, logged in log.read('belief', corrupt=[], progress=progress):
-        fold.take(logged)
     fold.finish()
     for (topic, index), why in log.left_out.items():
-        if log.roles.by_topic[topic].name in COMPUTED:
+        if log.roles.by_topic[topic].name in ('belief', *COMPUTED):
             report.compared[topic] += 1
             report.mismatches.append(BeliefFinding(topic, index, None, (), why))
         else:
@@ -244,7 +255,9 @@ class Fold:
         report = self.report
         if self._ledger is not None:
             estimator = self._ledger.estimator
-            report.kinds, report.check = estimator.kinds, estimator.check
+            report.kinds = estimator.kinds
+            if self.views.checked:
+                report.check = estimator.check
         self.views.compare(report)
         reason = (
             'the goal is not on record'

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from hashlib import blake2b
 from math import nan
+from operator import attrgetter
 from typing import Any
 
 from kbnitp_ros.core import DeploymentKey, Grid, Ledger
@@ -67,17 +68,6 @@ def differences(
             yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
         else:
             yield from _differences_of_field(name, theirs, ours, tolerance)
-
-
-def _leaves(value: Any, like: Any) -> Iterator[Any]:
-    if isinstance(like, Fields):
-        for name, each in vars(like).items():
-            if hasattr(value, name):
-                yield from _leaves(getattr(value, name), each)
-    elif isinstance(like, np.ndarray):
-        yield np.asarray(value, like.dtype).tobytes()
-    else:
-        yield value
 
 
 def _differences_of_field(
@@ -214,9 +204,6 @@ class ReplayReport:
         return self.grade == Grade.IDENTICAL
 
 
-# A nav_msgs/OccupancyGrid, for the names of its fields.
-ANY_GRID = occupancy_fields(Grid(1, 1), [0.0], 0)
-
 # A computed view: the deployment assimilated last, and the fields of a model or the digest of a
 # grid.
 Expected = tuple['DeploymentKey | None', Any]
@@ -233,13 +220,13 @@ class ReplayedViews:
         # Number of recorded beliefs that were not computed, by stamp.
         self.unknown: Counter[int] = Counter()
         # Beliefs whose check was recorded, by deployments and stamp, and the computed checks.
-        self._checked: dict[tuple[int, int], ModelCheck | None] = {}
+        self.checked: dict[tuple[int, int], ModelCheck | None] = {}
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
         """Keep a view until all beliefs are computed; of a grid, only its digest."""
         message = logged.message
         if role.name == 'model':
-            self._checked[checked_belief(message)] = None
+            self.checked[checked_belief(message)] = None
         kept = message if role.name == 'model' else grid_digest(message)
         view = logged.index, from_stamp(message.header.stamp), kept
         self._recorded[role.name, logged.topic].append(view)
@@ -250,9 +237,9 @@ class ReplayedViews:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
         key = len(ledger.deployments), stamp
-        if key in self._checked:
-            self._checked[key] = ledger.estimator.check
-        if self._checked:
+        if key in self.checked:
+            self.checked[key] = ledger.estimator.check
+        if self.checked:
             self._expected['model', stamp].append((newest, model_fields(ledger, stamp)))
 
     def compare(self, report: ReplayReport) -> None:
@@ -285,7 +272,7 @@ class ReplayedViews:
             return () if view == computed else (Difference('data', 'does not match the belief'),)
         found = tuple(differences(view, computed, TOLERANCE))
         key = checked_belief(view)
-        if check := self._checked[key]:
+        if check := self.checked[key]:
             fields = check_fields(Checked(check, *key))
             # The reason contains rounded numbers, which processors may round differently.
             del fields.reason
@@ -293,6 +280,21 @@ class ReplayedViews:
         return found
 
 
+def field_names(fields: Fields) -> Iterator[str]:
+    """Yield the names of all fields that are no messages, such as 'info.width'."""
+    for name, value in vars(fields).items():
+        if isinstance(value, Fields):
+            yield from (f'{name}.{each}' for each in field_names(value))
+        else:
+            yield name
+
+
+# All fields of a nav_msgs/OccupancyGrid but its data.
+PLACE = {*field_names(occupancy_fields(Grid(1, 1), [0.0], 0))} - {'data'}
+read_place = attrgetter(*sorted(PLACE))
+
+
 def grid_digest(view: Any) -> bytes:
     """Return a digest of a nav_msgs/OccupancyGrid or its fields."""
-    return blake2b(repr(list(_leaves(view, ANY_GRID))).encode(), digest_size=16).digest()
+    content = repr(read_place(view)).encode() + np.asarray(view.data, np.int8).tobytes()
+    return blake2b(content, digest_size=16).digest()
