@@ -25,16 +25,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-ROLES = (
-    'belief',
-    'decision',
-    'model',
-    'path',
-    'report',
-    'state',
-    'status',
-    *TRUTH,
-)
+ROLES = ('belief', 'decision', 'model', 'path', 'report', 'state', 'status', *TRUTH)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,19 +11,12 @@ from types import MappingProxyType
 from typing import Any
 
 from kbnitp_ros.base.state import BaseState, LOGGED, MissingError
-from kbnitp_ros.core import (
-    DeploymentKey,
-    Grid,
-    Ledger,
-    Observation,
-    Report,
-    RobotType,
-)
+from kbnitp_ros.core import DeploymentKey, Grid, Ledger, Observation, ORDINARY, Report, RobotType
 from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
-from kbnitp_ros.messages.beliefs import read_assimilated, Snapshot
+from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
@@ -119,8 +112,8 @@ class RecordedMission(BaseState):
         self.mission = mission
         # First belief of the mission, if it was read.
         self.prior: Snapshot | None = None
-        # Step limits accepted: the common limit, and the limits of agents that have their own.
-        self._rules = [(max_steps, own_steps(robot_types))]
+        # Step limits accepted: the common limit, with agents that may have their own.
+        self._limits = [(max_steps, robot_types)]
         # Serialized paths by deployment, and serialized actions of the operator by stamp.
         self.messages: dict[DeploymentKey | int, bytes] = {}
         # Time of receipt of each report by its stamp, nanoseconds.
@@ -134,13 +127,14 @@ class RecordedMission(BaseState):
 
     def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
         """Accept paths up to these step limits, too."""
-        if (rules := (max_steps, own_steps(robot_types))) not in self._rules:
-            self._rules.append(rules)
+        if (max_steps, robot_types) not in self._limits:
+            self._limits.append((max_steps, robot_types))
         self.max_steps = max(self.max_steps, max_steps)
 
     def most_steps(self, key: DeploymentKey) -> int:
         """Return the maximum number of steps of a deployment's path."""
-        return max(own.get(key.agent, max_steps) for max_steps, own in self._rules)
+        types = ((each.get(key.agent, ORDINARY), common) for common, each in self._limits)
+        return max(common if own.max_steps is None else own.max_steps for own, common in types)
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
         """Take a path, report, status, action, or the step limits of a belief."""
@@ -210,16 +204,9 @@ class RecordedMission(BaseState):
             raise MissingError(f'{missing}, but a later report is')
         raise ValueError(missing)
 
-    def has(self, belief: Any) -> bool:
-        """Return whether all evidence that a belief names is on record."""
-        try:
-            named = read_assimilated(belief)
-        except ValueError:
-            return True
-        return all(
-            (key, path) in self._paths_read and (key, report) in self._reports_read
-            for key, (path, report) in named.items()
-        )
+    def has(self, key: DeploymentKey, path: int, report: int) -> bool:
+        """Return whether the path and the report with these hashes are on record."""
+        return (key, path) in self._paths_read and (key, report) in self._reports_read
 
     @property
     def actions(self) -> list[OperatorAction]:
@@ -240,15 +227,6 @@ class RecordedMission(BaseState):
     def without_path(self) -> list[DeploymentKey]:
         """Return the deployments with a report but no path."""
         return list(self._pending)
-
-
-def own_steps(robot_types: Mapping[str, RobotType]) -> dict[str, int]:
-    """Return the step limits of agents that have their own, by agent."""
-    return {
-        agent: robot_type.max_steps
-        for agent, robot_type in robot_types.items()
-        if robot_type.max_steps is not None
-    }
 
 
 def read_resumed(

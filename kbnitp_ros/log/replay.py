@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -24,20 +26,15 @@ from kbnitp_ros.log.read import is_finished, LoggedMessage, read_changes
 from kbnitp_ros.log.record import begun, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
     BeliefFinding,
+    Difference,
     differences,
     ReplayedViews,
     ReplayReport,
     TOLERANCE,
 )
 from kbnitp_ros.log.roles import MissionLog, VIEWS
-from kbnitp_ros.messages.beliefs import (
-    belief_fields,
-    newest_deployment,
-    read_assimilated,
-    read_joint,
-    Snapshot,
-)
-from kbnitp_ros.messages.headers import Fields, from_stamp, NO_MISSION, read_stamp
+from kbnitp_ros.messages.beliefs import belief_fields, read_assimilated, Snapshot
+from kbnitp_ros.messages.headers import Fields, from_stamp
 from kbnitp_ros.messages.progress import decision_fields
 
 # Roles that are computed from the beliefs, and all other roles that are read.
@@ -61,7 +58,7 @@ def replay(
     first = required_belief(log)
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     report = ReplayReport(evidence, finished=is_finished(log.path))
-    fold = Fold(report, log.roles.names['belief'], asked)
+    fold = Fold(report, asked)
     # Read first, since a check or decision is computed while the ledger has its evidence.
     for role, logged in log.read(*COMPUTED, corrupt=report.corrupt, progress=progress):
         if role.name == 'decision':
@@ -77,7 +74,7 @@ def replay(
         with log.leaving_out(logged):
             evidence.take(role, logged)
         if role.name == 'belief' and left is None:
-            if evidence.has(logged.message):
+            if fold.is_ready(logged.message):
                 fold.take(logged)
             else:
                 left = logged.index
@@ -99,16 +96,14 @@ def replay(
 class Fold:
     """The belief recomputed from a log's evidence, compared with each recorded belief in turn."""
 
-    def __init__(self, report: ReplayReport, topic: str, asked: RecordedGoal | None) -> None:
+    def __init__(self, report: ReplayReport, asked: RecordedGoal | None) -> None:
         self.report = report
-        self._topic = topic
         self._ledger: Ledger | None = None
         # Evidence that the ledger has assimilated, as the hashes of path and report.
         self._assimilated: dict[DeploymentKey, tuple[int, int]] = {}
         # Digest of the last belief if it was recomputed, else empty; and digest of the last belief
         # read.
         self._held = self._last = b''
-        self._index = -1
         self._seen: set[bytes] = set()
         self.views = ReplayedViews()
         self._asked = asked
@@ -116,113 +111,103 @@ class Fold:
         # deployments of their belief.
         self._decisions: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
 
+    def is_ready(self, belief: Any) -> bool:
+        """Return whether the log has, up to here, all evidence that a belief names."""
+        has = self.report.evidence.has
+        with suppress(ValueError):
+            return all(has(key, *hashes) for key, hashes in read_assimilated(belief).items())
+        return True
+
     def take(self, logged: LoggedMessage) -> None:
         """Assimilate the evidence that a belief names, and compare the beliefs."""
-        self._index = logged.index
-        belief = logged.message
-        newest = newest_deployment(belief)
+        said, report = logged.said, self.report
+        find = partial(BeliefFinding, logged.topic, logged.index, said.newest)
         digest = blake2b(logged.data, digest_size=16).digest()
         # Equal counts do not suffice, since a restarted estimator counts from 0 again.
-        follows = self._held == self._last and belief.since == len(self._assimilated)
+        follows = self._held == self._last and logged.message.since == len(self._assimilated)
         self._last = digest
         if digest in self._seen:
-            self._find(self.report.repeated, newest, 'the same belief was recorded before')
+            report.repeated.append(find(reason='the same belief was recorded before'))
             return
-        if newest is None:
+        if said.newest is None:
             # A restarted estimator may publish the same beliefs again, which are not reported as
             # repeated.
             self._seen.clear()
         self._seen.add(digest)
         self._held = b''
-        stamp = from_stamp(belief.header.stamp)
         try:
-            if newest is None:
-                self._ledger = None
-                self._begin(logged.said)
-            elif self._ledger is None:
-                raise ValueError('the prior of its estimator is not on record')
-            elif (belief.since and not follows) or not self._assimilate(
-                newest, read_assimilated(belief), not belief.since, stamp
-            ):
-                raise MissingError(
-                    f'the belief before it, which holds {belief.since} deployments, is missing'
-                )
+            ledger = self._assimilate(said, logged.message, follows)
             self._held = digest
-            self._compare(belief, newest, stamp)
+            report.compared[logged.topic] += 1
+            if found := self._compare(ledger, said, logged.message):
+                report.add(find(found))
         except LogError:
             raise
         except MissingError as error:
-            self._find(self.report.not_compared, newest, str(error))
-            self.views.unknown[stamp] += 1
+            report.not_compared.append(find(reason=str(error)))
+            self.views.unknown[said.stamp] += 1
         except ValueError as error:
-            self.report.compared[self._topic] += 1
-            self._find(self.report.mismatches, newest, str(error))
+            report.compared[logged.topic] += 1
+            report.mismatches.append(find(reason=str(error)))
 
-    def _find(self, found: list[BeliefFinding], newest: DeploymentKey | None, reason: str) -> None:
-        found.append(BeliefFinding(self._topic, self._index, newest, reason=reason))
-
-    def _begin(self, prior: Snapshot) -> None:
+    def _begin(self, prior: Snapshot) -> Ledger:
         """Begin with the prior of an estimator."""
         self._ledger = begun(prior)
         self.report.evidence.prior = prior
         self._assimilated = {}
+        return self._ledger
 
-    def _assimilate(
-        self,
-        newest: DeploymentKey,
-        named: dict[DeploymentKey, tuple[int, int]],
-        is_complete: bool,
-        stamp: int,
-    ) -> bool:
-        """Assimilate the named evidence; return False if the log lacks an earlier belief."""
+    def _assimilate(self, said: Snapshot, belief: Any, follows: bool) -> Ledger:
+        """Return the ledger with the evidence that a belief names; `follows`: it has the rest."""
+        newest, prior = said.newest, self.report.evidence.prior
+        if newest is None:
+            return self._begin(said)
+        if self._ledger is None or prior is None:
+            raise ValueError('the prior of its estimator is not on record')
+        missing = f'the belief before it, which holds {belief.since} deployments, is missing'
+        if belief.since and not follows:
+            raise MissingError(missing)
+        named = read_assimilated(belief)
         if newest not in named:
             raise ValueError(f'taken_in does not name {newest}, the deployment assimilated last')
-        if is_complete and self._assimilated.items() - named.items():
+        ledger = self._ledger
+        if not belief.since and self._assimilated.items() - named.items():
             # A restarted estimator may have assimilated less evidence, or other reports.
-            assert self.report.evidence.prior is not None
-            self._begin(self.report.evidence.prior)
-        assert self._ledger is not None
+            ledger = self._begin(prior)
         for key, hashes in named.items():
             if key != newest and self._assimilated.get(key) == hashes:
                 continue
-            path, report = self.report.evidence.named(key, *hashes, stamp)
-            self._ledger.record_path(key, path, hashes[0])
-            is_new = self._ledger.record_report(key, report)
-            if not is_complete and not is_new:
-                return False
+            path, report = self.report.evidence.named(key, *hashes, said.stamp)
+            ledger.record_path(key, path, hashes[0])
+            if not ledger.record_report(key, report) and belief.since:
+                raise MissingError(missing)
             self._assimilated[key] = hashes
             if key == newest:
                 newest_stamp = report.stamp
-        self._ledger.newest, self._ledger.newest_stamp = newest, newest_stamp
-        return True
+        ledger.newest, ledger.newest_stamp = newest, newest_stamp
+        return ledger
 
-    def _compare(self, belief: Any, newest: DeploymentKey | None, stamp: int) -> None:
-        """Compare a recorded belief with the ledger's; compute the recorded belief's views."""
-        assert self._ledger is not None
+    def _compare(self, ledger: Ledger, said: Snapshot, belief: Any) -> tuple[Difference, ...]:
+        """Return the differences of a belief from the ledger's; compute the belief's views."""
         prior = self.report.evidence.prior
         assert prior is not None
-        # Beliefs of early logs may not state their mission.
-        states_mission = read_stamp('mission', belief.mission) != NO_MISSION
-        mission = prior.mission if states_mission else NO_MISSION
-        computed = belief_fields(self._ledger, stamp, mission, assimilated=())
+        computed = belief_fields(ledger, said.stamp, prior.mission, assimilated=())
         # These fields name the evidence, and are not compared.
         del computed.since, computed.taken_in
-        self.report.compared[self._topic] += 1
-        learnt = self._ledger.estimator.unknowns.priors
+        learnt = ledger.estimator.unknowns.priors
         found = tuple(differences(belief, computed, TOLERANCE, learnt))
         is_equal = all(each.is_rounding for each in found)
         if found and is_equal:
             # The maps are sums and quotients of the joint, which all processors round alike.
-            maps = read_joint('joint', belief.joint, self._ledger.grid)
+            maps = said.belief
             own = Fields(hazard=maps.hazard, target=maps.target, kappa=maps.kappa)
             found += tuple(differences(belief, own, 0.0))
-        if found:
-            self.report.add(BeliefFinding(self._topic, self._index, newest, found))
         # Grids were made from the recorded belief, so they have the same rounding difference.
-        seen = belief if all(each.is_rounding for each in found) else self._ledger.belief
-        self.views.expect(self._ledger, seen, newest, stamp)
+        seen = belief if all(each.is_rounding for each in found) else ledger.belief
+        self.views.expect(ledger, seen, said)
         if not found:
-            self._compare_decisions(self._ledger, stamp)
+            self._compare_decisions(ledger, said.stamp)
+        return found
 
     def note_decision(self, logged: LoggedMessage) -> None:
         """Keep a decision until its belief is computed."""

@@ -18,6 +18,7 @@ from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role, VIEWS
+from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import Fields, from_stamp
 from kbnitp_ros.messages.progress import (
@@ -231,8 +232,9 @@ class ReplayedViews:
         view = logged.index, from_stamp(message.header.stamp), kept
         self._recorded[role.name, logged.topic].append(view)
 
-    def expect(self, ledger: Ledger, seen: Any, newest: DeploymentKey | None, stamp: int) -> None:
+    def expect(self, ledger: Ledger, seen: Any, said: Snapshot) -> None:
         """Keep the views expected of a ledger's belief; `seen` has its maps."""
+        stamp, newest = said.stamp, said.newest
         for name in VIEWS:
             grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
             self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))

@@ -96,10 +96,7 @@ class LogWriter:
         self._file = path.open('xb')
         # Chunks have no limit of their own: `_flush` ends them.
         self._writer = Writer(
-            self._file,
-            chunk_size=2**62,
-            compression=CompressionType.NONE,
-            enable_data_crcs=True,
+            self._file, chunk_size=2**62, compression=CompressionType.NONE, enable_data_crcs=True
         )
         try:
             with naming(path):

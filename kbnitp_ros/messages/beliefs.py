@@ -32,12 +32,11 @@ from kbnitp_ros.core.field.clustering import LEARNT_COUPLING
 from kbnitp_ros.core.field.unknowns import HAZARDS
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
-    check_frame,
     Fields,
     filled,
-    from_stamp,
     header_fields,
     NO_MISSION,
+    read_header,
     read_name,
     read_stamp,
     shown,
@@ -221,7 +220,7 @@ def read_assimilated(message: Any) -> dict[DeploymentKey, tuple[int, int]]:
 
 def read_belief_maps(message: Any) -> Snapshot:
     """Convert a kbnitp_msgs/BeliefMaps."""
-    check_frame('header.frame_id', message.header.frame_id)
+    stamp = read_header(message)
     if message.deployments and not message.agent:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the agent of the "
@@ -245,9 +244,9 @@ def read_belief_maps(message: Any) -> Snapshot:
     # Logs of 0.3.0 have no moving hazards.
     rates = {'vanish': message.vanish, 'move': getattr(message, 'move', 0.0)}
     rates.update({name: priors.pop(name) for name in rates if name in priors})
-    read_name('deployment', message.deployment)
+    newest = read_name('deployment', message.deployment)
     return Snapshot(
-        stamp=read_stamp('header.stamp', message.header.stamp),
+        stamp=stamp,
         mission=read_stamp('mission', message.mission),
         grid=grid,
         max_steps=message.max_steps,
@@ -262,7 +261,7 @@ def read_belief_maps(message: Any) -> Snapshot:
         dynamics=Dynamics(message.dynamics, message.appear, **rates),
         clustering=read_clustering(message.clustering, grid),
         deployments=message.deployments,
-        newest=newest_deployment(message),
+        newest=DeploymentKey(message.agent, newest) if message.deployments else None,
         belief=belief,
         prior=read_joint('prior', message.prior, grid) if len(message.prior) else belief,
     )
@@ -321,10 +320,3 @@ def read_robot_types(numbers: Iterable[Any]) -> dict[str, RobotType]:
         return {agent: RobotType(**numbers) for agent, numbers in own.items()}
     except ValueError as error:
         raise ValueError(f'own: {error}') from error
-
-
-def newest_deployment(message: Any) -> DeploymentKey | None:
-    """Return the deployment assimilated last; None for a prior."""
-    if not message.deployments:
-        return None
-    return DeploymentKey(message.agent, from_stamp(message.deployment))

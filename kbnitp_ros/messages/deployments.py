@@ -10,12 +10,17 @@ from typing import Any, TYPE_CHECKING
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
 from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import (
+    check_agent,
     check_frame,
+    check_reason,
     content_hash,
     header,
+    LAST_NAME,
+    MAX_REASON,
     NO_MISSION,
+    read_choice,
+    read_header,
     read_name,
-    read_stamp,
     shown,
     to_stamp,
 )
@@ -68,12 +73,12 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
 
 def read_path_name(message: Any) -> int:
     """Return the stamp of a nav_msgs/Path, nanoseconds."""
-    check_frame('header.frame_id', message.header.frame_id)
+    stamp = read_header(message, LAST_NAME)
     if not message.poses:
         raise ValueError('poses is empty: a path starts and ends at the base')
     for index, pose in enumerate(message.poses):
         check_frame(f'poses[{index}].header.frame_id', pose.header.frame_id)
-    return read_name('header.stamp', message.header.stamp)
+    return stamp
 
 
 def report_message(
@@ -112,12 +117,11 @@ def report_message(
 
 def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, Report]:
     """Return the deployment and the report of a kbnitp_msgs/DeploymentReport."""
-    check_frame('header.frame_id', message.header.frame_id)
+    stamp = read_header(message)
     if not message.agent:
         raise ValueError("agent is '': it must name the agent that was deployed")
-    if agent not in (None, message.agent):
-        raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
-    stamp = read_stamp('header.stamp', message.header.stamp)
+    if agent is not None:
+        check_agent(message, agent)
     key = DeploymentKey(message.agent, read_name('deployment', message.deployment))
     readings = []
     for number, each in enumerate(message.readings):
@@ -128,8 +132,7 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
         readings.append((int(each.cell), -1 if each.not_looked else int(each.detected)))
     # Reports of 1.0 have no not_entered and no field_id.
     entered = tuple(not getattr(each, 'not_entered', False) for each in message.readings)
-    if message.source not in list(Source):
-        raise ValueError(f'source is {message.source}: it must be from 0 to {max(Source)}')
+    read_choice('source', message.source, Source)
     return key, Report(
         bool(message.survived),
         tuple(readings),
@@ -139,10 +142,6 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
         entered=() if all(entered) else entered,
         field_id=getattr(message, 'field_id', ''),
     )
-
-
-# Maximum number of characters of a reason.
-MAX_REASON = 500
 
 
 class OrderState(IntEnum):
@@ -185,23 +184,14 @@ def status_message(
 
 def read_status(message: Any, agent: str) -> tuple[DeploymentKey, AgentStatus]:
     """Return the deployment and the status of a kbnitp_msgs/AgentStatus."""
-    check_frame('header.frame_id', message.header.frame_id)
-    if message.agent != agent:
-        raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
-    stamp = read_stamp('header.stamp', message.header.stamp)
+    stamp = read_header(message)
+    check_agent(message, agent)
     key = DeploymentKey(agent, read_name('deployment', message.deployment))
-    if message.state not in list(OrderState):
-        raise ValueError(
-            f'state is {message.state}: it must be from {min(OrderState)} to {max(OrderState)}'
-        )
-    state = OrderState(message.state)
+    state = read_choice('state', message.state, OrderState)
     if (state is OrderState.REFUSED) != bool(message.reason):
         raise ValueError(
             f'reason is {shown(message.reason)} and state is {state.name}: a refused order must '
             'have a reason, and all other orders must have none'
         )
-    if len(message.reason) > MAX_REASON:
-        raise ValueError(
-            f'reason has {len(message.reason)} characters: at most {MAX_REASON} are allowed'
-        )
+    check_reason(message.reason)
     return key, AgentStatus(state, stamp, message.reason, content_hash(message))

@@ -141,9 +141,7 @@ def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
     return np.where(percent == UNKNOWN, np.nan, percent / 100.0)
 
 
-def read_map_message(
-    message: Any,
-) -> tuple[NDArray[np.int8], float, tuple[float, float], float]:
+def read_map_message(message: Any) -> tuple[NDArray[np.int8], float, tuple[float, float], float]:
     """Return the field's map from a nav_msgs/OccupancyGrid, such as map_server's."""
     check_frame('header.frame_id', message.header.frame_id)
     pixels = read_map_metadata(message.info)

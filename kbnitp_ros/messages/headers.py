@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable
+from enum import IntEnum
 from functools import lru_cache
 from hashlib import blake2b
 import struct
@@ -28,8 +29,11 @@ HOUR = 3600 * SECOND
 END = 2**31 * SECOND
 LATEST, LAST_COUNTED_ON, LAST_NAME = END - 3 * HOUR, END - 2 * HOUR, END - HOUR
 
-# Maximum number of characters of foreign text in an error.
-SHOWN = 100
+# Maximum numbers of characters of a reason, and of foreign text in an error.
+MAX_REASON, SHOWN = 500, 100
+
+E = TypeVar('E', bound=IntEnum)
+M = TypeVar('M')
 
 
 def stamp_fields(nanoseconds: int) -> Fields:
@@ -107,7 +111,30 @@ def check_frame(name: str, frame_id: str) -> None:
         )
 
 
-M = TypeVar('M')
+def read_header(message: Any, last: int = LATEST) -> int:
+    """Return the stamp of a message in the grid's frame, nanoseconds."""
+    check_frame('header.frame_id', message.header.frame_id)
+    return read_stamp('header.stamp', message.header.stamp, last)
+
+
+def check_agent(message: Any, agent: str) -> None:
+    """Check that a message is of the agent whose topic it is on."""
+    if message.agent != agent:
+        raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
+
+
+def read_choice(name: str, value: int, choices: type[E]) -> E:
+    """Return the member of an enumeration that a field has."""
+    if value not in list(choices):
+        raise ValueError(f'{name} is {value}: it must be from {min(choices)} to {max(choices)}')
+    return choices(value)
+
+
+def check_reason(reason: str) -> None:
+    """Check the length of a reason."""
+    if len(reason) > MAX_REASON:
+        raise ValueError(f'reason has {len(reason)} characters: at most {MAX_REASON} are allowed')
+
 
 # The fields of a message as attributes: arrays are numpy arrays, and lists of messages are lists
 # of Fields.

@@ -10,7 +10,7 @@ from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.messages.deployments import path_message, read_path
-from kbnitp_ros.messages.headers import check_frame, header, read_name, shown
+from kbnitp_ros.messages.headers import header, LAST_NAME, read_choice, read_header, shown
 import numpy as np
 from numpy.typing import NDArray
 
@@ -80,16 +80,13 @@ def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorA
 
 def read_action_name(message: Any) -> int:
     """Return the stamp of an action, which identifies the action, in nanoseconds."""
-    check_frame('header.frame_id', message.header.frame_id)
-    return read_name('header.stamp', message.header.stamp)
+    return read_header(message, LAST_NAME)
 
 
 def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
     """Convert a kbnitp_msgs/OperatorAction."""
     stamp = read_action_name(message)
-    if message.action not in list(Action):
-        raise ValueError(f'action is {message.action}: it must be from 1 to {len(Action)}')
-    action = Action(message.action)
+    action = read_choice('action', message.action, Action)
     if len(message.agents) != len(message.paths):
         raise ValueError(f'agents has {len(message.agents)} names for {len(message.paths)} paths')
     if bool(message.agents) != (action in OF_ROBOTS):

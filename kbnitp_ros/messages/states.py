@@ -8,14 +8,22 @@ from enum import IntEnum
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.messages.deployments import MAX_REASON
 from kbnitp_ros.messages.grids import (
     metadata_fields,
     read_map_metadata,
     rounded_resolution,
     rounded_yaw,
 )
-from kbnitp_ros.messages.headers import check_frame, filled, header, read_stamp, shown
+from kbnitp_ros.messages.headers import (
+    check_agent,
+    check_reason,
+    filled,
+    header,
+    MAX_REASON,
+    read_choice,
+    read_header,
+    shown,
+)
 
 if TYPE_CHECKING:
     from kbnitp_msgs import msg
@@ -98,27 +106,20 @@ def state_message(
 
 def read_state(message: Any, agent: str) -> AgentState:
     """Convert a kbnitp_msgs/AgentState of an agent, or of the base ('')."""
-    check_frame('header.frame_id', message.header.frame_id)
-    if message.agent != agent:
-        raise ValueError(f'agent is {shown(message.agent)}: on this topic it must be {agent!r}')
-    if message.state not in list(Readiness):
-        raise ValueError(
-            f'state is {message.state}: it must be from {min(Readiness)} to {max(Readiness)}'
-        )
-    if message.state == Readiness.WAITING and not message.reason:
+    stamp = read_header(message)
+    check_agent(message, agent)
+    readiness = read_choice('state', message.state, Readiness)
+    if readiness is Readiness.WAITING and not message.reason:
         raise ValueError("reason is '' and state is WAITING: it must say what the agent waits for")
-    if len(message.reason) > MAX_REASON:
-        raise ValueError(
-            f'reason has {len(message.reason)} characters: at most {MAX_REASON} are allowed'
-        )
+    check_reason(message.reason)
     if not (len(message.field_id) == 16 and set(message.field_id) <= set('0123456789abcdef')):
         raise ValueError(
             f'field_id is {shown(message.field_id)}: it must be 16 hex digits, as Grid.id'
         )
     return AgentState(
         agent=agent,
-        stamp=read_stamp('header.stamp', message.header.stamp),
-        readiness=Readiness(message.state),
+        stamp=stamp,
+        readiness=readiness,
         reason=message.reason,
         field_id=message.field_id,
         field=read_map_metadata(

@@ -21,7 +21,7 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.messages.beliefs import belief_maps, newest_deployment, read_belief_maps
+from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.progress import model_belief, NOT_CHECKED, QUANTILES, read_model_belief
 from laws import for_each
 import numpy as np
@@ -53,7 +53,7 @@ def test_a_prior_says_how_the_mission_starts():
     assert (message.true_positive, message.false_positive) == (0.9, 0.04)
     assert (message.deployments, message.agent) == (0, '')
     assert (message.deployment.sec, message.deployment.nanosec) == (0, 0)
-    assert newest_deployment(message) is None
+    assert read_belief_maps(message).newest is None
 
 
 def test_the_joint_is_laid_out_cell_by_cell():
@@ -74,7 +74,6 @@ def test_the_newest_deployment_is_named():
     message = over_the_wire(belief_maps(ledger, started=3_000_000_001))
     assert (message.deployments, message.agent) == (1, 'scout_3')
     assert (message.deployment.sec, message.deployment.nanosec) == (5, 7)
-    assert newest_deployment(message) == KEY
     snapshot = read_belief_maps(message)
     assert (snapshot.newest, snapshot.stamp) == (KEY, 9_000_000_001)
 
