@@ -153,13 +153,25 @@ class LogLock:
 
     def __init__(self, first: Path) -> None:
         self.path = first
-        self._file = locked(first)
         try:
+            # Network file systems only lock files that are open for writing.
+            self._file = first.open('r+b')
+        except OSError as error:
+            raise LogError(f'{first} cannot be resumed: {error.strerror}') from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # The process that held the lock before may have replaced the file.
-            check_in_place(self._file, first)
+            self.check_in_place()
         except OSError as error:
             self.release()
-            raise LogError(f'{first} was replaced while it was opened: try again') from error
+            if isinstance(error, BlockingIOError):
+                why = 'is being written by another recorder: end it before resuming the log'
+            elif isinstance(error, FileNotFoundError):
+                why = 'was replaced while it was opened: try again'
+            else:
+                why = f'cannot be locked against a second recorder: {error.strerror}; name a '
+                why += 'file on another file system'
+            raise LogError(f'{first} {why}') from error
 
     def check_in_place(self) -> None:
         """Check that the locked file was not replaced; raise FileNotFoundError."""
@@ -168,29 +180,6 @@ class LogLock:
     def release(self) -> None:
         """Release the lock."""
         self._file.close()
-
-
-def locked(path: Path) -> IO[bytes]:
-    """Open a file for reading and writing, and lock it against other processes."""
-    try:
-        # Network file systems only lock files that are open for writing.
-        file = path.open('r+b')
-    except OSError as error:
-        raise LogError(f'{path} cannot be resumed: {error.strerror}') from error
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        file.close()
-        raise LogError(
-            f'{path} is being written by another recorder: end it before resuming the log'
-        ) from error
-    except OSError as error:
-        file.close()
-        raise LogError(
-            f'{path} cannot be locked against a second recorder: {error.strerror}; '
-            'name a file on another file system'
-        ) from error
-    return file
 
 
 def check_in_place(file: IO[bytes], path: Path) -> None:

@@ -16,9 +16,9 @@ from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import (
     Bookmark,
     LoggedMessage,
+    parse_parameters,
     read_log,
     read_metadata,
-    read_parameters,
     read_recorded,
     RecordedMessage,
     RUN,
@@ -32,7 +32,6 @@ from kbnitp_ros.messages.progress import check_decision, MissionState, read_mode
 from kbnitp_ros.messages.states import read_state
 
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
-DECISION = 'kbnitp_msgs/msg/Decision'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 MODEL = 'kbnitp_msgs/msg/ModelBelief'
 OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
@@ -54,7 +53,7 @@ OF_MISSION = {
     'operator/recorded': RECORDED,
     'progress': PROGRESS,
     'state': STATE,
-    'decision': DECISION,
+    'decision': 'kbnitp_msgs/msg/Decision',
     'decision/lane': PATH,
     'hold': 'std_msgs/msg/Bool',
     **{f'belief/{name}': GRID for name in VIEWS},
@@ -285,7 +284,13 @@ class MissionLog:
     @cached_property
     def parameters(self) -> dict[str, dict[str, Any]]:
         """Return the last parameters of the mission's nodes, by their full names."""
-        known = read_parameters(self.path, [])
+        return self.parse_parameters(read_metadata(self.path, []))
+
+    def parse_parameters(
+        self, metadata: Mapping[str, Mapping[str, str]]
+    ) -> dict[str, dict[str, Any]]:
+        """Return the parameters of the mission's nodes in the metadata of the log."""
+        known = parse_parameters(self.path, metadata)
         return {name: values for name, values in known.items() if self.roles.is_node(name)}
 
 

@@ -18,8 +18,6 @@ from kbnitp_ros.log.files import INFORMATION, METADATA, read_information
 QOS = 'offered_qos_profiles'
 TYPE_HASH = 'topic_type_hash'
 
-SEPARATOR = '=' * 80
-
 # The resource of the ament index in which a package lists its interfaces, one a line.
 INTERFACES = 'rosidl_interfaces'
 
@@ -50,7 +48,7 @@ def describe(type_name: str) -> tuple[str, str]:
     for referenced in message['referenced_type_descriptions']:
         text = installed_text(referenced['type_name'], 'msg')
         short_name = referenced['type_name'].replace('/msg/', '/')
-        sections.append(f'{SEPARATOR}\nMSG: {short_name}\n{text}')
+        sections.append(f'{"=" * 80}\nMSG: {short_name}\n{text}')
     # The REP-2011 hash: 'RIHS01_' and 64 hex digits.
     return '\n'.join(sections), hashes[type_name]
 

@@ -39,9 +39,6 @@ MAX_MESSAGE = 63 * 2**20
 # Maximum bytes of messages in a chunk; a sync ends a chunk earlier.
 CHUNK = 2**20
 
-# Metadata record with the description of a bag, as rosbag2 writes it.
-BAG_RECORD, BAG_FIELD = 'rosbag2', 'serialized_metadata'
-
 
 class LogWriter:
     """
@@ -178,9 +175,10 @@ class LogWriter:
             return
         with self._writing():
             self._flush()
-            bag = {BAG_FIELD: yaml_text(information([self._contents]))}
+            # The description of a bag, as rosbag2 writes it.
+            bag = {'serialized_metadata': yaml_text(information([self._contents]))}
             with naming(self.current_path):
-                self._writer.add_metadata(BAG_RECORD, bag)
+                self._writer.add_metadata('rosbag2', bag)
                 self._writer.finish()
             self._flush(to_disk=True)
             self.check_in_place()

@@ -29,7 +29,6 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING
-from kbnitp_ros.core.field.unknowns import HAZARDS
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
     Fields,
@@ -225,10 +224,6 @@ def read_belief_maps(message: Any) -> Snapshot:
         raise ValueError(
             f"agent is '' with {message.deployments} deployments: it must name the agent of the "
             'newest deployment'
-        )
-    if message.dynamics not in HAZARDS:
-        raise ValueError(
-            f'dynamics is {shown(message.dynamics)}: it must be one of {", ".join(HAZARDS)}'
         )
     robot_types = read_robot_types(message.own)
     grid = read_map_metadata(

@@ -191,23 +191,22 @@ def read_model_belief(message: Any) -> ModelState:
     """Convert a kbnitp_msgs/ModelBelief."""
     check_frame('header.frame_id', message.header.frame_id)
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
-    values = {field: list(getattr(message, field)) for field in fields}
-    for field, each in values.items():
-        if len(each) != len(message.name):
+    listed = {'kind_probability': 'kind', 'alternative_ratio': 'alternative'}
+    for field, names in {**dict.fromkeys(fields, 'name'), **listed}.items():
+        values, named = len(getattr(message, field, ())), len(getattr(message, names, ()))
+        if values != named:
             raise ValueError(
-                f'{field} has {len(each)} values: it must have one for each of the '
-                f'{len(message.name)} names'
+                f'{field} has {values} values: it must have one for each of the {named} {names}s'
             )
     numbers = {
         name: Known(mean, sd, tuple(quantiles), samples)
-        for name, mean, sd, *quantiles, samples in zip(message.name, *values.values())
+        for name, mean, sd, *quantiles, samples in zip(
+            message.name, *(getattr(message, field) for field in fields)
+        )
     }
     # Logs of 0.3.0 have only numbers.
     if not hasattr(message, 'kind'):
         return NOTHING_LEARNT._replace(numbers=numbers)
-    for listed, field in (('kind', 'kind_probability'), ('alternative', 'alternative_ratio')):
-        if len(getattr(message, listed)) != len(getattr(message, field)):
-            raise ValueError(f'{field} must have one value for each {listed}')
     kinds = dict(zip(message.kind, message.kind_probability))
     ratios = dict(zip(message.alternative, message.alternative_ratio))
     check = ModelCheck(message.in_doubt, ratios, message.reason)

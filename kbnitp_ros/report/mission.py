@@ -17,7 +17,7 @@ from kbnitp_ros.core.inference.record import make_observation
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.history import History, Moment, read_history
-from kbnitp_ros.log.read import is_finished, LoggedMessage, parse_parameters, RUN
+from kbnitp_ros.log.read import is_finished, LoggedMessage, RUN
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.maps import Datum, MapError, read_site, Site
@@ -188,11 +188,7 @@ def recorded_mission(log: MissionLog, history: History) -> Mission:
     moments, notes = recorded_moments(log, history, keys)
     in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
     metadata = history.bookmark.metadata
-    parameters = {
-        name: values
-        for name, values in parse_parameters(path, metadata).items()
-        if log.roles.is_node(name)
-    }
+    parameters = log.parse_parameters(metadata)
     site, unseen = map_site(parameters, grid)
     datum, differing = recorded_datum(parameters)
     return Mission(
