@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from hashlib import blake2b
 from math import nan
@@ -56,34 +56,27 @@ class Difference:
 
 
 def differences(
-    recorded: Any, computed: Fields, tolerance: float, rounded: Collection[str] = ()
+    theirs: Any, ours: Any, tolerance: float, rounded: Collection[str] = (), name: str = ''
 ) -> Iterator[Difference]:
     """Yield the fields in which a recorded message differs from the computed message."""
-    for name, ours in vars(computed).items():
-        # Logs of earlier versions lack fields that were added later.
-        if not hasattr(recorded, name):
-            continue
-        theirs = getattr(recorded, name)
-        # The map kappa has the name of the learnt number kappa, which is a scalar.
-        if name in rounded and np.ndim(ours) == 0:
-            yield from _array_differences(name, [theirs], np.array([ours]), tolerance)
-        else:
-            yield from _differences_of_field(name, theirs, ours, tolerance)
-
-
-def _differences_of_field(
-    name: str, theirs: Any, ours: Any, tolerance: float
-) -> Iterator[Difference]:
     if isinstance(ours, Fields):
-        for difference in differences(theirs, ours, tolerance):
-            yield replace(difference, field=f'{name}.{difference.field}')
+        for field_name, value in vars(ours).items():
+            # Logs of earlier versions lack fields that were added later.
+            if hasattr(theirs, field_name):
+                # The map kappa has the name of the learnt number kappa, which is a scalar.
+                if field_name in rounded and np.ndim(value) == 0:
+                    value = np.array([value])
+                full_name = f'{name}.{field_name}' if name else field_name
+                yield from differences(
+                    getattr(theirs, field_name), value, tolerance, name=full_name
+                )
     elif isinstance(ours, np.ndarray):
         yield from _array_differences(name, theirs, ours, tolerance)
     elif isinstance(ours, list) and len(theirs) != len(ours):
         yield Difference(name, f'has {len(theirs)} values, the computed field has {len(ours)}')
     elif isinstance(ours, list):
-        for index, elements in enumerate(zip(theirs, ours)):
-            yield from _differences_of_field(f'{name}[{index}]', *elements, tolerance)
+        for index, (their, our) in enumerate(zip(theirs, ours)):
+            yield from differences(their, our, tolerance, name=f'{name}[{index}]')
     # NaN differs from itself.
     elif theirs != ours and (theirs == theirs or ours == ours):
         yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
@@ -93,7 +86,7 @@ def _array_differences(
     name: str, theirs: ArrayLike, ours: NDArray[Any], tolerance: float
 ) -> Iterator[Difference]:
     """Yield the largest difference of two arrays, if there is any."""
-    recorded = np.asarray(theirs, dtype=ours.dtype)
+    recorded = np.atleast_1d(np.asarray(theirs, dtype=ours.dtype))
     if recorded.size != ours.size:
         yield Difference(name, f'has {recorded.size} values, the computed field has {ours.size}')
         return
@@ -214,8 +207,10 @@ class ReplayedViews:
     """The recorded views, and the views of the computed beliefs."""
 
     def __init__(self) -> None:
-        # Index, stamp and content of each recorded view, by role and topic.
-        self._recorded: dict[tuple[str, str], list[tuple[int, int, Any]]] = defaultdict(list)
+        # Index and content of recorded views, by role and topic, and by stamp.
+        self._recorded = defaultdict[tuple[str, str], dict[int, list[tuple[int, Any]]]](
+            lambda: defaultdict(list)
+        )
         # Computed views by role and stamp; beliefs may share a stamp.
         self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
         # Number of recorded beliefs that were not computed, by stamp.
@@ -229,8 +224,8 @@ class ReplayedViews:
         if role.name == 'model':
             self.checked[checked_belief(message)] = None
         kept = message if role.name == 'model' else grid_digest(message)
-        view = logged.index, from_stamp(message.header.stamp), kept
-        self._recorded[role.name, logged.topic].append(view)
+        views = self._recorded[role.name, logged.topic]
+        views[from_stamp(message.header.stamp)].append((logged.index, kept))
 
     def expect(self, ledger: Ledger, seen: Any, said: Snapshot) -> None:
         """Keep the views expected of a ledger's belief; `seen` has its maps."""
@@ -247,10 +242,7 @@ class ReplayedViews:
     def compare(self, report: ReplayReport) -> None:
         """Compare each recorded view with the computed views of its stamp, if any."""
         for (role, topic), views in self._recorded.items():
-            by_stamp: dict[int, list[tuple[int, Any]]] = defaultdict(list)
-            for index, stamp, view in views:
-                by_stamp[stamp].append((index, view))
-            for stamp, indexed in by_stamp.items():
+            for stamp, indexed in views.items():
                 expected = self._expected.get((role, stamp), [])
                 unseen, others = [*expected], []
                 for index, view in indexed:
