@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import accumulate, count
@@ -108,6 +108,8 @@ class Bookmark:
         self.parts = defaultdict[Path, Part](Part)
         self.indices = defaultdict[str, Iterator[int]](count)
         self.decoders: Decoders = {}
+        # The metadata records of all parts, in order.
+        self.records: list[RecordedMetadata] = []
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -142,7 +144,8 @@ def read_log(
     """
     bookmark = bookmark or Bookmark()
     for item in read_recorded(path, corrupt, bookmark):
-        if not isinstance(item, RecordedMessage):
+        if isinstance(item, RecordedMetadata):
+            bookmark.records.append(item)
             continue
         topic, type_name = item.channel.topic, item.schema.name
         if (types is None or type_name in types) and (topics is None or topic in topics):
@@ -168,14 +171,14 @@ def read_metadata(
     return bookmark.metadata
 
 
-def read_changes(path: str | Path, is_meant: Callable[[str], bool]) -> Iterator[str]:
+def parameter_changes(
+    records: Iterable[RecordedMetadata], is_meant: Callable[[str], bool]
+) -> Iterator[str]:
     """Describe changes of parameters, with old and new value, of nodes that pass `is_meant`."""
     known: dict[str, dict[str, str]] = {}
-    for item in read_recorded(path, []):
-        if not (isinstance(item, RecordedMetadata) and item.name.startswith(f'{PARAMETERS}/')):
-            continue
+    for item in records:
         node = item.name.removeprefix(PARAMETERS)
-        if is_meant(node):
+        if item.name.startswith(f'{PARAMETERS}/') and is_meant(node):
             before = known.setdefault(node, {})
             for name, value in item.values.items():
                 if before.get(name, value) != value:

@@ -22,7 +22,7 @@ from kbnitp_ros.base.state import MissingError
 from kbnitp_ros.core import DeploymentKey, Goal, HazardDraws, Ledger
 from kbnitp_ros.core.inference.record import ending_key
 from kbnitp_ros.log.files import LogError
-from kbnitp_ros.log.read import is_finished, LoggedMessage, read_changes
+from kbnitp_ros.log.read import Bookmark, is_finished, LoggedMessage, parameter_changes
 from kbnitp_ros.log.record import begun, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
     BeliefFinding,
@@ -65,9 +65,10 @@ def replay(
             fold.note_decision(logged)
         else:
             fold.views.note(role, logged)
+    bookmark = Bookmark()
     # Index of the first belief that is recorded before evidence that it names.
     left: int | None = None
-    for role, logged in log.read(*READ, corrupt=[], progress=progress):
+    for role, logged in log.read(*READ, corrupt=[], progress=progress, bookmark=bookmark):
         if role.name == 'progress':
             report.standing = logged.said
             continue
@@ -82,7 +83,7 @@ def replay(
         for _, logged in log.read('belief', corrupt=[], progress=progress):
             if logged.index >= left:
                 fold.take(logged)
-    report.changes = list(read_changes(log.path, log.roles.is_node))
+    report.changes = list(parameter_changes(bookmark.records, log.roles.is_node))
     fold.finish()
     for (topic, index), why in log.left_out.items():
         if log.roles.by_topic[topic].name in ('belief', *COMPUTED):

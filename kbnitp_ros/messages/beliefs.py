@@ -229,8 +229,8 @@ def read_belief_maps(message: Any) -> Snapshot:
     grid = read_map_metadata(
         message.info,
         base=message.base,
-        other_bases=[each.base for each in robot_types.values() if each.base is not None],
-        blocked=message.blocked,
+        other_bases=tuple(each.base for each in robot_types.values() if each.base is not None),
+        blocked=tuple(message.blocked),
         connectivity=message.connectivity,
         through_corners=message.through_corners,
     )

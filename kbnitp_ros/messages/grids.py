@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import atan2, cos, hypot, isfinite, pi, remainder, sin, tau
 from typing import Any, TYPE_CHECKING
 
@@ -56,6 +57,10 @@ def metadata_fields(grid: Grid) -> Fields:
     )
 
 
+# Messages of a mission share their grid, and a grid costs more than the rest of a view.
+known_grid = lru_cache(maxsize=8, typed=True)(Grid)
+
+
 def read_map_metadata(info: Any, **rest: Any) -> Grid:
     """Return the grid with the geometry of a nav_msgs/MapMetaData."""
     origin = info.origin
@@ -75,7 +80,7 @@ def read_map_metadata(info: Any, **rest: Any) -> Grid:
             f'info.origin.orientation has x, y, z, w = {(turn.x, turn.y, turn.z, turn.w)}: it '
             'must be a unit quaternion with x and y 0, a turn about the z axis'
         )
-    return Grid(
+    return known_grid(
         width=info.width,
         height=info.height,
         resolution=rounded_resolution(info.resolution),
