@@ -198,11 +198,6 @@ class ReplayReport:
         return self.grade == Grade.IDENTICAL
 
 
-# A computed view: the deployment assimilated last, and the fields of a model or the digest of a
-# grid.
-Expected = tuple['DeploymentKey | None', Any]
-
-
 class ReplayedViews:
     """The recorded views, and the views of the computed beliefs."""
 
@@ -211,8 +206,9 @@ class ReplayedViews:
         self._recorded = defaultdict[tuple[str, str], dict[int, list[tuple[int, Any]]]](
             lambda: defaultdict(list)
         )
-        # Computed views by role and stamp; beliefs may share a stamp.
-        self._expected: dict[tuple[str, int], list[Expected]] = defaultdict(list)
+        # Computed views by role and stamp, which beliefs may share: the deployment assimilated
+        # last, and the fields of a model or the digest of a grid.
+        self._expected = defaultdict[tuple[str, int], list[tuple[DeploymentKey | None, Any]]](list)
         # Number of recorded beliefs that were not computed, by stamp.
         self.unknown: Counter[int] = Counter()
         # Beliefs whose check was recorded, by deployments and stamp, and the computed checks.

@@ -181,13 +181,11 @@ class Roles:
         for role, topic in stated.items():
             own = self.names.get(role)
             # Logs of 1.0 have no states.
-            if own is None and role.endswith('state'):
-                continue
-            if own is None:
+            if own is None and not role.endswith('state'):
                 agents = ', '.join(self.agents)
                 agent = role.partition('/')[0]
                 return f'agent {agent} is not in the parameter agents, which names {agents}'
-            if own != topic:
+            if own not in (None, topic):
                 return f'{role} is {topic}, and not {own}'
         return ''
 
