@@ -17,7 +17,7 @@ from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.deployments import read_path
+from kbnitp_ros.messages.deployments import read_cells
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
 from numpy.typing import ArrayLike
@@ -29,8 +29,8 @@ def record(deployments: MissionRecord, role: Role, logged: LoggedMessage) -> boo
     if role.name == 'report':
         key, report = logged.said
         return deployments.record_report(key, replace(report, content=content))
-    path = read_path(deployments.grid, role.agent, logged.message)
-    return deployments.record_path(*path, content)
+    path = read_cells(deployments.grid, logged.message)
+    return deployments.record_path(logged.said[0], path, content)
 
 
 def first_belief(log: MissionLog) -> Snapshot | None:
@@ -162,7 +162,7 @@ class RecordedMission(BaseState):
             self.reported.setdefault((key, report.stamp), logged.log_time)
             self.record_report(key, replace(report, content=content_hash(logged.message)))
         else:
-            key, path = read_path(self.grid, role.agent, logged.message)
+            key, path = logged.said[0], read_cells(self.grid, logged.message)
             content = content_hash(logged.message)
             self._paths_read.setdefault((key, content), path)
             try:

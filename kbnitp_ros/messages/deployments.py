@@ -59,7 +59,11 @@ def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NO_MIS
 
 def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDArray[np.intp]]:
     """Return the deployment of a nav_msgs/Path and the cells of its path."""
-    stamp = read_path_name(message)
+    return DeploymentKey(agent, read_path_name(message)), read_cells(grid, message)
+
+
+def read_cells(grid: Grid, message: Any) -> NDArray[np.intp]:
+    """Return the cells of a nav_msgs/Path."""
     positions = [pose.pose.position for pose in message.poses]
     points = np.array([(position.x, position.y) for position in positions])
     finite = np.isfinite(points).all(axis=1)
@@ -68,7 +72,7 @@ def read_path(grid: Grid, agent: str, message: Any) -> tuple[DeploymentKey, NDAr
         raise ValueError(
             f'poses[{first}].pose.position is {tuple(points[first].tolist())}: it must be finite'
         )
-    return DeploymentKey(agent, stamp), grid.cells_at(points)
+    return grid.cells_at(points)
 
 
 def read_path_name(message: Any) -> int:

@@ -118,6 +118,7 @@ def test_a_mission_is_reproduced(replayed, options):
     topics = [*REPRODUCED, *['/model'] * ('unknowns' in options)]
     assert report.compared == {whole.namespace + topic: robots + 1 for topic in topics}
     assert report.method == whole.method
+    assert (report.check is not None) == ('unknowns' in options)
     told = [entry.message for entry in whole.sent if entry.topic.endswith('/report')]
     assert len(report.evidence.reports) == robots
     assert report.evidence.survived == sum(each.survived for each in told) < robots
