@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate, count
 import json
 import os
@@ -381,19 +382,19 @@ def readable(part: Path) -> Iterator[None]:
         raise LogError(f'{part} cannot be read: {error.strerror}') from error
 
 
-def read_floats(reader: CdrReader, length: int) -> list[float]:
-    """Return what `CdrReader.float64_array` returns, in one step for all values."""
+def read_values(code: str, size: int, reader: CdrReader, length: int) -> list[Any]:
+    """Return an array as `CdrReader` returns it, in one step for all values of so many bytes."""
     if not length:
         return []
-    start = reader.offset + (4 - reader.offset) % 8
+    start = reader.offset + (4 - reader.offset) % size
     order = '<' if reader.little_endian else '>'
-    values = struct.unpack_from(f'{order}{length}d', reader.data, start)
-    reader.offset = start + 8 * length
+    values = struct.unpack_from(f'{order}{length}{code}', reader.data, start)
+    reader.offset = start + size * length
     return list(values)
 
 
-# Value by value, a belief takes as long to decode as all else that a report does.
-ARRAY_PARSERS['float64'] = read_floats
+# Value by value, a belief and its grids take as long to decode as all else that a report does.
+ARRAY_PARSERS |= {'float64': partial(read_values, 'd', 8), 'int8': partial(read_values, 'b', 1)}
 
 # Decoders by encoding of the message, and by encoding, name and text of the type's definition.
 Decoders = dict[tuple[str, str, str, bytes], Callable[[bytes], Any] | None]
