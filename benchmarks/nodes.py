@@ -30,6 +30,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
+ORDER = ('recorder', 'estimator', 'agent', 'planner')  # of starts
 DEPLOYMENTS = 2000  # unless told otherwise
 PERIOD = 0.5  # seconds between two looks
 PATIENCE = 60.0  # seconds that a deployment may take
@@ -93,7 +94,7 @@ def run_nodes(deployments: int, **common: Any) -> list[Sample]:
             'planner': 'relaxed',
             **common,
         }
-        for name in ('recorder', 'estimator', 'agent', 'planner'):
+        for name in ORDER:
             awaited = {'await_nodes': awaited_nodes(name, is_recorded=True)}
             processes.start(name, parameters | awaited)
         os.environ |= environment(domain)
