@@ -216,6 +216,7 @@ def test_figures_are_legible(scenario, name):
 
 
 @pytest.mark.slow
+@pytest.mark.full
 def test_figures_of_choices_are_legible(chosen):
     for figure in study_figures(chosen[1]).values():
         check_texts(figure)

@@ -165,7 +165,7 @@ class Particles(KnownModel):
 
 
 def test_a_method_that_samples_keeps_the_laws_within_its_tolerance():
-    check_method(Particles, cases=5)
+    check_method(Particles, cases=2)
     with pytest.raises(AssertionError, match='cells without evidence'):
         check_method(Particles, cases=5, tolerance=1e-9)
     with pytest.raises(AssertionError, match='returns are assimilated exactly'):

@@ -133,6 +133,7 @@ print(surprisal(0.5))
 """
 
 
+@pytest.mark.full
 def test_changed_sources_are_compiled_anew(tmp_path):
     """Also if another kernel file changes than the called kernel's."""
     without = shutil.ignore_patterns('__pycache__')

@@ -202,7 +202,7 @@ def test_the_long_chains_agree():
             assert kept(lethality, number, 'apart') < APART
 
 
-@pytest.mark.slow
-@for_each('lethality', LETHALITIES[::-1], every=4)
+@pytest.mark.full
+@for_each('lethality', LETHALITIES)
 def test_sampling_is_close(lethality):
     assert np.mean([away(lethality, number) for number in range(REFERENCE_WORLDS)]) < CLOSE

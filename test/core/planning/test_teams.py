@@ -68,8 +68,8 @@ def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
 
 
 @pytest.mark.slow
-def test_team_information_is_nearly_the_joint_information():
-    cases = 600
+@pytest.mark.parametrize('cases', [60, pytest.param(600, marks=pytest.mark.full)])
+def test_team_information_is_nearly_the_joint_information(cases):
     above = np.zeros(cases)
     for seed in range(cases):
         joint, model, paths = few_paths(seed)
@@ -81,10 +81,12 @@ def test_team_information_is_nearly_the_joint_information():
         f'at most {above.max():.0%}, at least {above.min():.0%}'
     )
     assert above.min() > -1e-9
+    if cases < 600:
+        return
+    assert far == 3
     page = words('docs/mathematics/plans.md')
     assert f'in {cases} random small cases it was never below' in page
     assert f'{100 * above.mean():.1f} % above on average, and more than 3 % above in three' in page
-    assert far == 3
     assert f'up to {100 * above.max():.0f} %' in page
 
 
@@ -132,7 +134,7 @@ def shares_of_the_best(grid, belief, model, steps):
 
 
 @pytest.mark.slow
-@for_each('steps', [4, 5])
+@for_each('steps', [4, 5], every=2)
 def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
     shares = [shares_of_the_best(*random_problem(seed), steps) for seed in range(30)]
     page = rows('docs/mathematics/plans.md', f'{steps} steps, least')
