@@ -163,7 +163,7 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
 
 
 @pytest.mark.processes
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_mission_begun_with_1_0_goes_on(tmp_path):
     """Its robot in flight has departed; its messages lack fields of today's types."""
     log = tmp_path / 'mission.mcap'

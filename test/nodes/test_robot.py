@@ -34,19 +34,16 @@ POSES = {'driver': 'navigate_through_poses'}
 # Simulated detections and positions, and the robot's parameters; one robot is located by fixes
 # only.
 WALKS = {
-    'follow_path': ({}, {'driver': 'follow_path'}),
     'fixes': (TURNED, {**POSES, 'position': 'fix', 'remapped': {'/tf': '/nobody'}}),
     'pictures': ({'detection_type': 'detection2d_array'}, {**POSES, 'detection_class': 'target'}),
     'turned': (TURNED, POSES),
+    'follow_path': ({}, {'driver': 'follow_path'}),
     'waypoints': ({}, {'driver': 'follow_waypoints'}),
     'poses': ({}, POSES),
 }
 
 
-@pytest.mark.parametrize('kind', [
-    *list(WALKS)[:3],
-    *(pytest.param(kind, marks=pytest.mark.full) for kind in list(WALKS)[3:]),
-])  # fmt: skip
+@pytest.mark.parametrize('kind', some(WALKS, 3))
 def test_a_robot_reports_its_true_walk(field, kind):
     simulated, told = WALKS[kind]
     fleet, reports = Fleet.simulated(field, **simulated)
@@ -209,7 +206,7 @@ DRIVERS = ['follow_waypoints', 'navigate_through_poses', 'follow_path']
 
 
 @pytest.mark.parametrize('driver, fault', [
-    *((driver, 'jump') for driver in DRIVERS),
+    *some((driver, 'jump') for driver in DRIVERS),
     *some((driver, 'blind') for driver in DRIVERS),
 ])  # fmt: skip
 def test_no_cell_is_vouched_for_that_was_not_entered_around_a_fault(field, driver, fault):

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 from bound import upper_bound
+from extent import some
 from kbnitp_ros.core import Belief, Grid, METHODS, plan, SearchOptions, SensorModel
 from kbnitp_ros.files import read_yaml
 from kbnitp_ros.log.history import read_history
@@ -160,29 +161,22 @@ def test_a_demo_runs_with_a_method_a_planner_and_an_allocation_of_another_packag
     assert len(read_history(tmp_path / 'out/mission.mcap').observations) == 4
 
 
-def test_a_planner_and_a_method_in_a_file_of_the_working_folder_are_used(tmp_path):
+@pytest.mark.parametrize('command', some([
+    ['demo', '--planner', 'mine:plan', '--method', 'mine:ReturnsFirst', '--robots', '3',
+     '--size', '3', '--max-steps', '4', '--out', 'out'],
+    ['study', 'study.yaml', '--workers', '2', '--out', 'out'],
+    ['forecast', '--set', 'planner=mine:plan', '--set', 'robots=3', '--worlds', '4',
+     '--workers', '2'],
+]))  # fmt: skip
+def test_a_planner_and_a_method_in_a_file_of_the_working_folder_are_used(tmp_path, command):
     plan = "def plan(finder, objective):\n    return PLANNERS['relaxed'](finder, objective)\n"
     tmp_path.joinpath('mine.py').write_text(f'{SOURCE}\n\n{plan}')
+    tmp_path.joinpath('study.yaml').write_text(STUDY)
     # Neither the command nor its nodes import from the working folder by themselves.
     environment = {**os.environ, 'PYTHONSAFEPATH': '1'}
-    own = '--planner', 'mine:plan', '--method', 'mine:ReturnsFirst'
-    done = run(
-        environment, '-m', 'kbnitp_ros', 'demo', *own, '--robots', '3', '--size', '3',
-        '--max-steps', '4', '--out', 'out', cwd=tmp_path,
-    )  # fmt: skip
+    done = run(environment, '-m', 'kbnitp_ros', *command, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert '/belief: 4 of 4 messages reproduced' in done.stdout
-    tmp_path.joinpath('study.yaml').write_text(STUDY)
-    done = run(
-        environment, '-m', 'kbnitp_ros', 'study', 'study.yaml', '--workers', '2', '--out', 'mine',
-        cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    done = run(
-        environment, '-m', 'kbnitp_ros', 'forecast', '--set', 'planner=mine:plan', '--set',
-        'robots=3', '--worlds', '4', '--workers', '2', cwd=tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert command[0] != 'demo' or '/belief: 4 of 4 messages reproduced' in done.stdout
 
 
 def test_names_in_logs_and_messages_import_no_module(tmp_path, monkeypatch):

@@ -500,7 +500,7 @@ def test_coordinates_typed_one_after_the_other_name_their_cell(opened, surveyed)
     page = opened(file=file, is_strict=True)
     grid = mission.grid
     for start in (0, grid.cells - 1):
-        for cell in np.flatnonzero(grid.free).tolist():
+        for cell in np.flatnonzero(grid.free)[:: 1 if FULL else 5].tolist():
             (x, y), (begin_x, begin_y) = grid.centers([cell, start]).tolist()
             page.fill('#x', f'{begin_x:.3f}')
             page.fill('#y', f'{begin_y:.3f}')
