@@ -69,12 +69,6 @@ def test_a_grid_at_another_base_is_the_same_field():
     assert 'other' not in str(Grid(5, 4))
 
 
-def test_a_base_of_another_grid_is_refused():
-    belief = Belief.prior(CORNERS, 0.2, 0.3, 0.8)
-    with pytest.raises(ValueError, match='base 4 is not a base of the grid'):
-        plan_round(CORNERS, belief, MODEL, 6, 1, types=(RobotType(base=4),))
-
-
 def test_no_base_has_a_hazard():
     """In worlds and in the prior; otherwise both are as with one base."""
     plain = Grid(6, 5, base=0, blocked=(9, 27))

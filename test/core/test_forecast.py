@@ -10,7 +10,6 @@ from kbnitp_ros.core import (
     Grid,
     Lane,
     METHODS,
-    Mission,
     Observation,
     run_mission,
     SearchOptions,
@@ -42,30 +41,6 @@ def told(method, mission):
     for deployment in mission:
         estimator.assimilate(deployment.observation)
     return estimator
-
-
-@for_each('method', METHODS, every=1 if FULL else 3)
-def test_a_resumed_mission_is_the_unbroken_one(method):
-    goal = Lane(to=15)
-    _, whole = some(np.random.default_rng(3), 7, method, goal=goal)
-    rng = np.random.default_rng(3)
-    world, begun = some(rng, 3, method, goal=goal)
-    estimator = told(method, begun)
-    before = estimator.belief
-    rest = Mission.resume(
-        GRID,
-        estimator,
-        world,
-        rng,
-        OPTIONS,
-        before=[deployment.observation for deployment in begun],
-        goal=goal,
-    ).run(4)
-    assert estimator.belief == before
-    for one, other in zip(whole, [*begun, *rest], strict=True):
-        assert one.observation == other.observation
-        assert one.belief == other.belief
-        assert one.decision.p_free == other.decision.p_free
 
 
 @for_each('method', METHODS, every=1 if FULL else 3)

@@ -45,10 +45,6 @@ def test_the_same_seed_is_the_same_mission(method, planner):
     assert one != other
 
 
-def test_a_longer_mission_begins_as_the_shorter():
-    assert fly(5, robots=10)[:4] == [*fly(5, robots=4)]
-
-
 def test_a_mission_learns():
     """Many robots, mild hazards: entropy falls and the belief approaches the world."""
     rng = np.random.default_rng(7)

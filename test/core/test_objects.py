@@ -21,12 +21,10 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.unknowns import Bins
-from kbnitp_ros.core.planning.planners import shortest_unvisited
 from kbnitp_ros.figures import plot
 from laws import for_each
 import numpy as np
 import pytest
-from rounds import Ignorant
 
 GRID = Grid(4, 4, blocked=[6])
 PRIOR = Belief.from_maps(
@@ -158,28 +156,6 @@ def test_the_same_seed_is_the_same_world_as_its_generator():
     assert World.random(GRID, np.random.default_rng(1), 0.15, 0.8, 0.1) == WORLD
     path = [0, 1, 0]
     assert WORLD.traverse(path, MODEL, 5) == WORLD.traverse(path, MODEL, np.random.default_rng(5))
-
-
-def test_functions_and_classes_stand_for_names():
-    by_name = mission(options=SearchOptions('shortest_unvisited', 8))
-    assert mission(options=SearchOptions(shortest_unvisited, 8)) == by_name
-    returned = [deployment.belief for deployment in mission(Ignorant)]
-    assert returned[0] == Estimator(PRIOR, MODEL, Ignorant).belief or by_name[0] != returned[0]
-    assert 'Ignorant' in repr(Estimator(PRIOR, MODEL, Ignorant))
-
-    def both_alike(robots):
-        return [robot.finder.grid.base * np.ones(2, dtype=int) for robot in robots]
-
-    planned = plan_team(GRID, PRIOR, MODEL, Team(2, both_alike), OPTIONS)
-    assert [each.path.tolist() for each in planned] == [[0, 0], [0, 0]]
-
-
-def test_a_candidate_may_have_a_list_as_path():
-    def planner(f, o):
-        return [core.Candidate.along([0, 1, 0], o), core.Candidate(0.0, [0, 0])]
-
-    (deployment,) = mission(options=SearchOptions(planner, 8), robots=1)
-    assert deployment.plan.path.tolist() == [0, 1, 0]
 
 
 def test_a_mission_is_a_table(learnt):

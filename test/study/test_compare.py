@@ -58,17 +58,6 @@ def test_a_class_is_the_method(results):
     assert 'sweep' not in PLANNERS
 
 
-def test_choices_are_axes():
-    changes = {'max_visits': [1, 2], 'prior.kappa': 0.5}
-    found = compare(SMALL, methods=['kappa_bnitp'], workers=1, trials=1, **changes)
-    assert found.axes == ['lethality', 'max_visits']
-    planning, prior = ({**SMALL['planning'], 'max_visits': 2}, {**SMALL['prior'], 'kappa': 0.5})
-    same = {**SMALL, 'planning': planning, 'prior': prior, 'trials': 1}
-    alone = compare(same, methods=['kappa_bnitp'], workers=1).to_dataframe()
-    chosen = found.to_dataframe().query('max_visits == 2')
-    assert chosen['value'].tolist() == alone['value'].tolist()
-
-
 @pytest.mark.processes
 def test_other_processes_get_functions_without_a_module():
     planners = {'mine': lambda *given: coverage(*given)}

@@ -99,13 +99,6 @@ def test_without_a_turn_positions_are_the_same_to_the_bit(seed):
     assert grid.in_cells(points).tobytes() == ((points - origin) / resolution).tobytes()
 
 
-@for_each('path', [[5, 5], [5, 6, 5], [5, 5, 5, 5], [5, 0, 4, 8, 5], [5, 10, 11, 11, 10, 5]])
-def test_legal_paths_pass(path):
-    checked = Grid(4, 3, base=5).check_path(path, max_steps=5)
-    assert checked.tolist() == path
-    assert np.issubdtype(checked.dtype, np.integer)
-
-
 def test_the_repr_of_a_grid_is_one_line_however_much_is_blocked():
     few, many = Grid(3, 2, base=4, blocked=(2, 0)), Grid(90, 90, blocked=range(1, 6000, 2))
     assert str(few) == (

@@ -2,7 +2,6 @@
 """A step that a robot cannot vouch for gives neither survival nor a reading, in every method."""
 
 import brute_force
-import hazards_in_time
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
@@ -55,18 +54,6 @@ def test_a_return_counts_where_it_is_vouched_for(seed, method):
     assert found.target == pytest.approx(expected[:, :, 1].sum(axis=1), rel=0, abs=1e-12)
     if METHODS[method].correlated:
         assert found.joint == pytest.approx(expected, rel=0, abs=1e-12)
-
-
-@for_each('seed', range(20))
-def test_hazards_are_used_up_where_it_is_vouched_for(seed):
-    joint, model, observation, path, read = draw(seed)
-    dynamics = Dynamics('used_up')
-    expected = joint
-    if len(path) > 1:
-        expected = hazards_in_time.posterior(joint, dynamics, (model, path, read, None))
-    estimator = Estimator(Belief(joint), model, dynamics=dynamics)
-    estimator.assimilate(observation)
-    assert estimator.belief.joint == pytest.approx(expected, rel=0, abs=1e-12)
 
 
 ESTIMATORS = {

@@ -11,14 +11,10 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
-from kbnitp_ros.core.inference.one_pass import OnePass
 from laws import for_each
 import numpy as np
 import pyagrum
 import pytest
-from rounds import LEARN_FROM_LOSSES
-
-ONE_PASS = [name for name, each in METHODS.items() if isinstance(each, OnePass)]
 
 
 def deployments(seed, most_cells, most_steps):
@@ -91,45 +87,6 @@ def test_rare_hazards_of_a_perfect_robot_are_told_apart(hazard):
     np.testing.assert_allclose(after.hazard, [0, 1 / 3, 2 / 3], atol=2 * hazard)
 
 
-IMPOSSIBLE = [
-    # no malfunction and no hazard anywhere: nothing can have destroyed the robot
-    ({'malfunction': 0.0}, [0.0, 0.0], Observation([0, 1, 0], False)),
-    # a hazard that harms nothing
-    ({'malfunction': 0.0, 'lethality': 0.0}, [0.0, 0.5], Observation([0, 1, 0], False)),
-    # a robot that never survives a step
-    ({'malfunction': 1.0}, [0.0, 0.5], Observation([0, 1, 0], True, [True, True])),
-    # a certain, always deadly hazard
-    (
-        {'false_negative': 0.0, 'lethality': 1.0},
-        [0.0, 1.0],
-        Observation([0, 1, 0], True, [True, True]),
-    ),
-    # a sensor that never errs, contradicting itself
-    (
-        {'true_positive': 1.0, 'false_positive': 0.0},
-        [0.0, 0.5],
-        Observation([0, 1, 1, 0], True, [True, False, True]),
-    ),
-]
-
-
-@for_each('method', LEARN_FROM_LOSSES)
-@for_each('sensors, hazard, observation', IMPOSSIBLE)
-def test_an_impossible_outcome_is_refused_and_changes_nothing(
-    sensors, hazard, observation, method
-):
-    model = SensorModel(**{'lethality': 0.5, **sensors})
-    belief = Belief.from_maps(hazard, [0.5, 0.5], [0.5, 0.5])
-    before = belief.joint.tobytes()
-    if method in ONE_PASS:
-        with pytest.raises(ValueError, match='impossible'):
-            update(belief, model, observation, method)
-    estimator = Estimator(belief, model, method)
-    with pytest.raises(ValueError, match='impossible'):
-        estimator.assimilate(observation)
-    assert estimator.belief.joint.tobytes() == belief.joint.tobytes() == before
-
-
 def test_a_path_outside_the_belief_is_refused():
     belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     with pytest.raises(ValueError, match='path.*7.*0 to 1'):
@@ -160,7 +117,6 @@ def test_a_removed_method_is_refused_with_the_one_to_use():
         METHODS.find('kappa_bnitp_smoothed')
 
 
-NETWORKS = 50
 MAX_CELLS = 12
 
 
@@ -195,16 +151,6 @@ def posterior(belief, model, paths):
     return np.array([inference.posterior(f'z{cell}')[1] for cell in range(belief.cells)])
 
 
-@for_each('seed', range(NETWORKS))
-def test_one_loss_gives_the_same_in_network_and_update(seed):
-    belief, model, (path,) = draw(seed, 1)
-    expected = posterior(belief, model, [path])
-    lost = Observation(path, survived=False)
-    for method in ('kappa_bnitp', 'relaxed_itp'):
-        found = update(belief, model, lost, method).hazard
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-
-
 def test_several_losses_are_correlated_in_the_network_and_by_sampling():
     off = {'kappa_bnitp': [], 'kappa_bnitp_sampled': []}
     for seed in range(100, 120):
@@ -218,17 +164,3 @@ def test_several_losses_are_correlated_in_the_network_and_by_sampling():
     # Folding one loss after another loses the correlation between cells of a path.
     assert np.mean(off['kappa_bnitp_sampled']) < 0.3 * np.mean(off['kappa_bnitp'])
     assert max(off['kappa_bnitp_sampled']) < 0.05
-
-
-@for_each('seed', range(300), every=4)
-def test_averaging_universes_gives_the_exact_marginals(seed):
-    rng = np.random.default_rng(seed)
-    width, height = (int(size) for size in rng.integers(2, 10, 2))
-    belief = Belief(brute_force.random_joint(rng, width * height, 0)).independent()
-    path = brute_force.random_path(rng, width, height, 0, int(rng.integers(2, 31)))
-    model = SensorModel(**{**brute_force.random_sensors(rng), 'malfunction': 0.05})
-    averaged, exact = (
-        update(belief, model, Observation(path, False), method)
-        for method in ('relaxed_itp', 'kappa_bnitp')
-    )
-    np.testing.assert_allclose(averaged.joint, exact.joint, rtol=0, atol=1e-12)

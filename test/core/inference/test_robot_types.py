@@ -58,18 +58,6 @@ def enumerated(joint, model, seen):
     return brute_force.weighed(joint, [(kind.model(model), *each) for kind, *each in seen])[1]
 
 
-@pytest.mark.slow
-@for_each('method', ['kappa_bnitp', 'relaxed_itp'], every=5)
-@for_each('seed', range(300))
-def test_one_robot_of_a_type_is_assimilated_exactly(seed, method):
-    joint, model, seen = random_robots(seed, 1, independent=method == 'relaxed_itp')
-    expected = enumerated(joint, model, seen)
-    found = assimilated(joint, model, seen, method).belief
-    np.testing.assert_allclose(found.hazard, expected[:, 1].sum(axis=1), rtol=1e-9, atol=1e-9)
-    if method == 'kappa_bnitp':
-        np.testing.assert_allclose(found.joint, expected, rtol=1e-9, atol=1e-9)
-
-
 @for_each('seed', range(20))
 def test_robots_of_several_types_are_sampled_closely(seed):
     joint, model, seen = random_robots(seed, 6)

@@ -42,28 +42,6 @@ def test_path_information_is_the_joint_information(seed):
     assert path_information(Belief(joint), model, path) == pytest.approx(expected, rel=0, abs=1e-9)
 
 
-@for_each('seed', range(50))
-def test_visit_counts_determine_the_information(seed):
-    """The fast enumeration of the planning tests is correct as well."""
-    joint, model, path = random_case(seed)
-    visits = np.bincount(path[1:], minlength=len(joint))[None]
-    fast = brute_force.information_of_visits(joint, model, visits)[0]
-    assert fast == pytest.approx(brute_force.joint_information(joint, [model], [path]), abs=1e-12)
-
-
-@for_each('path, message', [
-    ([], 'path.*at least two'),
-    ([0], 'path.*at least two'),
-    ([0, 5, 0], 'path.*5.*0 to 1'),
-    ([0, -1, 0], 'path.*-1.*'),
-    ([0, 0.5, 0], 'path.*whole numbers'),
-])  # fmt: skip
-def test_bad_paths_are_refused(path, message):
-    belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
-    with pytest.raises(ValueError, match=message):
-        path_information(belief, SensorModel(0.5), path)
-
-
 LOW, HIGH = RANGE
 ALPHAS = (LOW, 0.5, 0.8, 1.25, 2.0, HIGH)
 SEEKING = ('beam', 'relaxed')

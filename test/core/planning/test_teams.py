@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots in flight together, of one or several types, against all states and outcomes."""
 
-from itertools import pairwise, product
+from itertools import product
 
 import brute_force
 from documented import rows, words
@@ -12,7 +12,6 @@ from kbnitp_ros.core import (
     ORDINARY,
     path_information,
     plan,
-    PLANNERS,
     RobotType,
     run_mission,
     SearchOptions,
@@ -54,17 +53,6 @@ def random_belief(seed, grid=GRID):
     joint = brute_force.random_joint(np.random.default_rng(seed), grid.cells, grid.base)
     joint[~grid.free] = [[1, 0], [0, 0]]
     return Belief(joint)
-
-
-@for_each('seed', range(60))
-def test_the_fast_sum_over_pairs_is_the_joint_information(seed):
-    joint, model, (one, other, *_) = few_paths(seed)
-    visits = np.array([count_visits(path, 4) for path in (one, other)])
-    pairs = brute_force.information_of_pairs(joint, model, visits)
-    for i, j in ((0, 1), (1, 0), (0, 0)):
-        paths = [(one, other)[i], (one, other)[j]]
-        expected = brute_force.joint_information(joint, [model] * len(paths), paths)
-        assert pairs[i, j] == pytest.approx(expected, rel=0, abs=1e-9)
 
 
 @pytest.mark.slow
@@ -147,23 +135,6 @@ def test_greedy_comes_close_to_the_best_of_all_pairs(steps):
         if allocation in page:
             assert figures == page[allocation][place:][:2]
     assert min(share['greedy'] for share in shares) >= 0.92
-
-
-@for_each('allocation, planner, agents', product(ALLOCATIONS, PLANNERS, [2, 5]))
-def test_plans_of_a_team_are_legal_and_have_their_values(agents, planner, allocation):
-    belief = random_belief(agents)
-    team = plan_round(GRID, belief, MODEL, 7, agents, allocation, planner, max_visits=2)
-    around = brute_force.adjacent(6, 5, GRID.blocked)
-    assert len(team) == agents
-    for planned in team:
-        path = planned.path.tolist()
-        assert path[0] == path[-1] == 8
-        assert 2 <= len(path) <= 8
-        assert all(after in around[before] for before, after in pairwise(path))
-        assert count_visits(path, 30).max() <= 2
-        assert planned.information == path_information(belief, MODEL, path)
-    together = team_information(belief, MODEL, [planned.path for planned in team])
-    assert together <= sum(planned.information for planned in team) + 1e-9
 
 
 def test_independent_robots_take_the_same_path():
