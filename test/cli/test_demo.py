@@ -513,7 +513,7 @@ PERIOD, WAIT = 0.3, 0.7
         + [(DONE, 'done: 1 of 1', 0)],
         6 * PERIOD,
     ),
-])  # fmt: skip
+], every=2)  # fmt: skip
 def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
     monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
     with free_domain() as domain, observed(domain) as observer:
@@ -563,10 +563,8 @@ def test_an_interrupted_demo_ends_its_nodes_and_leaves_a_finished_log(running, c
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize('node', [
-    'planner',
-    *(pytest.param(each, marks=pytest.mark.full) for each in ('agent', 'estimator', 'recorder')),
-])  # fmt: skip
+@pytest.mark.full
+@pytest.mark.parametrize('node', NODES)
 def test_demo_fails_when_a_node_dies(running, node):
     process, _ = running
     nodes = nodes_of_demo(process)

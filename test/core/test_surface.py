@@ -3,7 +3,7 @@
 
 from copy import copy
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 
 import brute_force
 from kbnitp_ros import core, plugins
@@ -14,7 +14,6 @@ from kbnitp_ros.core import (
     Estimator,
     Execution,
     Grid,
-    KnownModel,
     Lane,
     Learning,
     METHODS,
@@ -295,22 +294,6 @@ def test_a_planner_may_be_an_object():
     options = SearchOptions(ByTable(np.array([[7, 8, 7]])), 8)
     mission = run_mission(GRID, PRIOR, MODEL, WORLD, 2, 1, options=options)
     assert mission[1].plan.path.tolist() == [7, 8, 7]
-
-
-class Forgetful(KnownModel):
-    """An inference in a few lines."""
-
-    def assimilate(self, observation, robot_type):
-        if observation.survived:
-            self.belief = update(self.belief, robot_type.model(self.model), observation)
-
-
-def test_an_inference_of_ones_own_runs_in_a_mission():
-    mission = Mission(GRID, PRIOR, MODEL, WORLD, 1, Forgetful).run(8)
-    lost = [not each.observation.survived for each in mission]
-    before = [PRIOR, *(each.belief for each in mission)]
-    assert set(lost) == {True, False}
-    assert [one == other for one, other in pairwise(before)] == lost
 
 
 def test_a_list_stays_as_it_is():

@@ -257,7 +257,7 @@ def test_no_robot_leaves_while_a_node_has_another_name_for_a_topic(set_out, node
     mission.until(
         lambda: f'/mission/{other} refused: its {differs}' in mission.said('recorder'), node
     )
-    mission.wait(3.0)
+    mission.wait(1.5)
     assert not mission.onlooker.evidence.reports
     assert not mission.onlooker.recorded
     mission.kill(node)

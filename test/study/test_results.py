@@ -114,15 +114,6 @@ def test_the_interval_is_that_of_resampled_means():
     np.testing.assert_array_equal([each[1] for each in both], 2 * np.array([e[0] for e in both]))
 
 
-def test_the_interval_covers_the_mean_of_worlds_at_its_rate():
-    rng = np.random.default_rng(5)
-    covered = 0
-    for _ in range(300):
-        _, low, high = bootstrap(rng.normal(3.0, 2.0, 60), rng)
-        covered += low <= 3.0 <= high
-    assert 0.90 <= covered / 300 <= 0.98
-
-
 def final(scenario, outcomes, method, name):
     return np.array([outcomes[Trial(0.9, method, n)][name].iloc[-1] for n in range(3)])
 

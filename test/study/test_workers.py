@@ -98,6 +98,7 @@ HERE = os.pathsep.join(filter(None, [str(Path(__file__).parent), *sys.path]))
 
 
 @pytest.mark.processes
+@pytest.mark.full
 def test_two_workers_of_a_scheduler_give_the_same_outcomes(study, outcomes, scheduler):
     distributed = pytest.importorskip('distributed')
     _, address = scheduler

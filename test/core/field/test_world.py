@@ -57,7 +57,7 @@ TARGET = [False, True, True, False]
 @for_each('path', [[0, 1, 2, 0], [0, 1, 1, 3, 0], [0, 2, 2, 0], [0, 0]])
 @for_each('sensors', [(0.3,), (0.6, 0.2, 0.3, 0.7, 0.4), (0.05, 0.0)])
 def test_robots_return_and_report_as_often_as_predicted(path, sensors):
-    world, model, runs = World(HAZARD, TARGET), SensorModel(*sensors), 3000
+    world, model, runs = World(HAZARD, TARGET), SensorModel(*sensors), 1000
     rng = np.random.default_rng(7)
     seen = [world.traverse(path, model, rng) for _ in range(runs)]
     assert all(observation.path.tolist() == path for observation in seen)

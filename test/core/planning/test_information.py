@@ -18,10 +18,7 @@ from kbnitp_ros.core import (
     SensorModel,
 )
 from kbnitp_ros.core.planning.objective import (
-    after_deployment,
     behavioral_entropy,
-    nobody_deployed,
-    Objective,
 )
 from kbnitp_ros.core.planning.options import ALPHAS as RANGE
 from laws import for_each
@@ -70,19 +67,6 @@ def test_at_alpha_1_it_is_the_information(seed):
     for alpha in (1.0, 1.0 - 1e-9, 1.0 + 1e-9):
         found = path_information(belief, model, path, alpha)
         assert found == pytest.approx(information, rel=0, abs=1e-7 if alpha != 1.0 else 1e-12)
-
-
-@for_each('seed', range(30))
-def test_at_alpha_1_robots_in_flight_count_as_for_the_information(seed):
-    rng = np.random.default_rng(seed)
-    belief = Belief(brute_force.random_joint(rng, 9, 0))
-    model = SensorModel(**brute_force.random_sensors(rng))
-    before, path = (brute_force.random_path(rng, 3, 3, 0, 5) for _ in range(2))
-    outcomes = after_deployment(nobody_deployed(belief), model, before)
-    expected, _ = Objective.of(belief, model, outcomes=outcomes).evaluate(path)
-    options = SearchOptions(objective='behavioral', alpha=1.0)
-    found, _ = Objective.of(belief, model, options, outcomes).evaluate(path)
-    assert found == pytest.approx(expected, rel=0, abs=1e-9)
 
 
 @for_each('alpha', ALPHAS)

@@ -13,8 +13,6 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.inference import sampler
-from kbnitp_ros.core.inference.chains import Chains
 from laws import for_each
 import numpy as np
 import pytest
@@ -109,31 +107,6 @@ def test_beliefs_are_those_of_enumeration(record_property):
     assert np.mean(of_beliefs) < 0.001
     assert np.quantile(of_beliefs, 0.95) < 0.003
     assert np.mean(of_couplings) < 0.02
-
-
-def converge_at(monkeypatch, error, most):
-    monkeypatch.setattr(sampler, 'CONVERGED', error)
-    monkeypatch.setattr(sampler, 'CONVERGED_CLUSTERING', error)
-    monkeypatch.setattr(sampler, 'MAX_SWEEPS', most)
-
-
-@for_each('seed', [0, 1])
-@for_each('error, most, made', [(0.0, 4, 8), (0.0, 24, 28), (1e9, 24, 8)])
-def test_the_stated_number_of_sweeps_is_made(monkeypatch, seed, error, most, made):
-    """Four are discarded, then rounds of four: all, or one if the belief is close enough."""
-    grid, clustering, density, model, observations = random_mission(seed)
-    estimator = new_estimator(grid, clustering, density, model)
-    converge_at(monkeypatch, error, most)
-    sweeps, sweep = [], Chains.sweep
-
-    def counted(self, *arguments):
-        sweeps.append(self)
-        sweep(self, *arguments)
-
-    monkeypatch.setattr(Chains, 'sweep', counted)
-    for number, each in enumerate(observations[:3], 1):
-        estimator.assimilate(each)
-        assert len(sweeps) == number * made
 
 
 @for_each('seed', range(6))

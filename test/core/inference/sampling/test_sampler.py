@@ -258,14 +258,6 @@ def test_without_losses_the_posterior_is_exact():
     assert found.sampling_error < 1e-12
 
 
-def test_unvisited_cells_keep_their_bits_if_the_prior_is_known():
-    observations = [Observation([0, 1, 4, 0], False), Observation([0, 1, 0], True, [1, 0])]
-    unknowns = Unknowns(lethality=(0, 1), true_positive=(0.5, 1))
-    estimator = assimilated(ENTROPIC, SensorModel(0.5), observations, unknowns)
-    elsewhere = np.setdiff1d(np.arange(16), [0, 1, 4])
-    assert (estimator.belief.joint[elsewhere] == ENTROPIC.joint[elsewhere]).all()
-
-
 def test_before_the_first_deployment_the_belief_is_the_prior():
     unknowns = Unknowns(**EVERYTHING)
     estimator = Estimator(ENTROPIC, SensorModel(0.5), METHOD, unknowns)
