@@ -43,7 +43,7 @@ def test_the_names_are_listed(arguments, status):
 
 
 @pytest.mark.processes
-@for_each('name', ['', *EXECUTABLES], every=6)
+@for_each('name', ['', *EXECUTABLES], every=12)
 def test_every_command_has_a_version_and_a_help(name):
     def run(option):
         command = [sys.executable, '-m', 'kbnitp_ros', *filter(None, [name]), option]

@@ -230,6 +230,7 @@ def test_types_of_other_packages_are_those_of_jazzy(name):
     assert own == f'RIHS01_{TYPES[name]}'
 
 
+@pytest.mark.full
 @pytest.mark.processes
 @pytest.mark.skipif(not ROOT.joinpath('.git').exists(), reason='the sources are no repository')
 def test_a_clone_in_a_workspace_is_built_with_its_messages(tmp_path):

@@ -17,6 +17,8 @@ from kbnitp_ros.cli.study import parse, study
 from kbnitp_ros.study import comparing
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import ALONE, INDEPENDENT, NUMBERS
+from kbnitp_ros.study.scenario_file import read_study, scenario_file
+from kbnitp_ros.study.workers import Folder
 from launches import run_on_terminal
 from laws import for_each
 import pytest
@@ -169,13 +171,23 @@ def test_a_killed_study_resumes_to_the_same_table(start, scenario, whole, tmp_pa
     assert not list(tmp_path.glob('**/*.part'))
 
 
+def test_a_shipped_scenario_is_known_by_its_name_and_kept_whole(tmp_path):
+    Folder(tmp_path, read_study(scenario_file('paper')))
+    kept = yaml.safe_load((tmp_path / 'scenario.yaml').read_text())
+    shipped = Path(__file__).parents[2] / 'config/scenarios/paper.yaml'
+    told = yaml.safe_load(shipped.read_text())
+    told['planning']['max_distance'] = 0.0
+    told['learn'] = dict.fromkeys(NUMBERS)
+    told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)], 'ties': 'first'}
+    assert kept == told | {'hazards': vars(INDEPENDENT)}
+
+
 @pytest.mark.processes
 @pytest.mark.parametrize('number, status', some([(signal.SIGINT, 130), (signal.SIGTERM, 143)], 2))
 def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
     start, tmp_path, number, status
 ):
-    """Of a shipped scenario, which is known by its name."""
-    process = start('paper', tmp_path, 1)
+    process = start(write(tmp_path / 'long.yaml', trials=300), tmp_path, 1)
     os.killpg(process.pid, number)
     _, stderr = process.communicate(timeout=PATIENCE)
     assert process.returncode == status
@@ -184,13 +196,6 @@ def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
     assert not tmp_path.joinpath('table.parquet').exists()
     if number == signal.SIGINT:
         assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
-    kept = yaml.safe_load((tmp_path / 'scenario.yaml').read_text())
-    shipped = Path(__file__).parents[2] / 'config/scenarios/paper.yaml'
-    told = yaml.safe_load(shipped.read_text())
-    told['planning']['max_distance'] = 0.0
-    told['learn'] = dict.fromkeys(NUMBERS)
-    told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)], 'ties': 'first'}
-    assert kept == told | {'hazards': vars(INDEPENDENT)}
 
 
 @pytest.mark.processes

@@ -177,7 +177,7 @@ KINDS = {
 
 @pytest.mark.parametrize(
     'kind, killed',
-    some(((kind, killed) for killed in ('all', 'each', 'none') for kind in KINDS), 20),
+    some(((kind, killed) for killed in ('all', 'each', 'none') for kind in KINDS), 28),
 )
 def test_a_mission_ends_as_that_of_core(set_out, tmp_path, kind, killed):
     own, is_of_kind = KINDS[kind]

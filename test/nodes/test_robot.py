@@ -3,7 +3,7 @@
 
 from collections import Counter
 from functools import reduce
-from itertools import count
+from itertools import count, product
 import json
 from operator import itemgetter
 import os
@@ -43,7 +43,7 @@ WALKS = {
 }
 
 
-@pytest.mark.parametrize('kind', some(WALKS, 3))
+@pytest.mark.parametrize('kind', some(WALKS, 6))
 def test_a_robot_reports_its_true_walk(field, kind):
     simulated, told = WALKS[kind]
     fleet, reports = Fleet.simulated(field, **simulated)
@@ -205,10 +205,7 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
 DRIVERS = ['follow_waypoints', 'navigate_through_poses', 'follow_path']
 
 
-@pytest.mark.parametrize('driver, fault', [
-    *some((driver, 'jump') for driver in DRIVERS),
-    *some((driver, 'blind') for driver in DRIVERS),
-])  # fmt: skip
+@pytest.mark.parametrize('driver, fault', some(product(DRIVERS, ('jump', 'blind')), 6))
 def test_no_cell_is_vouched_for_that_was_not_entered_around_a_fault(field, driver, fault):
     fleet, reports = Fleet.simulated(field, speed=1.0)
     fleet.start(driver=driver, max_speed=1.5, tf_timeout=0.5)

@@ -105,6 +105,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path, monkeypatch):
     ]
 
 
+@pytest.mark.full
 def test_a_replaced_log_is_shown_anew_in_two_tabs_until_the_command_ends(browser, tmp_path):
     path = record(tmp_path / 'mission.mcap', SENT)
     last = browser.new_context(bypass_csp=True).new_page()

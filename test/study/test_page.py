@@ -8,7 +8,6 @@ import re
 from runpy import run_path
 from shutil import copytree, ignore_patterns
 
-from extent import some
 from kbnitp_ros.core import log_loss, World
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario_file import read_study
@@ -72,8 +71,8 @@ def test_numbers_on_the_pages_are_in_the_tables_of_their_studies():
     assert {*checked} > {'changing_hazards', 'blobs', 'lanes', 'areas', 'certificates'}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('scenario', some(['paper', 'calibrated', 'mismatched']))
+@pytest.mark.full
+@pytest.mark.parametrize('scenario', ['paper', 'calibrated', 'mismatched'])
 def test_the_pages_are_made_of_the_tables(tmp_path, scenario):
     others = {'paper', 'calibrated', 'mismatched'} - {scenario}
     without = ignore_patterns(*(f'{each}.csv.gz' for each in others))

@@ -320,7 +320,7 @@ def tell(ledger, key, said):
 @pytest.mark.slow
 @for_each('method', METHODS)
 @given(arrivals())
-@settings(max_examples=150 if FULL else 20, deadline=None)
+@settings(max_examples=150 if FULL else 10, deadline=None)
 def test_every_arrival_leaves_the_belief_of_the_evidence_so_far(method, messages):
     ledger, evidence = Ledger(GRID, MAX_STEPS, Estimator(PRIOR, MODEL, method)), Evidence(method)
     for key, said in messages:
