@@ -9,8 +9,10 @@ from kbnitp_ros import core
 from kbnitp_ros.core import (
     Area,
     Belief,
+    Beta,
     brier_score,
     Clustering,
+    Dynamics,
     Estimator,
     Execution,
     Grid,
@@ -18,6 +20,7 @@ from kbnitp_ros.core import (
     Learning,
     log_loss,
     Observation,
+    RobotType,
     run_mission,
     SearchOptions,
     SensorModel,
@@ -116,6 +119,14 @@ def planned(**options):
 
 def observed(cells, survived, readings=None, **others):
     return partial(Observation, cells, survived, readings, **others)
+
+
+def lost(**told):
+    return observed([0, 1, 2, 0], False, **told)
+
+
+def back(readings, **told):
+    return observed([0, 1, 2, 0], True, readings, **told)
 
 
 NO_PROBABILITIES = [
@@ -243,14 +254,59 @@ NO_PROBABILITIES = [
     (observed([0, -1, 0], False), ValueError, 'path.*-1.*from 0'),
     (observed([0, 1, 2], False), ValueError, 'path.*0.*2.*base'),
     *((observed([0, 1, 0], one), ValueError, 'survived') for one in (2, -1, 0.5, nan, 'y', None)),
+    (observed([0, 1, 0], False, entered=[1, 1]), ValueError, 'entered is given, but .* was lost'),
+    (observed([0, 1, 0], True, [1, 1], entered=[1]), ValueError,
+     r'entered has shape \(1,\): it must be \(2,\)'),
+    (observed([0, 1, 0], True, [1, 1], entered=[1, 2]), ValueError, 'entered'),
+    (observed([0, 1, 0], True, [1, 1], entered=['x', 'y']), ValueError, 'entered'),
+    (lost(lost_at=[1, 2]), ValueError, r'lost_at has shape \(2,\): it must be \(3,\)'),
+    (lost(lost_at=[1, -2, 1]), ValueError, r'lost_at\[1\] is -2.0: it must be .* at least 0'),
+    (lost(lost_at=[1, 1, nan]), ValueError, r'lost_at\[2\] is nan'),
+    (lost(lost_at=[0, 0, 0]), ValueError, 'lost_at is 0 in all steps'),
+    (lost(lost_at=[1, 0, 0], steps_survived=1), ValueError, 'lost_at is 0 in all .*the first 1,'),
+    (lost(steps_survived=3), ValueError, 'steps_survived is 3.*at most 2'),
+    (lost(steps_survived=-1), ValueError, 'steps_survived is -1.*at least 0'),
+    (lost(steps_survived=1.5), ValueError, 'steps_survived is 1.5'),
+    (back([1, 0, 1], lost_at=[1, 1, 2]), ValueError, 'lost_at is given, but the robot returned'),
+    (back([1, 0, 1], steps_survived=1), ValueError, 'steps_survived is 1.*returned'),
+    (back([1, 0, -2]), ValueError, 'readings is -2'),
+    (back([-1, 0]), ValueError, 'readings has shape'),
+    # Hazards that change, distributions, and types of robots.
+    (lambda: Dynamics('growing'), ValueError, 'growing'),
+    (lambda: Dynamics('static', appear=0.1), ValueError, 'appear is 0.1'),
+    (lambda: Dynamics('used_up', vanish=0.1), ValueError, 'vanish is 0.1'),
+    (lambda: Dynamics('changing', appear=-0.1), ValueError, 'appear is -0.1'),
+    (lambda: Dynamics('changing', vanish=nan), ValueError, 'vanish is nan'),
+    (lambda: Dynamics('changing', move=0.1), ValueError,
+     'move is 0.1 and hazards are changing: only moving'),
+    (lambda: Dynamics('moving', appear=0.1), ValueError,
+     'appear is 0.1 and hazards are moving: only changing'),
+    (lambda: Dynamics('moving', move=1.5), ValueError, 'move is 1.5'),
+    *((partial(Beta, *given), ValueError, 'of a Beta is .*: it must be above 0')
+      for given in ((0, 1), (1, -2), (inf, 1), (1, nan))),
+    (lambda: RobotType(lethality=1.5), ValueError, 'lethality is 1.5.*probability'),
+    (lambda: RobotType(false_positive=nan), ValueError, 'false_positive is nan.*probability'),
+    (lambda: RobotType(max_steps=0), ValueError, 'max_steps is 0.*at least 1'),
+    (lambda: RobotType(max_steps=2.5), ValueError, 'max_steps is 2.5.*whole'),
+    (lambda: RobotType(loss_cost=-1.0), ValueError, 'loss_cost is -1.0.*at least 0'),
+    *((partial(make, max_distance=wrong), ValueError, 'max_distance is .*: it must be at least 0')
+      for make, wrong in product((SearchOptions, RobotType), (-1.0, inf, nan, 2e9))),
     # Methods and plans.
     (lambda: update(PRIOR, MODEL, [0, 1, 0]), TypeError, r'observation is \[0, 1, 0\]: it must'),
     (lambda: Estimator(GRID, MODEL), TypeError, 'belief is Grid.*: it must be Belief'),
     (lambda: Estimator(PRIOR, MODEL, unknowns='x'), TypeError, "unknowns is 'x': it must"),
     (lambda: Estimator(PRIOR, MODEL).assimilate([0]), TypeError, 'observation is .*: it must be'),
     (lambda: Estimator(PRIOR, MODEL, dict), TypeError, 'method dict: it must'),
+    *((partial(Estimator, PRIOR, MODEL, 'kappa_bnitp_sampled', seed=seed), ValueError,
+       f'seed is {seed}') for seed in (-1, 0.5)),
     (lambda: SearchOptions('baem'), ValueError, "planner is 'baem': known are relaxed, beam"),
     (lambda: SearchOptions(18), ValueError, 'planner is 18: known are relaxed, beam'),
+    (lambda: SearchOptions(max_steps=0), ValueError, 'max_steps is 0.*at least 1'),
+    (lambda: SearchOptions(max_steps=2.5), ValueError, 'max_steps is 2.5.*whole number'),
+    (lambda: SearchOptions(max_visits=0), ValueError, 'max_visits is 0.*at least 1'),
+    (lambda: SearchOptions(loss_cost=-1), ValueError, 'loss_cost is -1.*at least 0'),
+    (lambda: SearchOptions(loss_cost=nan), ValueError, 'loss_cost is nan.*at most 1e9'),
+    (lambda: SearchOptions(loss_cost=1e300), ValueError, r'loss_cost is 1e\+300.*at most 1e9'),
     (lambda: SearchOptions(max_steps=[3]), TypeError, 'max_steps is .3.: it must be a number'),
     (lambda: core.PathFinder(GRID, 'beam'), TypeError, "options is 'beam': it must be SearchOpt"),
     (lambda: core.plan((4, 4), PRIOR, MODEL), TypeError, r'grid is \(4, 4\): it must be Grid'),
@@ -320,7 +376,7 @@ NO_PROBABILITIES = [
     (lambda: sent([0, 3, 0]), ValueError, r'path jumps at step 1.* one of \[0, 1, 4, 5\]'),
     (lambda: sent([0, 16, 0]), ValueError, 'path leaves the grid.*16, allowed are 0 to 15'),
     (lambda: sent([0, 1, 0], 'scout'), TypeError, r"robot_type is 'scout': it must be RobotType"),
-    (lambda: sent([0, 1, 0], core.RobotType(base=3)), ValueError, 'base 3 is not a base.*add it'),
+    (lambda: sent([0, 1, 0], RobotType(base=3)), ValueError, 'base 3 is not a base.*add it'),
     (lambda: begun().run(-1), ValueError, 'robots is -1: .*at least 0'),
     (lambda: begun().run(True), TypeError, 'robots is True: it must be a number'),
     (lambda: begun().run(1, team=2), TypeError, r'team is 2: it must be Team\(...\)'),
@@ -374,7 +430,7 @@ NO_PROBABILITIES = [
     (lambda: grid(origin=3), ValueError, 'origin is 3: it must be two finite numbers'),
     (lambda: grid(yaw=None), TypeError, 'yaw is None: it must be a number'),
     (lambda: grid(through_corners='no'), ValueError, 'through_corners is no: it must be True or'),
-    (lambda: core.Beta('a'), TypeError, "a of a Beta is 'a': it must be a number"),
+    (lambda: Beta('a'), TypeError, "a of a Beta is 'a': it must be a number"),
     (lambda: Belief('x'), TypeError, "joint is 'x': it must be an array of numbers"),
     (lambda: Belief(PRIOR.joint, Grid(3, 3)), ValueError, 'grid is Grid.*: .* 16 cells'),
     (lambda: PRIOR.on(Grid(5, 5)), ValueError, 'belief has 16 cells: the grid has 25'),

@@ -147,11 +147,6 @@ def test_estimators_are_copied_with_their_state():
         assert method in repr(estimator)
 
 
-def test_all_public_names_exist():
-    assert sorted(core.__all__) == sorted(set(core.__all__))
-    assert [name for name in core.__all__ if not hasattr(core, name)] == []
-
-
 def test_the_same_seed_is_the_same_world_as_its_generator():
     assert World.random(GRID, np.random.default_rng(1), 0.15, 0.8, 0.1) == WORLD
     path = [0, 1, 0]

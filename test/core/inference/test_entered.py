@@ -108,20 +108,6 @@ def test_it_is_stored_normalised():
     assert given.flags.writeable
 
 
-@for_each(
-    'arguments, why',
-    [
-        (([0, 1, 0], False, None, 0, None, [1, 1]), 'entered is given, but the robot was lost'),
-        (([0, 1, 0], True, [1, 1], 0, None, [1]), r'entered has shape \(1,\): it must be \(2,\)'),
-        (([0, 1, 0], True, [1, 1], 0, None, [1, 2]), 'entered'),
-        (([0, 1, 0], True, [1, 1], 0, None, ['x', 'y']), 'entered'),
-    ],
-)
-def test_what_does_not_fit_is_refused(arguments, why):
-    with pytest.raises(ValueError, match=why):
-        Observation(*arguments)
-
-
 def ledger():
     estimator = Estimator(Belief.prior(GRID, 0.3, 0.4, 0.7), SensorModel(0.5))
     record = Ledger(GRID, 6, estimator)

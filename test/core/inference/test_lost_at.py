@@ -182,31 +182,6 @@ def test_impossible_steps_are_survived():
     assert Observation([0, 1, 2, 3, 0], False, None, 1, [5.0, 3.0, 3.0, 3.0]).lost_at is None
 
 
-BACK = {'survived': True}
-
-
-@for_each('arguments, message', [
-    ({'lost_at': [1.0, 2.0]}, r'lost_at has shape \(2,\): it must be \(3,\)'),
-    ({'lost_at': [1.0, -2.0, 1.0]}, r'lost_at\[1\] is -2.0: it must be .* at least 0'),
-    ({'lost_at': [1.0, 1.0, float('nan')]}, r'lost_at\[2\] is nan'),
-    ({'lost_at': [0.0, 0.0, 0.0]}, 'lost_at is 0 in all steps'),
-    ({'lost_at': [1.0, 0.0, 0.0], 'steps_survived': 1}, 'lost_at is 0 in all .*the first 1,'),
-    (
-        {'survived': True, 'readings': [1, 0, 1], 'lost_at': [1.0, 1.0, 2.0]},
-        'lost_at is given, but the robot returned',
-    ),
-    ({'steps_survived': 3}, 'steps_survived is 3.*at most 2'),
-    ({'steps_survived': -1}, 'steps_survived is -1.*at least 0'),
-    ({'steps_survived': 1.5}, 'steps_survived is 1.5'),
-    ({**BACK, 'readings': [1, 0, 1], 'steps_survived': 1}, 'steps_survived is 1.*returned'),
-    ({**BACK, 'readings': [1, 0, -2]}, 'readings is -2'),
-    ({**BACK, 'readings': [-1, 0]}, 'readings has shape'),
-])  # fmt: skip
-def test_a_bad_lost_at_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        Observation(**{'path': [0, 1, 2, 0], 'survived': False, **arguments})
-
-
 @for_each('method', ['kappa_bnitp', 'kappa_bnitp_sampled'])
 def test_an_impossible_loss_is_refused_and_changes_nothing(method):
     """Without malfunctions no robot is lost in its only possible step, into a safe cell."""

@@ -111,15 +111,3 @@ def test_nothing_is_learnt_from_robots_with_their_own_number(name):
     unknowns = Unknowns(**{name: (0.0, 1.0)})
     after = assimilated(joint, model, seen, 'kappa_bnitp_sampled', unknowns=unknowns)
     assert after.parameters[name].mean == pytest.approx(0.5, abs=0.03)
-
-
-@for_each('own, message', [
-    ({'lethality': 1.5}, 'lethality is 1.5.*probability'),
-    ({'false_positive': float('nan')}, 'false_positive is nan.*probability'),
-    ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
-    ({'max_steps': 2.5}, 'max_steps is 2.5.*whole'),
-    ({'loss_cost': -1.0}, 'loss_cost is -1.0.*at least 0'),
-])  # fmt: skip
-def test_bad_robot_types_are_refused(own, message):
-    with pytest.raises(ValueError, match=message):
-        RobotType(**own)

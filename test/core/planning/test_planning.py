@@ -149,23 +149,6 @@ def test_the_more_a_loss_costs_the_safer_the_plan(seed, planner, objective):
     assert len(plans[-1].path) == 2  # the shortest path, at the base
 
 
-@for_each('arguments, message', [
-    ({'planner': 'oracle'}, 'planner.*oracle(?=.*beam)(?=.*relaxed)'),
-    ({'max_steps': 0}, 'max_steps is 0.*at least 1'),
-    ({'max_steps': 2.5}, 'max_steps is 2.5.*whole number'),
-    ({'width': 0}, 'width is 0.*at least 1'),
-    ({'max_visits': 0}, 'max_visits is 0.*at least 1'),
-    ({'loss_cost': -1}, 'loss_cost is -1.*at least 0'),
-    ({'loss_cost': float('nan')}, 'loss_cost is nan.*at most 1e9'),
-    ({'loss_cost': 1e300}, r'loss_cost is 1e\+300.*at most 1e9'),
-])  # fmt: skip
-def test_bad_requests_are_refused(arguments, message):
-    grid = Grid(3, 3)
-    request = {'max_steps': 4, **arguments}
-    with pytest.raises(ValueError, match=message):
-        plan(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), SearchOptions(**request))
-
-
 # Options of the search are stated in the table of parameters and in `SearchOptions` only.
 
 

@@ -206,18 +206,3 @@ def test_moving_hazards_need_a_grid():
     belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     with pytest.raises(ValueError, match=r'moving.*no grid.*Belief.prior\(grid'):
         Estimator(belief, SensorModel(0.5), dynamics=Dynamics('moving', move=0.1))
-
-
-@for_each('rates, message', [
-    ({'kind': 'growing'}, 'growing'),
-    ({'kind': 'static', 'appear': 0.1}, 'appear is 0.1'),
-    ({'kind': 'used_up', 'vanish': 0.1}, 'vanish is 0.1'),
-    ({'kind': 'changing', 'appear': -0.1}, 'appear is -0.1'),
-    ({'kind': 'changing', 'vanish': float('nan')}, 'vanish is nan'),
-    ({'kind': 'changing', 'move': 0.1}, 'move is 0.1 and hazards are changing: only moving'),
-    ({'kind': 'moving', 'appear': 0.1}, 'appear is 0.1 and hazards are moving: only changing'),
-    ({'kind': 'moving', 'move': 1.5}, 'move is 1.5'),
-])  # fmt: skip
-def test_rates_out_of_range_or_of_another_kind_are_refused(rates, message):
-    with pytest.raises(ValueError, match=message):
-        Dynamics(**rates)

@@ -369,12 +369,6 @@ def test_a_bad_interval_is_refused(given, message):
         Unknowns(lethality=given)
 
 
-@for_each('arguments', [(0, 1), (1, -2), (float('inf'), 1), (1, float('nan'))])
-def test_a_bad_beta_distribution_is_refused(arguments):
-    with pytest.raises(ValueError, match='of a Beta is .*: it must be above 0'):
-        Beta(*arguments)
-
-
 @for_each('unknowns, maps, sensors, message', [
     ({'hazard_density': (0, 1)}, (0.0, 0.5, 0.5), {}, 'hazard_density.*decides every cell'),
     ({'kappa': (0, 1)}, (0.5, 0.7, 1.0), {}, 'kappa.*decides every cell'),
@@ -386,12 +380,6 @@ def test_a_number_without_effect_is_refused(unknowns, maps, sensors, message):
     belief = Belief.prior(Grid(2, 2), *maps)
     with pytest.raises(ValueError, match=f'{message}'):
         Estimator(belief, SensorModel(0.5, **sensors), METHOD, Unknowns(**unknowns))
-
-
-@for_each('seed', [-1, 0.5])
-def test_a_bad_seed_is_refused(seed):
-    with pytest.raises(ValueError, match=f'seed is {seed}'):
-        Estimator(ENTROPIC, SensorModel(0.5), METHOD, seed=seed)
 
 
 def test_only_evidence_that_no_value_explains_is_refused():
