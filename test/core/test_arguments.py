@@ -41,6 +41,8 @@ PRIOR = Belief.prior(GRID, 0.15, 0.2, 0.8)
 MODEL = SensorModel(0.5)
 WORLD = World.random(GRID, 1, 0.15, 0.8, 0.1)
 TWO_BASES = Grid(6, 5, base=0, other_bases=(29,))
+FREE = Belief(PRIOR.joint)
+SAMPLED = 'kappa_bnitp_sampled'
 SENSORS = ('lethality', 'malfunction', 'false_negative', 'true_positive', 'false_positive')
 
 
@@ -127,6 +129,16 @@ def lost(**told):
 
 def back(readings, **told):
     return observed([0, 1, 2, 0], True, readings, **told)
+
+
+def moving():
+    return Dynamics('moving', move=(0.01, 0.3))
+
+
+def learner(unknowns, hazard=0.5, target=0.5, kappa=0.5, method=SAMPLED, **sensors):
+    """Return a function that starts to learn numbers in a field with these densities."""
+    belief = Belief.prior(Grid(2, 2), hazard, target, kappa)
+    return lambda: Estimator(belief, SensorModel(0.5, **sensors), method, Unknowns(**unknowns))
 
 
 NO_PROBABILITIES = [
@@ -282,6 +294,46 @@ NO_PROBABILITIES = [
     (lambda: Dynamics('moving', appear=0.1), ValueError,
      'appear is 0.1 and hazards are moving: only changing'),
     (lambda: Dynamics('moving', move=1.5), ValueError, 'move is 1.5'),
+    (lambda: Dynamics('learn').known_rates(), ValueError, "dynamics is 'learn'"),
+    (lambda: moving().known_rates(), ValueError, 'move is unknown, from 0.01 to 0.3: a world'),
+    (lambda: Dynamics('changing', vanish=(0.2, 0.1)), ValueError,
+     r'vanish is unknown within \(0.2, 0.1'),
+    (lambda: Dynamics('changing', vanish=(0.0, 0.1)), ValueError,
+     'it must satisfy 0 < low < high'),
+    (lambda: Dynamics('moving', move=(0.5, 1.5)), ValueError, 'move is 1.5'),
+    (lambda: Dynamics('changing', appear=(0.1, 0.2)), ValueError,
+     'appear is .* it must be a number'),
+    (lambda: Dynamics('static', vanish=(0.1, 0.2)), ValueError, 'only changing hazards use it'),
+    (lambda: Estimator(FREE, MODEL, dynamics=Dynamics('learn')), ValueError,
+     'moving hazards cannot be weighed: the prior has no grid'),
+    (lambda: Estimator(FREE, MODEL, dynamics=Dynamics('moving', move=0.1)), ValueError,
+     r'moving.*no grid.*Belief.prior\(grid'),
+    (lambda: Estimator(PRIOR, MODEL, 'relaxed_bnitp', dynamics=Dynamics('learn')), ValueError,
+     'relaxed_bnitp does not take hazards that are of an unknown kind: use relaxed_itp'),
+    (lambda: Estimator(PRIOR, MODEL, SAMPLED, dynamics=Dynamics('learn')), ValueError,
+     'kappa_bnitp_sampled does not take hazards that are of an unknown kind'),
+    (lambda: mission(dynamics=moving()), ValueError,
+     'move is unknown, from 0.01 to 0.3: a world needs a number'),
+    *((partial(Unknowns, lethality=given), ValueError, words) for given, words in (
+        ((0.2, 1.1), r'lethality is unknown within \(0.2, 1.1\): high is 1.1.*\[0, 1\]'),
+        ((-0.1, 0.5), 'low is -0.1'),
+        ((0.5, 0.5), 'from 0.5 to 0.5: it must end above its start'),
+        ((0.1, nan), 'high is nan'),
+        ((0.1, 0.2, 0.3), 'two numbers'),
+        (0.5, 'two numbers'),
+        (('a', 'b'), "low is 'a': it must be a number"),
+    )),
+    (learner({'hazard_density': (0, 1)}, 0.0), ValueError, 'hazard_density.*decides every cell'),
+    (learner({'kappa': (0, 1)}, 0.5, 0.7, 1.0), ValueError, 'kappa.*decides every cell'),
+    (learner({'kappa': (0, 1)}, 0.0), ValueError, 'kappa.*decides every cell'),
+    (learner({'target_background': (0, 1)}, 0.5, 0.4, 0.8), ValueError,
+     'target_background.*decides every cell'),
+    (learner({'lethality': (0, 1)}, false_negative=1.0), ValueError, 'lethality.*strike'),
+    (learner({'kappa': (0, 1)}, method='relaxed_itp'), ValueError,
+     'kappa cannot be learnt by a method without kappa'),
+    *((learner({'lethality': (0, 1)}, method=method), ValueError,
+       'as given and cannot learn lethality')
+      for method in ('relaxed_bnitp', 'kappa_bnitp_published')),
     *((partial(Beta, *given), ValueError, 'of a Beta is .*: it must be above 0')
       for given in ((0, 1), (1, -2), (inf, 1), (1, nan))),
     (lambda: RobotType(lethality=1.5), ValueError, 'lethality is 1.5.*probability'),
@@ -297,7 +349,7 @@ NO_PROBABILITIES = [
     (lambda: Estimator(PRIOR, MODEL, unknowns='x'), TypeError, "unknowns is 'x': it must"),
     (lambda: Estimator(PRIOR, MODEL).assimilate([0]), TypeError, 'observation is .*: it must be'),
     (lambda: Estimator(PRIOR, MODEL, dict), TypeError, 'method dict: it must'),
-    *((partial(Estimator, PRIOR, MODEL, 'kappa_bnitp_sampled', seed=seed), ValueError,
+    *((partial(Estimator, PRIOR, MODEL, SAMPLED, seed=seed), ValueError,
        f'seed is {seed}') for seed in (-1, 0.5)),
     (lambda: SearchOptions('baem'), ValueError, "planner is 'baem': known are relaxed, beam"),
     (lambda: SearchOptions(18), ValueError, 'planner is 18: known are relaxed, beam'),

@@ -29,7 +29,6 @@ import pytest
 
 METHODS = ('kappa_bnitp', 'relaxed_itp')
 KINDS = ('static', 'changing', 'used_up')
-GRID = Grid(3, 2)
 TWO = Unknowns(lethality=(0.0, 1.0), malfunction=Beta(2.0, 30.0))
 SEVEN = Unknowns(
     lethality=(0.0, 1.0),
@@ -248,25 +247,3 @@ def test_the_impossible_is_refused_and_changes_nothing():
     with pytest.raises(ValueError, match='impossible'):
         estimator.assimilate(Observation([0, 1, 0], False))
     assert estimator.belief.joint.tobytes() == before
-
-
-@for_each(
-    'method, unknowns, message',
-    [
-        ('relaxed_itp', {'kappa': (0.0, 1.0)}, 'kappa cannot be learnt by a method without kappa'),
-        (
-            'relaxed_bnitp',
-            {'lethality': (0.0, 1.0)},
-            'as given and cannot learn lethality',
-        ),
-        (
-            'kappa_bnitp_published',
-            {'lethality': (0.0, 1.0)},
-            'as given and cannot learn leth',
-        ),
-    ],
-)
-def test_numbers_that_a_method_cannot_learn_are_refused(method, unknowns, message):
-    prior = Belief.prior(Grid(2, 2), 0.3, 0.3, 0.5)
-    with pytest.raises(ValueError, match=message):
-        Estimator(prior, SensorModel(0.5), method, Unknowns(**unknowns))

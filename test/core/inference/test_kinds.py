@@ -200,42 +200,6 @@ def test_a_kind_that_the_evidence_rules_out_has_no_weight():
     assert estimator.belief.joint.tobytes() == before
 
 
-@for_each(
-    'make, message',
-    [
-        (lambda: Dynamics('learn').known_rates(), "dynamics is 'learn'"),
-        (lambda: UNKNOWN['moving'].known_rates(), 'move is unknown, from 0.01 to 0.3: a world'),
-        (lambda: Dynamics('changing', vanish=(0.2, 0.1)), r'vanish is unknown within \(0.2, 0.1'),
-        (lambda: Dynamics('changing', vanish=(0.0, 0.1)), 'it must satisfy 0 < low < high'),
-        (lambda: Dynamics('moving', move=(0.5, 1.5)), 'move is 1.5'),
-        (lambda: Dynamics('changing', appear=(0.1, 0.2)), 'appear is .* it must be a number'),
-        (lambda: Dynamics('static', vanish=(0.1, 0.2)), 'only changing hazards use it'),
-        (
-            lambda: Estimator(Belief(PRIOR.joint), MODEL, dynamics=Dynamics('learn')),
-            'moving hazards cannot be weighed: the prior has no grid',
-        ),
-        (
-            lambda: Estimator(PRIOR, MODEL, 'relaxed_bnitp', dynamics=Dynamics('learn')),
-            'relaxed_bnitp does not take hazards that are of an unknown kind: use relaxed_itp',
-        ),
-        (
-            lambda: Estimator(PRIOR, MODEL, 'kappa_bnitp_sampled', dynamics=Dynamics('learn')),
-            'kappa_bnitp_sampled does not take hazards that are of an unknown kind',
-        ),
-        (
-            lambda: run_mission(
-                GRID, PRIOR, MODEL, World([False] * 6, [False] * 6), 1, 0,
-                dynamics=UNKNOWN['changing'],
-            ),
-            'vanish is unknown, from 0.01 to 0.3: a world needs a number',
-        ),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_learnt_is_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 @pytest.mark.filterwarnings('error')
 @pytest.mark.slow
 def test_hundreds_of_robots_rule_a_kind_out_without_a_warning():

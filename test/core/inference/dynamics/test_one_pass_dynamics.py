@@ -200,9 +200,3 @@ def test_a_prediction_keeps_targets_and_the_number_of_hazards(seed):
     assert after[:, 1].sum() == pytest.approx(joint[:, 1].sum(), abs=1e-12)
     np.testing.assert_allclose(after.sum(axis=1), joint.sum(axis=1), atol=1e-12)
     assert after[[GRID.base, 5], 1].sum() == 0.0
-
-
-def test_moving_hazards_need_a_grid():
-    belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
-    with pytest.raises(ValueError, match=r'moving.*no grid.*Belief.prior\(grid'):
-        Estimator(belief, SensorModel(0.5), dynamics=Dynamics('moving', move=0.1))

@@ -355,33 +355,6 @@ def test_the_numbers_drawn_are_not_those_of_a_world_of_that_seed():
             assert not np.isin(sampler.generator(5, deployments).random(4), drawn).any()
 
 
-@for_each('given, message', [
-    ((0.2, 1.1), r'lethality is unknown within \(0.2, 1.1\): high is 1.1.*\[0, 1\]'),
-    ((-0.1, 0.5), 'low is -0.1'),
-    ((0.5, 0.5), r'from 0.5 to 0.5: it must end above its start'),
-    ((0.1, float('nan')), 'high is nan'),
-    ((0.1, 0.2, 0.3), 'two numbers'),
-    (0.5, 'two numbers'),
-    (('a', 'b'), "low is 'a': it must be a number"),
-])  # fmt: skip
-def test_a_bad_interval_is_refused(given, message):
-    with pytest.raises(ValueError, match=f'lethality is unknown within.*{message}|{message}'):
-        Unknowns(lethality=given)
-
-
-@for_each('unknowns, maps, sensors, message', [
-    ({'hazard_density': (0, 1)}, (0.0, 0.5, 0.5), {}, 'hazard_density.*decides every cell'),
-    ({'kappa': (0, 1)}, (0.5, 0.7, 1.0), {}, 'kappa.*decides every cell'),
-    ({'kappa': (0, 1)}, (0.0, 0.5, 0.5), {}, 'kappa.*decides every cell'),
-    ({'target_background': (0, 1)}, (0.5, 0.4, 0.8), {}, 'target_background.*decides every cell'),
-    ({'lethality': (0, 1)}, (0.5, 0.5, 0.5), {'false_negative': 1.0}, 'lethality.*strike'),
-])  # fmt: skip
-def test_a_number_without_effect_is_refused(unknowns, maps, sensors, message):
-    belief = Belief.prior(Grid(2, 2), *maps)
-    with pytest.raises(ValueError, match=f'{message}'):
-        Estimator(belief, SensorModel(0.5, **sensors), METHOD, Unknowns(**unknowns))
-
-
 def test_only_evidence_that_no_value_explains_is_refused():
     """Without malfunctions a loss needs a hazard, or a malfunction rate above 0."""
     safe = Belief.prior(Grid(2, 1), 0.0, 0.5, 0.5)
