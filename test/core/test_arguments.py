@@ -19,6 +19,7 @@ from kbnitp_ros.core import (
     Lane,
     Learning,
     log_loss,
+    METHODS,
     Observation,
     RobotType,
     run_mission,
@@ -80,6 +81,12 @@ def wide(side, densities):
     possible = np.ones(side**2, dtype=bool)
     possible[[5, 77]] = False
     return Clustering(Grid(side, side), 0.5).fields(possible, np.full(densities, 0.2))
+
+
+def clustered(method=SAMPLED, hazard=0.2, **others):
+    belief = Belief.prior(GRID, hazard, 0.5, 0.8)
+    given = {'clustering': Clustering(GRID, 0.5)} | others
+    return Estimator(belief, MODEL, method, **given)
 
 
 def mission(robots=4, rng=1, method='kappa_bnitp', grid=GRID, world=WORLD, **others):
@@ -217,6 +224,14 @@ NO_PROBABILITIES = [
     (lambda: Clustering(0.5, GRID), TypeError, 'grid is 0.5: it must be Grid'),
     (lambda: wide(17, 1), ValueError, 'obstacles, its shorter side may have at most 16 cells'),
     (lambda: wide(13, 2), ValueError, 'hazard_density is unknown'),
+    (lambda: clustered('kappa_bnitp'), ValueError,
+     'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
+    (lambda: clustered(dynamics=Dynamics('used_up')), ValueError,
+     'does not take hazards that are used_up'),
+    (lambda: clustered(clustering=Clustering(Grid(3, 3), 0.5)), ValueError,
+     'grid of 9 cells, but the prior has 16'),
+    (lambda: clustered(hazard=np.linspace(0.0, 0.5, 16)), ValueError,
+     'prior hazards differ between cells'),
     # Beliefs, and their scores. A cell's hazardous targets are at most its targets or hazards.
     (lambda: at_cells(hazard=0.5, target=0.1, kappa=0.8), ValueError, r'cell 7\b.*0.5.*0.8.*0.1'),
     (lambda: at_cells(hazard=0.5, target=0.9, kappa=0.2), ValueError, r'cell 7\b.*0.5.*0.2.*0.9'),
@@ -344,6 +359,10 @@ NO_PROBABILITIES = [
     *((partial(make, max_distance=wrong), ValueError, 'max_distance is .*: it must be at least 0')
       for make, wrong in product((SearchOptions, RobotType), (-1.0, inf, nan, 2e9))),
     # Methods and plans.
+    (lambda: update(PRIOR, MODEL, Observation([0, 77, 0], False)), ValueError,
+     'path.*77.*0 to 15'),
+    (lambda: METHODS.find('kappa_bnitp_smoothed'), ValueError,
+     "'kappa_bnitp_smoothed': it is gone.* 0.3.0 .*use kappa_bnit"),
     (lambda: update(PRIOR, MODEL, [0, 1, 0]), TypeError, r'observation is \[0, 1, 0\]: it must'),
     (lambda: Estimator(GRID, MODEL), TypeError, 'belief is Grid.*: it must be Belief'),
     (lambda: Estimator(PRIOR, MODEL, unknowns='x'), TypeError, "unknowns is 'x': it must"),
@@ -367,7 +386,31 @@ NO_PROBABILITIES = [
     (lambda: core.path_information(PRIOR, 0.5, [0, 1, 0]), TypeError, 'model is 0.5: it must be'),
     (lambda: core.path_information(PRIOR, MODEL, core.plan(GRID, PRIOR, MODEL)), ValueError,
      r'path is Plan\(.*: it must list at least two cells'),
+    (lambda: planned(objective='behavioural'), ValueError,
+     "'behavioural': it must be one of information, behavioral"),
+    (lambda: planned(objective='behavioral', alpha=0.0), ValueError,
+     r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
+    (lambda: planned(objective='behavioral', alpha=nan), ValueError, 'alpha is nan'),
+    (lambda: planned(alpha=2.0), ValueError,
+     'alpha is 2.0, which the objective information does not have'),
+    (lambda: planned(objective='information_per_loss', loss_cost=1.0), ValueError,
+     'loss_cost is 1.0, and the objective information_per_loss finds it'),
+    (lambda: planned(objective='information_per_loss', alpha=2.0), ValueError,
+     'alpha is 2.0, which the objective information_per_loss does not have'),
+    (lambda: planned(objective='information_per_loss', planner='random'), ValueError,
+     'information_per_loss, but the planner random does not seek'),
+    (lambda: mission(options=SearchOptions(objective='information_per_loss'),
+                     team=Team(types=(RobotType(loss_cost=1.0),))), ValueError,
+     'loss_cost is 1.0'),
+    *((partial(planned, planner=name, max_distance=4.0), ValueError,
+       f'but the planner {name} does not keep to it: choose')
+      for name in ('random', 'coverage', 'shortest_unvisited')),
+    *((partial(core.plan, GRID, PRIOR, MODEL, visited=visited), ValueError,
+       'visited has shape .*for each of the 16 cells')
+      for visited in ([1, 2], [-1] * 16, [0.5] * 16, np.zeros((4, 4), dtype=int))),
     # Goals and stops.
+    (lambda: mission(options=SearchOptions(max_steps=6, max_distance=5.0), goal=Area([1, 2])),
+     ValueError, 'max_distance is 5 m, but paths for the goal area do'),
     (lambda: goal(Lane(24, 1.0)), ValueError, 'confidence is 1.0'),
     (lambda: goal(Area([3], 0.0)), ValueError, 'confidence is 0.0'),
     (lambda: goal(Area([])), ValueError, 'without cells'),

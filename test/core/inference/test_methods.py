@@ -87,12 +87,6 @@ def test_rare_hazards_of_a_perfect_robot_are_told_apart(hazard):
     np.testing.assert_allclose(after.hazard, [0, 1 / 3, 2 / 3], atol=2 * hazard)
 
 
-def test_a_path_outside_the_belief_is_refused():
-    belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
-    with pytest.raises(ValueError, match='path.*7.*0 to 1'):
-        update(belief, SensorModel(0.5), Observation([0, 7, 0], False))
-
-
 def test_an_unknown_method_is_refused_with_the_known_ones():
     belief = Belief.from_maps([0.0, 0.5], [0.5, 0.5], [0.5, 0.5])
     everyone = '(?=.*' + ')(?=.*'.join(METHODS) + ')'
@@ -108,13 +102,6 @@ def test_versions_are_known():
         **dict.fromkeys(METHODS, 1),
         'kappa_bnitp_sampled': 3,
     }
-
-
-def test_a_removed_method_is_refused_with_the_one_to_use():
-    with pytest.raises(
-        ValueError, match="'kappa_bnitp_smoothed': it is gone.* 0.3.0 .*use kappa_bnit"
-    ):
-        METHODS.find('kappa_bnitp_smoothed')
 
 
 MAX_CELLS = 12

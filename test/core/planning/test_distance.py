@@ -10,18 +10,15 @@ from math import hypot, inf, sqrt
 from bound import upper_bound
 import brute_force
 from kbnitp_ros.core import (
-    Area,
     Belief,
     Grid,
     PathFinder,
     plan,
     plan_team,
     RobotType,
-    run_mission,
     SearchOptions,
     SensorModel,
     Team,
-    World,
 )
 from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.regions import keepout_cells
@@ -211,12 +208,6 @@ def test_cells_that_refused_plans_led_to_leave_some_within_the_distance():
 BELIEF = Belief.prior(Grid(3, 3), 0.2, 0.4, 0.8)
 
 
-@for_each('planner', ['random', 'coverage', 'shortest_unvisited'])
-def test_planners_without_distance_limits_refuse_them(planner):
-    with pytest.raises(ValueError, match=f'but the planner {planner} does not keep to it: choose'):
-        plan(Grid(3, 3), BELIEF, SensorModel(0.5), SearchOptions(planner, 6, max_distance=4.0))
-
-
 def test_a_distance_that_allows_no_step_is_refused_with_the_least():
     for grid, needed in (
         (Grid(3, 3), '2 m'),
@@ -239,25 +230,4 @@ def test_a_distance_that_allows_no_step_is_refused_with_the_least():
             SensorModel(0.5),
             Team(2, types=(RobotType(), RobotType(max_distance=1.5))),
             SearchOptions(max_steps=6),
-        )
-
-
-def test_goals_do_not_keep_a_distance():
-    grid = Grid(3, 3)
-    rng = np.random.default_rng(0)
-    with pytest.raises(ValueError, match='max_distance is 5 m, but paths for the goal area do'):
-        next(
-            iter(
-                run_mission(
-                    grid,
-                    BELIEF,
-                    SensorModel(0.5),
-                    World(np.zeros(9, bool), np.zeros(9, bool)),
-                    1,
-                    rng,
-                    'kappa_bnitp_sampled',
-                    SearchOptions(max_steps=6, max_distance=5.0),
-                    goal=Area([1, 2]),
-                )
-            )
         )

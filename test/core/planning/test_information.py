@@ -137,14 +137,3 @@ def test_planners_without_an_objective_refuse_it(planner):
         plan(*random_problem(0), SearchOptions(planner, 6, objective='behavioral', alpha=0.5))
     with pytest.raises(ValueError, match='does not seek it'):
         plan_round(*random_problem(0), 6, 2, planner=planner, objective='behavioral')
-
-
-@for_each('sought, message', [
-    ({'objective': 'behavioural'}, "'behavioural': it must be one of information, behavioral"),
-    ({'objective': 'behavioral', 'alpha': 0.0}, r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
-    ({'objective': 'behavioral', 'alpha': np.nan}, 'alpha is nan'),
-    ({'alpha': 2.0}, 'alpha is 2.0, which the objective information does not have'),
-])  # fmt: skip
-def test_inconsistent_options_are_refused(sought, message):
-    with pytest.raises(ValueError, match=message):
-        plan(*random_problem(0), SearchOptions(max_steps=6, **sought))

@@ -24,7 +24,6 @@ from kbnitp_ros.core import (
 )
 from laws import for_each
 import numpy as np
-import pytest
 from rounds import every_path, random_problem
 
 
@@ -120,20 +119,6 @@ def test_information_per_loss_of_a_team_is_that_of_all_its_robots():
             information = team_information(belief, model, [robot.path for robot in plans])
             ratios.append(information / sum(1 - robot.survival for robot in plans))
     assert ratios[1] == ratios[3] >= max(ratios)
-
-
-@for_each('arguments, message', [
-    ({'loss_cost': 1.0}, 'loss_cost is 1.0, and the objective information_per_loss finds it'),
-    ({'alpha': 2.0}, 'alpha is 2.0, which the objective information_per_loss does not have'),
-    ({'planner': 'random'}, 'information_per_loss, but the planner random does not seek'),
-])  # fmt: skip
-def test_information_per_loss_refuses_other_options(arguments, message):
-    grid, belief, model = random_problem(0)
-    with pytest.raises(ValueError, match=message):
-        plan(grid, belief, model, SearchOptions(objective='information_per_loss', **arguments))
-    own = Team(1, types=(RobotType(loss_cost=1.0),))
-    with pytest.raises(ValueError, match='loss_cost is 1.0'):
-        plan_team(grid, belief, model, own, SearchOptions(objective='information_per_loss'))
 
 
 @for_each('planner, seed, objective', [

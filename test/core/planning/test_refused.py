@@ -218,13 +218,6 @@ def test_robots_of_a_round_continue_the_same_tour(planner):
     assert [planned.path.tolist() for planned in team] == [path.tolist() for path in alone]
 
 
-@for_each('visited', [[1, 2], [-1] * 9, [0.5] * 9, np.zeros((3, 3), dtype=int)])
-def test_visits_that_fit_no_cells_are_refused(visited):
-    grid = Grid(3, 3)
-    with pytest.raises(ValueError, match='visited has shape .*for each of the 9 cells'):
-        plan(grid, prior(grid), MODEL, SearchOptions('coverage', 4), visited=visited)
-
-
 @pytest.mark.slow
 def test_walks_beyond_memory_are_refused():
     grid = Grid(1000, 1000)

@@ -6,7 +6,6 @@ from extent import FULL
 from kbnitp_ros.core import (
     Belief,
     Clustering,
-    Dynamics,
     Estimator,
     Grid,
     SensorModel,
@@ -168,24 +167,3 @@ def test_a_coupling_of_0_is_no_clustering_bit_for_bit():
             estimator.assimilate(observation)
         beliefs.append(estimator.belief.joint.tobytes())
     assert beliefs[0] == beliefs[1]
-
-
-@for_each('changed, message', [
-    ({'method': 'kappa_bnitp'}, 'kappa_bnitp does not take clustered.*kappa_bnitp_sampled'),
-    ({'dynamics': Dynamics('used_up')}, 'does not take hazards that are used_up'),
-    ({'clustering': Clustering(Grid(3, 3), 0.5)}, 'grid of 9 cells, but the prior has 12'),
-    (
-        {'belief': Belief.from_maps(np.linspace(0.0, 0.5, 12), [0.4] * 12, [0.4] * 12)},
-        'prior hazards differ between cells',
-    ),
-])  # fmt: skip
-def test_unsupported_options_with_clusters_are_refused(changed, message):
-    grid = Grid(4, 3)
-    given = {
-        'belief': uniform_prior(grid, 0.2),
-        'model': SensorModel(0.5),
-        'method': METHOD,
-        'clustering': Clustering(grid, 0.5),
-    }
-    with pytest.raises(ValueError, match=message):
-        Estimator(**(given | changed))
