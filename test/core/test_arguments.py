@@ -126,6 +126,11 @@ def planned(**options):
     return core.plan(GRID, PRIOR, MODEL, SearchOptions(max_steps=4, **options))
 
 
+def team(agents=2, allocation='greedy', types=(), grid=GRID, **others):
+    search = SearchOptions(max_steps=4)
+    return core.plan_team(grid, PRIOR, MODEL, Team(agents, allocation, types), search, **others)
+
+
 def observed(cells, survived, readings=None, **others):
     return partial(Observation, cells, survived, readings, **others)
 
@@ -408,6 +413,23 @@ NO_PROBABILITIES = [
     *((partial(core.plan, GRID, PRIOR, MODEL, visited=visited), ValueError,
        'visited has shape .*for each of the 16 cells')
       for visited in ([1, 2], [-1] * 16, [0.5] * 16, np.zeros((4, 4), dtype=int))),
+    *((partial(planned, planner=name, objective='behavioral', alpha=0.5), ValueError,
+       f'{name} does not seek it: choose the planner beam or relax')
+      for name in ('random', 'coverage', 'shortest_unvisited')),
+    (lambda: team(0), ValueError, 'agents is 0.*at least 1'),
+    (lambda: team(1.5), ValueError, 'agents is 1.5.*whole number'),
+    (lambda: team(16), ValueError, 'agents is 16.*15.*free cell'),
+    (lambda: team(allocation='auction'), ValueError,
+     'allocation.*auction(?=.*voronoi)(?=.*greedy)'),
+    (lambda: team(in_flight=[([0, 16, 0], RobotType())]), ValueError,
+     'path leaves the grid.*16'),
+    (lambda: team(in_flight=[([0, 1, 0], RobotType()), ([0, 10, 0], RobotType())]), ValueError,
+     'path jumps.*from cell 0 to 10'),
+    (lambda: team(grid=Grid(5, 4)), ValueError, 'belief.*16.*20'),
+    (lambda: team(types=[RobotType(loss_cost=1.0)]), ValueError,
+     'has 1 values: it must have 2, one for each robot'),
+    (lambda: team(7, types=[RobotType(true_positive=0.9 + n / 100) for n in range(7)]),
+     ValueError, '7 different cameras.*at most 6'),
     # Goals and stops.
     (lambda: mission(options=SearchOptions(max_steps=6, max_distance=5.0), goal=Area([1, 2])),
      ValueError, 'max_distance is 5 m, but paths for the goal area do'),

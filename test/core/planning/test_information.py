@@ -13,7 +13,6 @@ from kbnitp_ros.core import (
     Grid,
     path_information,
     plan,
-    PLANNERS,
     SearchOptions,
     SensorModel,
 )
@@ -127,13 +126,3 @@ def test_at_alpha_1_plans_are_the_very_same(planner, agents, seed):
         for team in (plan_round(*problem), plan_round(*problem, objective='behavioral', alpha=1.0))
     )
     assert usual == behavioral_one
-
-
-@for_each('planner', [each for each in PLANNERS.own if each not in SEEKING])
-def test_planners_without_an_objective_refuse_it(planner):
-    with pytest.raises(
-        ValueError, match=f'{planner} does not seek it: choose the planner beam or relax'
-    ):
-        plan(*random_problem(0), SearchOptions(planner, 6, objective='behavioral', alpha=0.5))
-    with pytest.raises(ValueError, match='does not seek it'):
-        plan_round(*random_problem(0), 6, 2, planner=planner, objective='behavioral')

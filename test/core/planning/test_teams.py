@@ -9,7 +9,6 @@ from kbnitp_ros.core import (
     ALLOCATIONS,
     Belief,
     Grid,
-    ORDINARY,
     path_information,
     plan,
     RobotType,
@@ -179,33 +178,6 @@ def test_robots_prefer_their_regions():
         assert inside.mean() > 0.6
 
 
-BAD_TEAMS = [
-    ({'agents': 0}, 'agents is 0.*at least 1'),
-    ({'agents': 1.5}, 'agents is 1.5.*whole number'),
-    ({'agents': 28}, 'agents is 28.*27.*free cell'),
-    ({'allocation': 'auction'}, 'allocation.*auction(?=.*voronoi)(?=.*greedy)'),
-    ({'in_flight': [([8, 30, 8], ORDINARY)]}, 'path leaves the grid.*30'),
-    (
-        {'in_flight': [([8, 7, 8], ORDINARY), ([8, 22, 8], ORDINARY)]},
-        'path jumps.*from cell 8 to 22',
-    ),
-]
-
-
-@for_each('allocation, bad', product(ALLOCATIONS, BAD_TEAMS))
-def test_bad_teams_are_refused(allocation, bad):
-    arguments, message = bad
-    request = {'max_steps': 4, 'agents': 2, 'allocation': allocation, **arguments}
-    with pytest.raises(ValueError, match=message):
-        plan_round(GRID, PRIOR, MODEL, **request)
-
-
-@for_each('allocation', ALLOCATIONS)
-def test_a_belief_of_another_grid_is_refused(allocation):
-    with pytest.raises(ValueError, match='belief.*30.*16'):
-        plan_round(Grid(4, 4), PRIOR, MODEL, 4, 2, allocation)
-
-
 # A cheap blind robot and an expensive one with a good camera.
 BLIND = RobotType(true_positive=0.5, false_positive=0.5, max_steps=6)
 KEEN = RobotType(true_positive=0.99, false_positive=0.01, loss_cost=1.0)
@@ -330,15 +302,3 @@ def test_robots_of_types_meet_the_world_with_their_own_sensors():
     survived = [deployment.observation.survived for deployment in made]
     assert survived == [True, False, True, False, True, False, True]
     assert all(each.observation.steps <= 4 for each in made[::2])
-
-
-@for_each('arguments, message', [
-    ({'types': [KEEN]}, 'has 1 values: it must have 2, one for each robot'),
-    (
-        {'agents': 7, 'types': [RobotType(true_positive=0.9 + n / 100) for n in range(7)]},
-        '7 different cameras.*at most 6',
-    ),
-])  # fmt: skip
-def test_bad_robot_types_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plan_round(GRID, random_belief(0), MODEL, **{'max_steps': 4, 'agents': 2, **arguments})
