@@ -14,7 +14,7 @@ from scenarios import (
     without_odometry,
 )
 
-MANY = 200
+MANY = 100
 WALKS = [3, pytest.param(MANY, marks=pytest.mark.full)]
 
 # False steps and readings in a thousand reported steps.
