@@ -36,6 +36,7 @@ from kbnitp_ros.plugins import PluginError
 from laws import for_each
 import numpy as np
 import pytest
+from rounds import LEARN_FROM_LOSSES
 
 GRID = Grid(4, 4, blocked=[6])
 PRIOR = Belief.prior(GRID, 0.15, 0.2, 0.8)
@@ -133,6 +134,13 @@ def team(agents=2, allocation='greedy', types=(), grid=GRID, **others):
 
 def observed(cells, survived, readings=None, **others):
     return partial(Observation, cells, survived, readings, **others)
+
+
+def seen_by(method, sensors, hazard, readings):
+    belief = Belief.from_maps([0.0, hazard], [0.5, 0.5], [0.5, 0.5])
+    model = SensorModel(**{'lethality': 0.5} | sensors)
+    observation = Observation([0, 1, 1, 0], readings is not None, readings)
+    Estimator(belief, model, method).assimilate(observation)
 
 
 def lost(**told):
@@ -354,8 +362,18 @@ NO_PROBABILITIES = [
     *((partial(make, max_distance=wrong), ValueError, 'max_distance is .*: it must be at least 0')
       for make, wrong in product((SearchOptions, RobotType), (-1.0, inf, nan, 2e9))),
     # Methods and plans.
-    (lambda: update(PRIOR, MODEL, Observation([0, 77, 0], False)), ValueError,
-     'path.*77.*0 to 15'),
+    *((partial(use, FREE, MODEL, seen), ValueError, 'path.*77.*0 to 15') for use, seen in (
+        (update, Observation([0, 77, 0], False)), (core.path_information, [0, 77, 0]),
+    )),
+    # Impossible outcomes: losses that nothing explains, and returns and readings that cannot be.
+    *((partial(seen_by, method, *case), ValueError, 'impossible')
+      for method, case in product(LEARN_FROM_LOSSES, (
+          ({'malfunction': 0.0}, 0.0, None),
+          ({'malfunction': 0.0, 'lethality': 0.0}, 0.5, None),
+          ({'malfunction': 1.0}, 0.5, [1, 1, 1]),
+          ({'false_negative': 0.0, 'lethality': 1.0}, 1.0, [1, 1, 1]),
+          ({'true_positive': 1.0, 'false_positive': 0.0}, 0.5, [1, 0, 1]),
+      ))),
     (lambda: METHODS.find('kappa_bnitp_smoothed'), ValueError,
      "'kappa_bnitp_smoothed': it is gone.* 0.3.0 .*use kappa_bnit"),
     (lambda: update(PRIOR, MODEL, [0, 1, 0]), TypeError, r'observation is \[0, 1, 0\]: it must'),
