@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 import re
@@ -57,11 +58,22 @@ def bootstrap(samples: Any, rng: np.random.Generator | None = None) -> Interval:
     if worlds < 2:
         mean = values.mean(axis=0)
         return Interval(mean, mean * np.nan, mean * np.nan)
-    rng = np.random.default_rng(0) if rng is None else rng
-    drawn = rng.multinomial(worlds, np.full(worlds, 1.0 / worlds), RESAMPLES)
-    resampled = np.tensordot(drawn / worlds, values, 1)
+    drawn = first_resamples(worlds) if rng is None else resamples(worlds, rng)
+    resampled = np.tensordot(drawn, values, 1)
     low, high = np.quantile(resampled, (0.025, 0.975), axis=0)
     return Interval(values.mean(axis=0), low, high)
+
+
+def resamples(worlds: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return the share of each world in each resample, shape (resamples, worlds)."""
+    drawn = rng.multinomial(worlds, np.full(worlds, 1.0 / worlds), RESAMPLES)
+    return np.asarray(drawn / worlds, np.float64)
+
+
+@lru_cache
+def first_resamples(worlds: int) -> NDArray[np.float64]:
+    """Return the resamples of a new generator, which all tables and figures share."""
+    return resamples(worlds, np.random.default_rng(0))
 
 
 class Results:
