@@ -199,8 +199,12 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
         case Obstacle.BELIEF_BEHIND:
             return next_belief(now)
         case Obstacle.DECIDING:
-            decision = f'the decision on {now.topic("decision")}'
-            return f'{decision}, for which the estimator must have the same parameters goal.*'
+            if now.is_decided:
+                return f'draws of the hazards from the estimator by {now.service("draws")}'
+            return (
+                f'the decision on {now.topic("decision")}, which an estimator with the same '
+                'parameters goal.* computes'
+            )
         case Obstacle.NO_SUBSCRIBER:
             return now.missing_listeners()
         case Obstacle.ALL_LEFT:

@@ -80,6 +80,13 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     return [int(cell) for cell in np.flatnonzero(is_marked)]
 
 
+def check_confidence(values: Mapping[str, Any], grid: Grid) -> None:
+    """Check the goal and its confidence, as an estimator decides on them."""
+    if goal := make_goal(values, grid):
+        goal.check(grid, values['max_steps'])
+        Stop().check(goal, 0)
+
+
 def settled_goal(values: Mapping[str, Any], grid: Grid) -> dict[str, Any]:
     """Return the parameters of the goal with its cells by number."""
     cells = goal_cells(values, grid)

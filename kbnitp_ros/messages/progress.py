@@ -290,6 +290,18 @@ def fill_draws(response: Any, draws: HazardDraws) -> None:
 
 def read_draws(response: Any, cells: int) -> HazardDraws:
     """Return the draws of a response, on a field of so many cells."""
-    bits = np.unpackbits(np.asarray(response.hazardous, np.uint8), count=response.count * cells)
-    hazardous = bits.astype(bool).reshape(response.count, cells)
-    return HazardDraws(hazardous, response.independent_draws, np.asarray(response.weight))
+    count, weight = int(response.count), np.asarray(response.weight)
+    sizes = {'hazardous': -(-count * cells // 8), 'weight': count}
+    for name, size in sizes.items():
+        if not count or len(getattr(response, name)) != size:
+            raise ValueError(
+                f'{name} has {len(getattr(response, name))} values: {count} draws of {cells} '
+                f'cells have {size}, and there must be at least one draw'
+            )
+    if not ((weight >= 0.0).all() and np.isclose(weight.sum(), 1.0)):
+        raise ValueError(f'weight has the sum {weight.sum()}: it must have at least 0 each, and 1')
+    if not response.independent_draws > 0.0:
+        raise ValueError(f'independent_draws is {response.independent_draws}: it must be above 0')
+    bits = np.unpackbits(np.asarray(response.hazardous, np.uint8), count=count * cells)
+    hazardous = bits.astype(bool).reshape(count, cells)
+    return HazardDraws(hazardous, response.independent_draws, weight)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_msgs.srv import Draws
 from kbnitp_ros.configuration import make_goal
+from kbnitp_ros.configuration.mission import check_confidence
 from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safest_path
 from kbnitp_ros.files import counted
 from kbnitp_ros.messages.deployments import path_message
@@ -21,6 +22,7 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
@@ -59,7 +61,9 @@ class Decisions:
         self._answering: set[str] = set()
         self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
-        node.add_post_set_parameters_callback(self._review)
+        node.add_on_set_parameters_callback(self._check)
+        # Later, once the values of the node have changed.
+        node.add_post_set_parameters_callback(lambda _: node.call_next(self._decide))
         node.create_service(GetPlan, 'safest_path', self._on_safest_path)
         node.create_service(Draws, 'draws', self._on_draws)
 
@@ -84,9 +88,14 @@ class Decisions:
                 f'the decision on the last belief takes more than {LAST:g} s and is left out'
             )
 
-    def _review(self, _: list[Parameter]) -> None:
-        """Decide again with another confidence."""
-        self._decide()
+    def _check(self, changes: list[Parameter]) -> SetParametersResult:
+        """Refuse a confidence that the goal cannot have, or that takes too many draws."""
+        values = {**self._node.values, **{each.name: each.value for each in changes}}
+        try:
+            check_confidence(values, self._grid)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _decide(self) -> None:
         """Start the decision on the newest belief, unless it was started or another one runs."""

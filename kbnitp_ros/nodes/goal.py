@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import time
 from typing import Any
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
@@ -17,6 +18,9 @@ from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.messages.progress import read_decision, read_draws
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
+
+# Seconds between two requests for the same draws.
+PAUSE = 1.0
 
 # A belief: its stamp, nanoseconds, and its number of deployments.
 Name = tuple[int, int]
@@ -34,6 +38,8 @@ class GoalState:
         self._drawn: tuple[Name, HazardDraws] | None = None
         # The belief of the last request for draws, unless it was answered.
         self._asked: Name | None = None
+        # Time of the next request after one without draws, seconds.
+        self._ask_at = 0.0
         # Reason why the plans for the newest belief end the mission, empty if they do not; and the
         # reason logged last.
         self.not_worth = ''
@@ -49,7 +55,7 @@ class GoalState:
 
     def take(self, newest: Snapshot) -> None:
         """Await the decision on the newest belief."""
-        self._newest = newest.stamp, newest.deployments
+        self._newest, self._asked = (newest.stamp, newest.deployments), None
         self.not_worth = ''
         self._act()
 
@@ -69,6 +75,8 @@ class GoalState:
             self._node.diagnostics.refuse('decision', error)
             return
         self._decided = (from_stamp(message.header.stamp), message.deployments), decision
+        # An estimator that was restarted answers in place of the one that ended.
+        self._asked = None
         self._act()
 
     @property
@@ -97,8 +105,8 @@ class GoalState:
         """Return draws for the newest belief; None until the estimator has answered."""
         if self._drawn is not None and self._drawn[0] == self._newest:
             return self._drawn[1]
-        # An estimator that ended answers no more, and the next one publishes another belief.
-        if self._asked != self._newest and self._draws.service_is_ready():
+        is_due = self._asked != self._newest and time.monotonic() > self._ask_at
+        if is_due and self._draws.service_is_ready():
             newest = self._asked = self._newest
             request = Draws.Request(stamp=to_stamp(newest[0]), deployments=newest[1])
             self._draws.call_async(request).add_done_callback(
@@ -114,7 +122,12 @@ class GoalState:
 
     def _on_draws(self, newest: Name, answer: Any) -> None:
         if newest == self._asked:
-            self._asked = None
-        if answer.success:
+            self._asked, self._ask_at = None, time.monotonic() + PAUSE
+        if not answer.success:
+            return
+        try:
             self._drawn = newest, read_draws(answer, self._state.grid.cells)
+        except ValueError as error:
+            self._node.diagnostics.refuse('draws', error)
+        else:
             self._act()

@@ -8,12 +8,14 @@ from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_msgs.msg import BeliefMaps, OwnNumber, UnknownNumber
+from kbnitp_msgs.srv import Draws
 from kbnitp_ros.core import (
     Belief,
     Beta,
     DeploymentKey,
     Estimator,
     Grid,
+    HazardDraws,
     Ledger,
     METHODS,
     Report,
@@ -22,7 +24,14 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
-from kbnitp_ros.messages.progress import model_belief, NOT_CHECKED, QUANTILES, read_model_belief
+from kbnitp_ros.messages.progress import (
+    fill_draws,
+    model_belief,
+    NOT_CHECKED,
+    QUANTILES,
+    read_draws,
+    read_model_belief,
+)
 from laws import for_each
 import numpy as np
 import pytest
@@ -270,3 +279,31 @@ def test_a_bad_message_is_refused(field, value, error):
     setattr(message, field, value)
     with pytest.raises(ValueError, match=error):
         read_model_belief(message)
+
+
+def draws_response():
+    response = Draws.Response()
+    fill_draws(response, HazardDraws(np.eye(5, 3, dtype=bool), 4.0))
+    return response
+
+
+def test_draws_arrive_as_they_were_drawn():
+    read = read_draws(over_the_wire(draws_response()), 3)
+    np.testing.assert_array_equal(read.hazardous, np.eye(5, 3, dtype=bool))
+    assert read.independent == 4.0
+    assert read.weight.tolist() == [0.2] * 5
+
+
+@for_each('name, value, why', [
+    ('hazardous', [0], 'hazardous has 1 values: 5 draws of 3 cells have 2'),
+    ('weight', [1.0], 'weight has 1 values'),
+    ('weight', [float('nan')] * 5, 'weight has the sum nan'),
+    ('weight', [0.5] * 5, 'weight has the sum 2.5'),
+    ('independent_draws', 0.0, 'independent_draws is 0.0'),
+    ('count', 0, 'there must be at least one draw'),
+])  # fmt: skip
+def test_draws_that_cannot_be_are_refused(name, value, why):
+    response = draws_response()
+    setattr(response, name, value)
+    with pytest.raises(ValueError, match=why):
+        read_draws(response, 3)

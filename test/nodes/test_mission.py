@@ -390,7 +390,11 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     request.goal.pose.position.x = 99.0
     assert not ask(field, GetPlan, '/m/safest_path', request).plan.poses
 
-    assert not field.set_parameter('/m/planner', 'stop.confidence', 0.9999).successful
+    for node in ('planner', 'estimator'):
+        refused = field.set_parameter(f'/m/{node}', 'stop.confidence', 0.9999)
+        assert 'independent draws' in refused.reason
+    assert field.set_parameter('/m/estimator', 'stop.confidence', 0.0).successful
+    field.until(lambda: not decisions[-1].reached, 'decision by another confidence')
     sent = len(paths)
     assert field.set_parameter('/m/planner', 'stop.confidence', 0.0).successful
     field.until(lambda: len(paths) > sent + 1, 'robots that leave again')
