@@ -130,4 +130,5 @@ class GoalState:
         except ValueError as error:
             self._node.diagnostics.refuse('draws', error)
         else:
+            self._ask_at = 0.0
             self._act()
