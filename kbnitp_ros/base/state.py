@@ -162,8 +162,6 @@ class BaseState(MissionRecord):
         self.sent: dict[DeploymentKey, int] = {}
         # The reports that count, by deployment, in the order of arrival.
         self.reports: dict[DeploymentKey, Report] = {}
-        # Number of paths taken and of outcomes that changed.
-        self.changes = 0
         # Deployments that came back without a step, and their number since the last other ending,
         # by agent.
         self.unmoved: set[DeploymentKey] = set()
@@ -172,6 +170,7 @@ class BaseState(MissionRecord):
         # after a restart.
         self._acknowledged: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
         self._early: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
+        self._sent_by_agent: Counter[str] = Counter()
         # Missions of deployments that other planners sent.
         self._others: dict[DeploymentKey, int] = {}
         # Deployments that ended, by name, since an estimator may refuse their reports later.
@@ -194,7 +193,7 @@ class BaseState(MissionRecord):
                 del self.in_flight[key]
             elif is_new:
                 self.sent[key] = sent_at
-                self.changes += 1
+                self._sent_by_agent[key.agent] += 1
                 self._others.pop(key, None)
                 if (status := self._early.pop(key, None)) is not None:
                     self.take_status(key, status)
@@ -273,7 +272,6 @@ class BaseState(MissionRecord):
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
         self.reports[key] = report
-        self.changes += 1
         self.end(key, report.stamp if report.survived else None, moved=not outcome.is_unmoved)
 
     def end(self, key: DeploymentKey, reported: int | None = None, moved: bool = True) -> None:
@@ -370,8 +368,7 @@ class BaseState(MissionRecord):
 
     def forgotten(self, kept: int) -> int:
         """Return the number of deployments beyond the last `kept` of each agent."""
-        sent = Counter(key.agent for key in self.paths)
-        return sum(max(0, each - kept) for each in sent.values())
+        return sum(max(0, sent - kept) for sent in self._sent_by_agent.values())
 
     def overdue(self, now: int, longest: Callable[[DeploymentKey], int]) -> list[DeploymentKey]:
         """Return the robots that have timed out, `longest` nanoseconds after their departure."""
