@@ -12,7 +12,7 @@ from kbnitp_msgs.srv import Draws
 from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration import make_goal
 from kbnitp_ros.configuration.mission import make_stop
-from kbnitp_ros.core import Decision, Goal, HazardDraws
+from kbnitp_ros.core import Decision, HazardDraws
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.messages.progress import read_decision, read_draws
@@ -33,6 +33,8 @@ class GoalState:
         self._node = node
         self._state = state
         self._act = act
+        # None to map the field. Decisions are judged by the present confidence, not by the goal's.
+        self.goal = make_goal(node.values, state.grid)
         self._newest: Name = 0, 0
         self._decided: tuple[Name, Decision] | None = None
         self._drawn: tuple[Name, HazardDraws] | None = None
@@ -47,11 +49,6 @@ class GoalState:
         if self.goal is not None:
             node.subscribe(DecisionMessage, 'decision', self._on_decision, qos.LATCHED)
             self._draws = node.create_client(Draws, 'draws')
-
-    @property
-    def goal(self) -> Goal | None:
-        """Return the goal of the mission; None to map the field."""
-        return make_goal(self._node.values, self._state.grid)
 
     def take(self, newest: Snapshot) -> None:
         """Await the decision on the newest belief."""
@@ -101,10 +98,20 @@ class GoalState:
                 self._node.get_logger().info(f'no more robots leave: {why}')
         return why
 
+    @property
     def draws(self) -> HazardDraws | None:
-        """Return draws for the newest belief; None until the estimator has answered."""
-        if self._drawn is not None and self._drawn[0] == self._newest:
-            return self._drawn[1]
+        """Return draws for the newest belief; None until they have arrived."""
+        if self._drawn is None or self._drawn[0] != self._newest:
+            return None
+        return self._drawn[1]
+
+    @property
+    def awaits_draws(self) -> bool:
+        """Return whether a plan waits for draws."""
+        return self.goal is not None and self.draws is None
+
+    def ask_for_draws(self) -> None:
+        """Ask the estimator for draws, unless a request is under way."""
         is_due = self._asked != self._newest and time.monotonic() > self._ask_at
         if is_due and self._draws.service_is_ready():
             newest = self._asked = self._newest
@@ -112,13 +119,6 @@ class GoalState:
             self._draws.call_async(request).add_done_callback(
                 self._node.guarded(lambda answer: self._on_draws(newest, answer.result()))
             )
-        return None
-
-    @property
-    def awaits_draws(self) -> bool:
-        """Return whether a plan waits for draws."""
-        is_drawn = self._drawn is not None and self._drawn[0] == self._newest
-        return self.goal is not None and not is_drawn
 
     def _on_draws(self, newest: Name, answer: Any) -> None:
         if newest == self._asked:

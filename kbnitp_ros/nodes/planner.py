@@ -279,8 +279,8 @@ class PlannerNode(FieldNode):
             )
             search = None
         if search is None:
-            draws = self._goal.draws() if self._goal.goal else None
             if self._goal.awaits_draws:
+                self._goal.ask_for_draws()
                 return {}
             self._operator.withdraw()
             # The stamp is not taken from the clock, so that a restarted planner sends the same
@@ -289,6 +289,7 @@ class PlannerNode(FieldNode):
             last = self._dispatch.last_stamp
             stamp = next_name(newest.stamp, newest.mission, held, last)
             paths = self._state.paths_in_flight
+            draws = self._goal.draws
             find = self._rounds.search(newest, agents, paths, stamp, refused, draws=draws)
             found = self.compute(find, self._on_search_over)
             self._search = replace(now, found=found)
