@@ -176,7 +176,7 @@ class Follower:
         if read is None or read[0].roles != log.roles or is_finished(self.log):
             read = (log, read_history(log)) if first_belief(log) else None
         else:
-            read_history(*read)
+            read_history(read[0], history=read[1])
         sentence = 'Waiting for the first belief: the nodes of the mission are starting.'
         if read is not None:
             mission = recorded_mission(*read)

@@ -125,8 +125,8 @@ class History:
 
 def read_history(
     log: str | Path | MissionLog,
-    history: History | None = None,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
+    history: History | None = None,
 ) -> History:
     """Read the history of a mission; a history read earlier is continued with what is new."""
     log = log if isinstance(log, MissionLog) else MissionLog(log)

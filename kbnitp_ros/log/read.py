@@ -103,7 +103,7 @@ class LoggedMessage:
 
 
 class Bookmark:
-    """How far a log has been read, to read what is new when it has grown."""
+    """The place up to which a log was read, from which reading goes on once the log has grown."""
 
     def __init__(self) -> None:
         self.parts = defaultdict[Path, Part](Part)
@@ -119,7 +119,7 @@ class Bookmark:
 
 
 class Part:
-    """How far a file of a log has been read, and what its later records refer to."""
+    """The place up to which a file of a log was read, and the records that later ones refer to."""
 
     def __init__(self) -> None:
         # End of the last record read, bytes.

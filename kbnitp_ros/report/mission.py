@@ -175,7 +175,7 @@ def read_mission(
 ) -> Mission:
     """Return the mission of a log; `namespace` selects one of several."""
     log = MissionLog(path, namespace)
-    return recorded_mission(log, read_history(log, progress=progress))
+    return recorded_mission(log, read_history(log, progress))
 
 
 def recorded_mission(log: MissionLog, history: History) -> Mission:

@@ -85,7 +85,7 @@ def test_a_history_is_continued_when_its_log_has_grown(seed, whole_mission, tmp_
     for start, end in pairwise([*cuts, len(content)]):
         with path.open('ab') as file:
             file.write(content[start:end])
-        assert read_history(log, history) is history
+        assert read_history(log, history=history) is history
     once = read_history(whole)
     assert [(each.time, each.position) for each in history.moments] == [
         (each.time, each.position) for each in once.moments
@@ -96,7 +96,7 @@ def test_a_history_is_continued_when_its_log_has_grown(seed, whole_mission, tmp_
     assert history.bookmark.metadata == once.bookmark.metadata
     assert history.evidence.refused == history.corrupt == []
     seen = len(history.moments)
-    assert len(read_history(log, history).moments) == seen
+    assert len(read_history(log, history=history).moments) == seen
 
 
 def test_a_mission_on_another_grid_is_not_resumed(whole_mission, tmp_path):
