@@ -27,7 +27,7 @@ from kbnitp_ros.core.field.compiled import compiled
 from kbnitp_ros.core.field.sensor import log_predicted_survival, times_log
 from kbnitp_ros.core.planning.label_kernels import Floats, Places, surprisal
 from kbnitp_ros.core.planning.labels import find_reach
-from kbnitp_ros.core.planning.objective import new_information, Objective, possible_readings
+from kbnitp_ros.core.planning.objective import Objective
 import numpy as np
 
 # Maximum number of cuts, in addition to one for each number of steps, and maximum number of
@@ -388,17 +388,14 @@ def visit_sums(
     """Return W, r and r2 by visits, and the maximum survivable visits (:eq:`bound-terms`)."""
     visits = np.arange(max_visits + 1)
     hazard = belief.hazard[cells, None]
-    log_mean = log_predicted_survival(hazard, visits, model.log_survival)
+    (log_mean,), (read,) = Objective.of(belief, model).of_visits(cells, max_visits)
     log_square = log_predicted_survival(hazard, 2 * visits, model.log_survival)
     alive = log_mean > -np.inf
     log_power = times_log(visits[:, None], model.log_survival)
     p_log_p = times_log(np.exp(log_power), log_power)
     spread = (1.0 - hazard) * p_log_p[:, 0] + hazard * p_log_p[:, 1]
     w = np.divide(spread, np.exp(log_mean), out=np.zeros_like(spread), where=alive)
-    readings = possible_readings(model, max_visits, ())
-    nothing_read = np.ones((cells.size, 1))
-    w += new_information(readings, belief.joint[cells], nothing_read)
-    added = np.stack([w, -log_mean, -log_square], axis=-1)
+    added = np.stack([w + read, -log_mean, -log_square], axis=-1)
     return np.where(alive[..., None], added, 0.0), alive.sum(axis=1) - 1
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from functools import cache, wraps
 from inspect import signature
-from itertools import chain
 from math import inf
 from types import NoneType, UnionType
 from typing import Any, get_args, get_type_hints, ParamSpec, TypeVar
@@ -73,10 +72,10 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(call)
     def checked(*arguments: P.args, **options: P.kwargs) -> R:
-        known = classes()
-        for name, value in chain(zip(names, arguments), options.items()):
-            if name in known and not isinstance(value, known[name]):
-                kinds = [each.__name__ for each in known[name] if each is not NoneType]
+        given = {**dict(zip(names, arguments)), **options}
+        for name, known in classes().items():
+            if name in given and not isinstance(value := given[name], known):
+                kinds = [each.__name__ for each in known if each is not NoneType]
                 wanted = ' or '.join(MADE_BY.get(kind, f'{kind}(...)') for kind in kinds)
                 raise TypeError(f'{name} is {in_short(value)}: it must be {wanted}')
         return call(*arguments, **options)

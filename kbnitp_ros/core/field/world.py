@@ -134,6 +134,12 @@ class World(Value):
 
         """
         cells = as_path(path)
+        beyond = cells[(cells < 0) | (cells >= self.hazard.size)]
+        if beyond.size:
+            raise ValueError(
+                f'path has the cell {beyond[0]}: the world has the cells 0 to '
+                f'{self.hazard.size - 1}'
+            )
         survived, readings, _ = self.steps(cells, model, generator(rng))
         returned = bool(survived.all())
         return Observation(cells, returned, readings if returned else None)
@@ -146,13 +152,6 @@ class World(Value):
         dynamics: Dynamics = STATIC,
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], World]:
         """Return survival and reading of each step, and the final field (:eq:`step-events`)."""
-        beyond = path[(path < 0) | (path >= self.hazard.size)]
-        if beyond.size:
-            raise ValueError(
-                f'path has the cell {beyond[0]}: the world has the cells 0 to '
-                f'{self.hazard.size - 1}'
-            )
-        dynamics.known_rates()
         entered = path[1:]
         drawn = rng.random((2, entered.size))
         chance = np.where(self.target[entered], model.true_positive, model.false_positive)
@@ -248,6 +247,7 @@ class Execution:
         changing: NDArray[np.bool_] | None = None,
     ) -> Traverse:
         """Simulate a deployment; `contact` reports steps (:eq:`contact-probability`)."""
+        dynamics.known_rates()
         ordered = grid.check_path(path)
         return self.follow(world, grid, ordered, model, generator(rng), dynamics, changing)
 

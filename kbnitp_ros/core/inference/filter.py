@@ -152,12 +152,13 @@ class Evidence:
 class Powers(NamedTuple):
     """Effects of 0, 1, 2, ... survived visits, each of shape (visits, hypotheses)."""
 
-    # Probability of no malfunction; with it, that a hazard is used up and that it is kept.
-    endured: Floats
-    spared: Floats
-    kept: Floats
-    # Log P(a hazard is kept), and P(survived) of a hazard and its complement, no malfunction.
+    # P(survived, Z stays as it is | Z), shape (visits, 2, hypotheses), and P(survived, the hazard
+    # is used up); None if no hazard is used up.
+    same: Floats
+    spared: Floats | None
+    # Log P(Z stays as it is | Z, no malfunction), shape (visits, 2, hypotheses).
     log_kept: Floats
+    # P(survived | hazard, no malfunction) and its complement.
     survived: Floats
     lost: Floats
 
@@ -202,11 +203,16 @@ class Effects:
         if most not in self._powers:
             visits = np.arange(most + 1)[:, None]
             log_kept = power(visits, self.log_kept)
+            nothing = np.zeros_like(log_kept)
             endured = np.exp(power(visits, self.log_endured))
             kept, gone = np.exp(log_kept), 0.0 - np.expm1(log_kept)
             spared = gone * (self.spared or 0.0)
             self._powers[most] = Powers(
-                endured, endured * spared, endured * kept, log_kept, kept + spared, gone - spared
+                np.stack([endured + nothing, endured * kept], axis=1),
+                None if self.spared is None else endured * spared,
+                np.stack([nothing, log_kept], axis=1),
+                kept + spared,
+                gone - spared,
             )
         return self._powers[most]
 
@@ -230,12 +236,14 @@ def known_effects(model: SensorModel, are_used_up: bool = False) -> Effects:
     return Effects.of(vars(model), model.false_negative, are_used_up)
 
 
-# P(outcome, Z after | Z before) of each cell, up to a scale: Z stays 0, falls to 0, stays 1; and
-# the log of the scale; each of shape (n, hypotheses).
-Likelihood = tuple[Floats, Floats, Floats, Floats]
+class Likelihood(NamedTuple):
+    """P(outcome, Z after | Z before) of each cell, up to a scale."""
 
-# Log of the scale of returns.
-NO_SCALE = np.zeros((1, 1))
+    # Z stays as it is, shape (n, 2, hypotheses), and falls from 1 to 0, shape (n, hypotheses).
+    same: Floats
+    spared: Floats | None
+    # Log of the scale, shape (n, hypotheses), or 0.
+    log_scale: Floats = np.zeros((1, 1))
 
 
 def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floats, Floats]:
@@ -268,11 +276,9 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
     if not counts.size:
         return joint, np.zeros(joint.shape[-1])
     hazard = joint[:, :, 0] + joint[:, :, 1]
-    stays, spared, kept, log_scale = outcome_likelihood(hazard, evidence, effects)
-    after = np.empty_like(joint)
-    np.multiply(joint[:, 0], stays[:, None], out=after[:, 0])
-    np.multiply(joint[:, 1], kept[:, None], out=after[:, 1])
-    if effects.spared is not None:
+    same, spared, log_scale = outcome_likelihood(hazard, evidence, effects)
+    after = joint * same[:, :, None]
+    if spared is not None:
         after[:, 0] += joint[:, 1] * spared[:, None]
     if evidence.has_readings:
         after *= reading_likelihood(evidence, effects)[:, None]
@@ -293,7 +299,8 @@ def outcome_likelihood(hazard: Floats, evidence: Evidence, effects: Effects) -> 
         return lost(hazard, evidence, effects)
     counts = evidence.visits.counts
     powers = effects.powers(int(counts.max()))
-    return powers.endured[counts], powers.spared[counts], powers.kept[counts], NO_SCALE
+    spared = None if powers.spared is None else powers.spared[counts]
+    return Likelihood(powers.same[counts], spared)
 
 
 def reading_likelihood(evidence: Evidence, effects: Effects) -> Floats:
@@ -311,12 +318,12 @@ def hazards_used_up(
     evidence, effects = Evidence.of(observation), known_effects(model, are_used_up=True)
     used_up, cells = np.zeros(belief.cells), evidence.visits.cells
     joint = belief.joint[cells, ..., None]
-    stays, spared, kept, _ = outcome_likelihood(joint.sum(axis=2), evidence, effects)
+    same, spared, _ = outcome_likelihood(joint.sum(axis=2), evidence, effects)
     if evidence.has_readings:
         joint = joint * reading_likelihood(evidence, effects)[:, None]
-    safe, hazardous = joint[:, 0].sum(axis=1), joint[:, 1].sum(axis=1)
-    gone = hazardous * spared
-    used_up[cells] = ratio(gone, safe * stays + gone + hazardous * kept)[:, 0]
+    before = joint.sum(axis=2)
+    gone = before[:, 1] * spared
+    used_up[cells] = ratio(gone, gone + (before * same).sum(axis=1))[:, 0]
     return used_up
 
 
@@ -330,8 +337,10 @@ def predict_outcome(joint: Floats, evidence: Evidence, effects: Effects) -> Floa
     """Return ln P(return), and with each shift of readings' odds (:eq:`shifted-readings`)."""
     counts = evidence.visits.counts
     powers = effects.powers(int(counts.max(initial=0)))
-    survived = (powers.kept + powers.spared)[counts]
-    alive = joint[:, 0] * powers.endured[counts][:, None] + joint[:, 1] * survived[:, None]
+    survived = powers.same[counts]
+    if powers.spared is not None:
+        survived[:, 1] += powers.spared[counts]
+    alive = joint[:, 0] * survived[:, :1] + joint[:, 1] * survived[:, 1:]
     looks = (evidence.negative + evidence.positive)[:, None, None]
     negative, positive = np.exp(effects.log_read)
     chances = [alive] + [
@@ -351,8 +360,7 @@ def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
         return lost_in_steps(hazard, evidence, effects)
     blocks = [slice(start, start + width) for start in range(0, hypotheses, width)]
     parts = [lost_in_steps(hazard[..., some], evidence, effects.at(some)) for some in blocks]
-    stays, spared, kept, log_scale = (np.concatenate(each, axis=-1) for each in zip(*parts))
-    return stays, spared, kept, log_scale
+    return Likelihood(*(np.concatenate(each, axis=-1) for each in zip(*parts)))
 
 
 def log_survival(hazard: Floats, counts: NDArray[np.intp], powers: Powers) -> Floats:
@@ -368,7 +376,8 @@ def log_survival(hazard: Floats, counts: NDArray[np.intp], powers: Powers) -> Fl
 
 def others(logs: Floats) -> Floats:
     """Return, in place of each cell's value, the sum over all other cells, (..., n, h)."""
-    before, after = np.zeros_like(logs), np.zeros_like(logs)
+    before: Floats = np.zeros_like(logs)
+    after = before.copy()
     np.cumsum(logs[..., :-1, :], axis=-2, out=before[..., 1:, :])
     np.cumsum(logs[..., :0:-1, :], axis=-2, out=after[..., -2::-1, :])
     before += after
@@ -379,20 +388,17 @@ def lost_after(first: int, hazard: Floats, evidence: Evidence, effects: Effects)
     """Return P(survived `first` steps, lost later | Z) (:eq:`loss-exact`, :eq:`loss-contact`)."""
     counts, steps = evidence.visits.counts, evidence.visits.of_step.size - first
     powers = effects.powers(int(counts.max()))
-    nothing = np.zeros_like(hazard[:, 0])
     if first:
         survived = evidence.made[first]
-        counts = counts - survived
-        stays, kept = powers.endured[survived], powers.kept[survived]
-        alive = hazard[:, 0] * stays + hazard[:, 1] * kept
-        stays, kept = ratio(stays + nothing, alive), ratio(kept + nothing, alive)
-        hazard = hazard * np.stack([stays, kept], axis=1)
-        log_scale = nothing + safe_log(alive).sum(axis=0)
+        counts, same = counts - survived, powers.same[survived]
+        alive = (hazard * same).sum(axis=1)
+        same = ratio(same, alive[:, None])
+        hazard = hazard * same
     rest = others(log_survival(hazard, counts, powers)) + steps * effects.log_endured
-    lost_if_safe, lost_if_struck = -np.expm1(rest), -np.expm1(rest + powers.log_kept[counts])
+    lost = -np.expm1(rest[:, None] + powers.log_kept[counts])
     if first:
-        return stays * lost_if_safe, nothing, kept * lost_if_struck, log_scale
-    return lost_if_safe, nothing, lost_if_struck, nothing
+        return Likelihood(same * lost, None, safe_log(alive).sum(axis=0)[None])
+    return Likelihood(lost, None)
 
 
 def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
@@ -400,8 +406,8 @@ def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likel
     of_step, made = evidence.visits.of_step, evidence.made[:-1]
     here = np.arange(of_step.size)
     powers = effects.powers(int(made.max()))
-    kept = np.exp(powers.log_kept)[made]
-    spared = (powers.survived - np.exp(powers.log_kept))[made]
+    kept = np.exp(powers.log_kept[:, 1])
+    spared, kept = (powers.survived - kept)[made], kept[made]
     # In the step of the loss the robot failed, or a hazard struck it.
     failed, struck = effects.malfunction, (1.0 - effects.malfunction) * effects.strike
     own_kept, own_spared = kept[here, of_step], spared[here, of_step]
@@ -425,9 +431,7 @@ def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likel
     at_own = reached[here, of_step]
     reached[here, of_step] = 0.0
     is_in = (of_step == np.arange(evidence.visits.cells.size)[:, None]).astype(float)
-    return (
-        reached.sum(axis=0) + is_in @ (at_own * failed),
-        (reached * spared).sum(axis=0) + is_in @ (at_own * own_spared),
-        (reached * kept).sum(axis=0) + is_in @ (at_own * own_kept),
-        scale,
-    )
+    stays = reached.sum(axis=0) + is_in @ (at_own * failed)
+    kept = (reached * kept).sum(axis=0) + is_in @ (at_own * own_kept)
+    spared = (reached * spared).sum(axis=0) + is_in @ (at_own * own_spared)
+    return Likelihood(np.stack([stays, kept], axis=1), spared, scale)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from math import exp, expm1, isnan, log, nan
+from math import exp, expm1, inf, isnan, log, log1p, nan
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.compiled import compiled, inlined
@@ -40,29 +40,98 @@ class Readings(NamedTuple):
 
 
 @compiled
-def new_readings(
+def predict_visits(
     readings: Readings,
     joint: Floats,
     earlier: Floats,
+    log_step: tuple[float, float],
     alpha: float,
     beta: float,
+    log_survival: Floats,
     information: Floats,
 ) -> None:
-    """Compute readings' information (:eq:`reading-information`, :eq:`behavioral-information`)."""
+    """
+    Write log S of visits, and what their readings tell; rows are cells given an outcome.
+
+    Equations :eq:`predicted-survival`, :eq:`reading-information`, :eq:`behavioral-information`.
+    """
     survival = readings.survival
-    for cell in range(joint.shape[0]):
+    for row in range(joint.shape[0]):
+        hazard = min(joint[row, 1, 0] + joint[row, 1, 1], 1.0)
+        log_survival[row, 0] = information[row, 0] = 0.0
         for n in range(1, survival.shape[0]):
-            without = joint[cell, 0, 0] * survival[n, 0] + joint[cell, 1, 0] * survival[n, 1]
-            target = joint[cell, 0, 1] * survival[n, 0] + joint[cell, 1, 1] * survival[n, 1]
+            lost = -(1.0 - hazard) * expm1(n * log_step[0]) - hazard * expm1(n * log_step[1])
+            survived = (1.0 - hazard) * survival[n, 0] + hazard * survival[n, 1]
+            # 1 - lost is inaccurate for losses near 1, the sum of survivals for losses near 0.
+            if lost < 0.5:
+                log_survival[row, n] = log1p(-lost)
+            else:
+                log_survival[row, n] = log(survived) if survived > 0.0 else -inf
+            information[row, n] = 0.0
+            without = joint[row, 0, 0] * survival[n, 0] + joint[row, 1, 0] * survival[n, 1]
+            target = joint[row, 0, 1] * survival[n, 0] + joint[row, 1, 1] * survival[n, 1]
             if without + target == 0.0:
                 continue
             target /= without + target
             for state in range(earlier.shape[1]):
-                if earlier[cell, state] > 0.0:
+                if earlier[row, state] > 0.0:
                     then, now = readings.after[state, n], readings.after[state, 0]
                     more = reading_information(target, then, readings, alpha, beta)
                     more -= reading_information(target, now, readings, alpha, beta)
-                    information[cell, n] += earlier[cell, state] * more
+                    information[row, n] += earlier[row, state] * more
+
+
+@compiled
+def write_gains(
+    log_survival: Floats,
+    information: Floats,
+    hazard: Floats,
+    interest: Floats,
+    log_step: tuple[float, float],
+    exponents: Floats,
+    is_shannon: bool,
+    gains: Gains,
+) -> None:
+    """
+    Write the gains of visits, given `predict_visits` by outcome, cell and number of visits.
+
+    Equations :eq:`moment-power` and :eq:`moment-log`.
+    """
+    factor, term, powers, outcomes = gains.factor, gains.term, exponents.size, len(log_survival)
+    visits = factor.shape[1]
+    # s_z^(n a), indexed [z, n, a], and s_z^n ln s_z^n.
+    power, p_log_p = np.ones((2, visits + 1, powers)), np.zeros((2, visits + 1))
+    for z in range(2):
+        for n in range(1, visits + 1):
+            for k in range(powers):
+                power[z, n, k] = exp(exponents[k] * n * log_step[z])
+            if power[z, n, 0] > 0.0:
+                p_log_p[z, n] = power[z, n, 0] * n * log_step[z]
+    for cell in range(hazard.size):
+        deadly, safe = hazard[cell], 1.0 - hazard[cell]
+        spread = 0.0
+        for n in range(visits):
+            for k in range(powers):
+                moment = safe * power[0, n, k] + deadly * power[1, n, k]
+                after = safe * power[0, n + 1, k] + deadly * power[1, n + 1, k]
+                factor[cell, n, k] = after / moment if moment > 0.0 else 0.0
+            term[cell, n, 0] = 0.0
+            mean = safe * power[0, n + 1, 0] + deadly * power[1, n + 1, 0]
+            if is_shannon:
+                after = safe * p_log_p[0, n + 1] + deadly * p_log_p[1, n + 1]
+                after = after / mean if mean > 0.0 else 0.0
+                term[cell, n, 0], spread = after - spread, after
+            for outcome in range(outcomes):
+                more = information[outcome, cell, n + 1] - information[outcome, cell, n]
+                added, log_ratio = more * interest[cell], -inf
+                if log_survival[outcome, cell, n + 1] > -inf:
+                    log_ratio = log_survival[outcome, cell, n + 1] - log_survival[outcome, cell, n]
+                    # Once survival is impossible, a visit changes nothing.
+                    added -= log_ratio if is_shannon else 0.0
+                term[cell, n, 1 + outcome] = added
+                factor[cell, n, factor.shape[2] - outcomes + outcome] = exp(log_ratio)
+                for k in range(0 if is_shannon else powers):
+                    factor[cell, n, powers * (1 + outcome) + k] = exp(exponents[k] * log_ratio)
 
 
 @inlined

@@ -7,9 +7,7 @@ from functools import lru_cache
 from math import inf
 
 from kbnitp_ros.core.field.grid import Grid, longest
-from kbnitp_ros.core.field.sensor import powers, times_log
-from kbnitp_ros.core.inference.filter import ratio
-from kbnitp_ros.core.planning.information_kernels import exact_values
+from kbnitp_ros.core.planning.information_kernels import exact_values, write_gains
 from kbnitp_ros.core.planning.label_kernels import (
     Floats,
     Gains,
@@ -57,39 +55,16 @@ def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
 
 def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
     """Return the gains of visits in `cells`, (n,) (:eq:`moment-power`, :eq:`moment-log`)."""
-    alpha, deadly = objective.alpha, objective.belief.hazard[cells, None]
     log_survival, read = objective.of_visits(cells, max_visits)
-    alive = log_survival[..., 1:] > -np.inf
-    with np.errstate(invalid='ignore'):
-        # Once survival is impossible, a visit changes nothing.
-        log_ratio = np.where(alive, np.diff(log_survival), 0.0)
-    added = np.diff(read) * objective.interest[cells, None]
-    survival = (np.exp(log_ratio) * alive).transpose(1, 2, 0)
-    power, p_log_p = _powers(*objective.model.log_survival.tolist(), max_visits, alpha == SHANNON)
-    moment = (1.0 - deadly[..., None]) * power[0] + deadly[..., None] * power[1]
-    factor = [ratio(moment[:, 1:], moment[:, :-1]), survival]
-    if alpha == SHANNON:
-        added -= log_ratio
-        spread = ratio((1.0 - deadly) * p_log_p[0] + deadly * p_log_p[1], moment[..., 0])
-        spread = np.diff(spread)[..., None]
-    else:
-        powers = survival[..., None] ** BEHAVIORAL_EXPONENTS
-        factor.insert(1, powers.reshape(*survival.shape[:2], -1))
-        spread = np.zeros((cells.size, max_visits, 1))
-    term = [spread, added.transpose(1, 2, 0)]
-    return Gains(*(np.ascontiguousarray(np.concatenate(g, axis=-1)) for g in (factor, term)))
-
-
-@lru_cache(maxsize=64)
-def _powers(
-    safe: float, deadly: float, max_visits: int, is_shannon: bool
-) -> tuple[Floats, Floats]:
-    """Return the powers of s_z^n, (2, max_visits + 1, powers), and s_z^n log s_z^n."""
-    log_power, _, _ = powers(safe, deadly, max_visits)
+    outcomes, is_shannon = len(log_survival), objective.alpha == SHANNON
     exponents = EXPONENTS if is_shannon else BEHAVIORAL_EXPONENTS
-    power = np.exp(times_log(exponents, log_power[..., None]))
-    # The first exponent is 1: power[..., 0] is s_z^n.
-    return power, times_log(power[..., 0], log_power)
+    factors = exponents.size * (1 if is_shannon else 1 + outcomes) + outcomes
+    sizes = (cells.size, max_visits)
+    gains = Gains(np.empty((*sizes, factors)), np.empty((*sizes, 1 + outcomes)))
+    hazard, interest = objective.belief.hazard[cells], objective.interest[cells]
+    log_step = tuple(objective.model.log_survival.tolist())
+    write_gains(log_survival, read, hazard, interest, log_step, exponents, is_shannon, gains)
+    return gains
 
 
 # Minimum number of closed paths ranked by exact value; twice the width if that is more.

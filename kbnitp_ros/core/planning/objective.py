@@ -25,8 +25,8 @@ from kbnitp_ros.core.planning.information_kernels import (
     evaluate_paths,
     first_invalid,
     left_open,
-    new_readings,
     open_entropies,
+    predict_visits,
     Readings,
 )
 from kbnitp_ros.core.planning.label_kernels import Floats, Places
@@ -112,25 +112,6 @@ def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Reading
         likelihood=likelihood,
         noise=surprisal(likelihood).sum(axis=1),
     )
-
-
-def new_information(
-    readings: Readings,
-    joint: Floats,
-    earlier: Floats,
-    alpha: float = SHANNON,
-) -> Floats:
-    """Return the information of readings in 0, 1, 2, ... visits, given earlier readings."""
-    found = np.zeros((*joint.shape[:-2], len(readings.survival)))
-    new_readings(
-        readings,
-        np.ascontiguousarray(joint).reshape(-1, 2, 2),
-        np.ascontiguousarray(earlier).reshape(-1, earlier.shape[-1]),
-        alpha,
-        prelec_beta(alpha),
-        found.reshape(-1, found.shape[-1]),
-    )
-    return found
 
 
 def positives(camera: Camera, most: int) -> Floats:
@@ -365,11 +346,19 @@ class Objective:
 
     def of_visits(self, cells: Places, most: int) -> tuple[Floats, Floats]:
         """Return log survival and readings' information by outcome, cell and number of visits."""
-        readings = possible_readings(self.model, most, self.outcomes.most_readings)
         joint, earlier = self.outcomes.of_cells(cells)
-        hazard = joint[:, :, 1].sum(axis=-1).clip(max=1.0)[..., None]
-        log_survival = log_predicted_survival(hazard, np.arange(most + 1), self.model.log_survival)
-        return log_survival, new_information(readings, joint, earlier, self.alpha)
+        log_survival, information = np.empty((2, *joint.shape[:2], most + 1))
+        predict_visits(
+            possible_readings(self.model, most, self.outcomes.most_readings),
+            joint.reshape(-1, 2, 2),
+            earlier.reshape(-1, earlier.shape[-1]),
+            tuple(self.model.log_survival.tolist()),
+            self.alpha,
+            prelec_beta(self.alpha),
+            log_survival.reshape(-1, most + 1),
+            information.reshape(-1, most + 1),
+        )
+        return log_survival, information
 
     def of_paths(self, cells: Places, start: Places) -> tuple[Floats, Floats]:
         """Return information and survival of paths that stand one after another in `cells`."""
