@@ -271,6 +271,7 @@ def find_best(
                     continue
                 if heuristic.size:
                     end = fitting(allowed, rank, left, reach, completions)
+            is_completed = heuristic.size > 0 and end >= 0
             lost, lost_square, brought, likeliest = 0.0, 0.0, 0.0, 0.0
             for outcome in range(chance.size):
                 survival = (
@@ -290,8 +291,14 @@ def find_best(
             ):
                 continue
             left_open, left_open_completed = 0.0, 0.0
-            for k in range(powers):
-                left_open += weight[k] * (factor[row, k] * gain_factor[rank, before, k])
+            if is_completed:
+                for k in range(powers):
+                    moment = factor[row, k] * gain_factor[rank, before, k]
+                    left_open += weight[k] * moment
+                    left_open_completed += completions[end, k] * moment
+            else:
+                for k in range(powers):
+                    left_open += weight[k] * (factor[row, k] * gain_factor[rank, before, k])
             next_mark = mark[row] + marks[rank]
             mean = factor[row, 0] * gain_factor[rank, before, 0]
             spread = term[row, 0] + gain_term[rank, before, 0]
@@ -307,12 +314,8 @@ def find_best(
                     insert(value, next_mark, length, 16 * slot + column, by_value)
                     touches = lost
                     tangent = -log(lost) - 1.0 if lost > 0.0 else inf
-            if not heuristic.size or end < 0:
+            if not is_completed:
                 continue
-            for k in range(powers):
-                left_open_completed += completions[end, k] * (
-                    factor[row, k] * gain_factor[rank, before, k]
-                )
             survival = completions[end, powers + 1]
             brought = survival * (brought + (1.0 - lost) * completions[end, powers + 3])
             lost = 1.0 - (1.0 - lost) * survival
