@@ -116,7 +116,9 @@ def _live(node: MissionNode, executor: Executor, linger: float) -> Exception | N
             end = time.monotonic() + linger
             while time.monotonic() < end:
                 spin_once(node, executor, linger)
-        node.finish()
+        # A signal also ends the compilation of a kernel for what is published last.
+        with suppress(KeyboardInterrupt):
+            node.finish()
     except Exception as error:
         broken = error
     try:
