@@ -13,7 +13,14 @@ from gymnasium.utils.seeding import np_random
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, create_empty_array
 from kbnitp_ros.core import Belief, Grid, SensorModel, World
-from kbnitp_ros.core.field.check import cost, in_short, probability, typed, whole_number
+from kbnitp_ros.core.field.check import (
+    cost,
+    in_short,
+    listed,
+    probability,
+    typed,
+    whole_number,
+)
 from kbnitp_ros.environments.deployment_kernels import conclude
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +98,8 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
         self.single_action_space = spaces.Discrete(9)
         self.observation_space = batch_space(self.single_observation_space, count)
         self.action_space = batch_space(self.single_action_space, count)
-        self.rngs: list[np.random.Generator] = []
+        self._generators: list[tuple[np.random.Generator, int]] = []
+        self._is_begun = False
         self._worlds, self._joint = (
             np.zeros((2, count, cells), bool),
             np.empty((count, cells, 2, 2)),
@@ -100,25 +108,50 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
         self._rows = np.arange(count)
         self._seen = create_empty_array(self.single_observation_space, count)
 
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:
+        """Return the generator of each field, as `gymnasium.vector.SyncVectorEnv` does."""
+        return tuple(rng for rng, _ in self._seeded())
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:
+        """Return the seed of each field's generator, as `gymnasium.vector.SyncVectorEnv` does."""
+        return tuple(seed for _, seed in self._seeded())
+
+    def _seeded(
+        self, seeds: Sequence[int | None] | None = None
+    ) -> list[tuple[np.random.Generator, int]]:
+        """Return the generators, made anew of seeds that are given, and their seeds."""
+        none = [None] * self.num_envs
+        self._generators = [
+            np_random(seed) if known is None or seed is not None else known
+            for known, seed in zip(self._generators or none, seeds or none)
+        ]
+        return self._generators
+
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: Answer | None = None
     ) -> tuple[Answer, Answer]:
-        """Begin missions in fields drawn anew; without a seed, by the same generators."""
+        """Begin missions in fields drawn anew; a field without a seed keeps its generator."""
         if options:
             raise ValueError(f'options are {options!r}: this environment has none')
         count = self.num_envs
-        seeds = [*range(seed, seed + count)] if isinstance(seed, int | np.integer) else seed
-        seeds = seeds if seeds is None else [each if each is None else int(each) for each in seeds]
-        if seeds is not None and len(seeds) != count:
+        if isinstance(seed, int | np.integer):
+            seed = [*range(seed, seed + count)]
+        seeds = [
+            each if each is None else whole_number('seed', each, 0)
+            for each in listed('seed', [None] * count if seed is None else seed, ', or a number')
+        ]
+        if len(seeds) != count:
             raise ValueError(f'seed has {len(seeds)} values: it must have {count}, or be a number')
-        if seeds is not None or not self.rngs:
-            self.rngs = [np_random(own)[0] for own in seeds or [None] * count]
+        self._seeded(seeds)
+        self._is_begun = True
         self._restart(self._rows)
         return self._answer(np.ones(count, dtype=bool))
 
     def step(self, actions: Any) -> tuple[Answer, Any, Any, Any, Answer]:
         """Make one step of the robot in each field."""
-        if not self.rngs:
+        if not self._is_begun:
             raise ResetNeeded('call reset before step')
         given, actions = actions, np.asarray(actions)
         is_listed = actions.shape == (self.num_envs,) and actions.dtype.kind in 'iu'
@@ -148,7 +181,9 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
         """Return the rewards of robots that are home or lost, and if they are home."""
         gained, returned = np.zeros(ended.size), np.ones(ended.size, dtype=bool)
         # All random numbers of a deployment in one call, whatever its path.
-        drawn = np.array([self.rngs[field].random((2, self.max_steps)) for field in ended])
+        drawn = np.array(
+            [self._generators[field][0].random((2, self.max_steps)) for field in ended]
+        )
         steps = self.max_steps - self._seen['steps_left'][ended]
         known = self._worlds, self._log_step, self._camera
         conclude(ended, self._paths[ended], steps, drawn, *known, self._joint, gained, returned)
@@ -160,7 +195,7 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
     def _restart(self, fields: NDArray[np.intp]) -> None:
         """Begin missions in some fields, in worlds drawn by their generators."""
         for field in fields:
-            world = World.random(self.grid, self.rngs[field], *self._chances)
+            world = World.random(self.grid, self._generators[field][0], *self._chances)
             self._worlds[:, field] = world.hazard, world.target
         begin = self.grid.base, self.max_steps, self.robots
         for name, value in zip(('position', 'steps_left', 'robots_left'), begin):
@@ -199,7 +234,7 @@ class FieldEnv(gymnasium.Env):  # type: ignore[misc]
     ) -> tuple[Answer, Answer]:
         """Begin a mission in a field drawn anew."""
         super().reset(seed=seed)
-        self.fields.rngs = [self.np_random]
+        self.fields._generators = [(self.np_random, self.np_random_seed)]
         seen, info = self.fields.reset(options=options)
         return first(seen), first(info)
 

@@ -171,6 +171,26 @@ def test_wrong_actions_are_refused_and_change_nothing(action):
         many.reset(options={'reset_mask': [True, False]})
 
 
-def test_seeds_are_one_for_each_field():
-    with pytest.raises(ValueError, match='seed has 2 values: it must have 3'):
-        FieldVectorEnv(3).reset(seed=[1, 2])
+@for_each('seed, words', [
+    ([1, 2], 'seed has 2 values: it must have 3, or be a number'),
+    ('x', "seed is 'x': it must be a list, or a number"),
+    (1.5, 'seed is 1.5: it must be a list, or a number'),
+    (-1, 'seed is -1: it must be a whole number at least 0'),
+    ([1, 2, 'x'], "seed is 'x': it must be a number"),
+])  # fmt: skip
+def test_seeds_are_one_for_each_field(seed, words):
+    with pytest.raises((TypeError, ValueError), match=words):
+        FieldVectorEnv(3).reset(seed=seed)
+
+
+def test_generators_and_seeds_are_those_of_the_single_fields():
+    many, singles = FieldVectorEnv(3), SyncVectorEnv([FieldEnv] * 3)
+    assert len(set(many.np_random_seed)) == 3
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        many.step([4, 4, 4])
+    for seed in (4, None, [7, None, 9]):
+        seen = [env.reset(seed=seed)[0] for env in (many, singles)]
+        assert many.np_random_seed == singles.np_random_seed
+        assert flat(seen[0]) == flat(seen[1])
+        for one, other in zip(many.np_random, singles.np_random, strict=True):
+            assert one.bit_generator.state == other.bit_generator.state

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields
 from functools import cache, wraps
 from inspect import signature
@@ -74,7 +75,11 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
     def checked(*arguments: P.args, **options: P.kwargs) -> R:
         given = {**dict(zip(names, arguments)), **options}
         for name, known in classes().items():
-            if name in given and not isinstance(value := given[name], known):
+            if name not in given:
+                continue
+            value = given[name]
+            # Classes of goals are instances of the protocol `Goal` too.
+            if isinstance(value, type) or not isinstance(value, known):
                 kinds = [each.__name__ for each in known if each is not NoneType]
                 wanted = ' or '.join(MADE_BY.get(kind, f'{kind}(...)') for kind in kinds)
                 raise TypeError(f'{name} is {in_short(value)}: it must be {wanted}')
@@ -114,6 +119,8 @@ def generator(rng: np.random.Generator | int) -> np.random.Generator:
 
 def number(name: str, value: Any, wanted: str, is_allowed: Callable[[float], bool]) -> float:
     """Return `value` as a float if it is a number that is allowed."""
+    if type(value) is float and is_allowed(value):
+        return value
     try:
         # A bool is a number in Python, and given for one by mistake.
         is_number = not isinstance(value, str | bool | np.bool_) and np.ndim(value) == 0
@@ -147,45 +154,82 @@ def whole_number(name: str, value: int, low: int, high: int | None = None) -> in
     return int(value)
 
 
+def listed(name: str, values: Iterable[T], of: str = '') -> list[T]:
+    """Return a collection as a list; `of` says of what it must be."""
+    # Texts are iterable too, and arrays without dimensions claim to be.
+    is_one = isinstance(values, str | bytes) or getattr(values, 'shape', None) == ()
+    if is_one or not isinstance(values, Iterable):
+        raise TypeError(f'{name} is {in_short(values)}: it must be a list{of}')
+    return [*values]
+
+
 def whole_numbers(
     name: str, values: Iterable[int], of_one: str, low: int, high: int | None = None
 ) -> list[int]:
     """Return a collection of whole numbers as a list; `of_one` names a single number."""
-    if not isinstance(values, Iterable):
-        raise TypeError(f'{name} is {in_short(values)}: it must be a list')
-    return [whole_number(of_one, value, low, high) for value in values]
+    return [whole_number(of_one, value, low, high) for value in listed(name, values)]
 
 
-def cell_numbers(name: str, given: object, height: int, width: int) -> list[int]:
+def cells_or_mask(name: str, given: Any, most: int | None = None) -> NDArray[np.bool_] | list[int]:
+    """Return a mask as it is given, or cells as a list of numbers from 0 to `most`."""
+    mask = np.array(listed(name, given), dtype=object)
+    if mask.size and all(isinstance(each, bool | np.bool_) for each in mask.flat):
+        return mask.astype(bool)
+    return whole_numbers(name, mask.tolist(), f'{name} cell', 0, most)
+
+
+def cell_numbers(name: str, given: Any, height: int, width: int) -> list[int]:
     """Return cells that are given by number, or by a mask of (cells,) or (height, width)."""
     cells = height * width
-    if not isinstance(given, Iterable):
-        raise TypeError(f'{name} is {in_short(given)}: it must be a list')
-    mask = np.asarray(given if isinstance(given, np.ndarray) else [*given], dtype=object)
-    if mask.size and all(isinstance(each, bool | np.bool_) for each in mask.flat):
-        if mask.shape not in ((cells,), (height, width)):
+    found = cells_or_mask(name, given, cells - 1)
+    if isinstance(found, np.ndarray):
+        if found.shape not in ((cells,), (height, width)):
             raise ValueError(
-                f'{name} is a mask of shape {mask.shape}: it must be ({cells},) or '
+                f'{name} is a mask of shape {found.shape}: it must be ({cells},) or '
                 f'({height}, {width}), or a list of cell numbers'
             )
-        return [*map(int, np.flatnonzero(mask))]
-    numbers = whole_numbers(name, mask.tolist(), f'{name} cell', 0, cells - 1)
-    if len(numbers) == cells > 2 and set(numbers) <= {0, 1}:
+        return [*map(int, np.flatnonzero(found))]
+    if len(found) == cells > 2 and set(found) <= {0, 1}:
         raise ValueError(f'{name} is a mask of numbers: it must be of bools, as mask.astype(bool)')
-    return numbers
+    return found
+
+
+def as_array(name: str, values: Any, of: str = 'numbers') -> NDArray[Any]:
+    """Return a copy of `values` as an array; `of` says of what it must be."""
+    if isinstance(values, np.ma.MaskedArray) and values.mask.any():
+        raise TypeError(f'{name} has masked values: give values to them, as with .filled(0)')
+    try:
+        return np.array(values)
+    except ValueError as error:
+        # Lists of different lengths.
+        raise TypeError(f'{name} is {in_short(values)}: it must be an array of {of}') from error
 
 
 def as_floats(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return a copy of `values` as an array of floats."""
-    try:
-        return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise TypeError(f'{name} is {in_short(values)}: it must be an array of numbers') from error
+    array = as_array(name, values)
+    # numpy would read texts as numbers.
+    is_text = array.dtype == object and any(isinstance(each, str | bytes) for each in array.flat)
+    if array.dtype.kind in 'biufO' and not is_text:
+        with suppress(TypeError, ValueError):
+            return array.astype(np.float64, copy=False)
+    raise TypeError(f'{name} is {in_short(values)}: it must be an array of numbers')
+
+
+def probabilities(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return `values`, of any shape, as an array of probabilities."""
+    array = as_floats(name, values)
+    bad = array[~((array >= 0.0) & (array <= 1.0))]
+    if bad.size:
+        probability(name, bad[0])
+    return array
 
 
 def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> NDArray[np.float64]:
     """Return `values` as one probability for each cell."""
     array = as_floats(name, values)
+    if getattr(values, 'dtype', None) == np.bool_:
+        raise TypeError(f'{name} is a mask: it must be of probabilities, as mask.astype(float)')
     if array.ndim != 1 or not array.size or cells not in (None, array.size):
         wanted = 'one value a cell' if cells is None else f'shape ({cells},), one value a cell'
         raise ValueError(f'{name} has shape {array.shape}: it must have {wanted}')
@@ -197,13 +241,39 @@ def probability_map(name: str, values: ArrayLike, cells: int | None = None) -> N
 
 def yes_or_no(name: str, values: ArrayLike) -> NDArray[np.bool_]:
     """Return `values`, of any shape, as a copy of booleans."""
-    array = np.array(values)
+    array = as_array(name, values, 'True and False')
     if array.dtype == bool:
         return array
     bad = ~np.asarray((array == 0) | (array == 1))
     if bad.any():
         raise ValueError(f'{name} is {array[bad].tolist()[0]}: it must be True or False')
     return array.astype(bool)
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return `value` as a bool if it is True or False."""
+    array = yes_or_no(name, value)
+    if array.ndim:
+        raise TypeError(f'{name} is {in_short(value)}: it must be True or False')
+    return bool(array)
+
+
+def one_of(name: str, value: Any, allowed: Sequence[str]) -> None:
+    """Check that `value` is one of some words."""
+    # A tuple compares the entries of an array.
+    if not isinstance(value, str) or value not in allowed:
+        raise ValueError(f'{name} is {in_short(value)}: it must be one of {", ".join(allowed)}')
+
+
+def on_field(name: str, cells: ArrayLike, count: int) -> NDArray[np.intp]:
+    """Return `cells`, of any shape, as cells of a field of `count` cells."""
+    array = as_array(name, cells, 'cells')
+    if array.size and array.dtype.kind not in 'iu':
+        raise TypeError(f'{name} is {in_short(cells)}: it must be of cells, whole numbers')
+    off = array[(array < 0) | (array >= count)]
+    if off.size:
+        raise ValueError(f'{name} has the cell {off[0]}: the field has the cells 0 to {count - 1}')
+    return array.astype(np.intp, copy=False)
 
 
 def shallow_copy(value: T) -> T:
