@@ -96,8 +96,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return self._refused
 
     def __getitem__(self, name: str) -> Entry:
-        if name not in self._entries:
+        if isinstance(name, str) and name not in self._entries:
             self._search()
+        if not isinstance(name, str) or name not in self._entries:
+            raise KeyError(self.unknown(name))
         return self._entries[name]
 
     def __contains__(self, name: object) -> bool:
@@ -159,8 +161,12 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             except TypeError as error:
                 raise TypeError(f'{self.kind} {entry_name(given)}: {error}') from error
         if given not in self:
-            raise ValueError(f'{self.kind} is {given!r}: {self.why_not(given)}')
+            raise ValueError(self.unknown(given))
         return self[given]
+
+    def unknown(self, name: object) -> str:
+        """Return the message for a name that has no entry, in one line."""
+        return f'{self.kind} is {" ".join(repr(name).split())}: {self.why_not(name)}'
 
     def why_not(self, name: object, *others: str) -> str:
         """Explain why a name has no entry: the name is refused, or unknown."""
