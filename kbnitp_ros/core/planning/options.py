@@ -9,7 +9,14 @@ from functools import wraps
 from math import log
 from typing import Any
 
-from kbnitp_ros.core.field.check import cost, in_short, number, probability, whole_number
+from kbnitp_ros.core.field.check import (
+    cells_or_mask,
+    cost,
+    number,
+    one_of,
+    probability,
+    whole_number,
+)
 from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.plugins import parameter_names, Registry, takes
 import numpy as np
@@ -45,14 +52,9 @@ SHANNON = 1.0
 ALPHAS = (0.2, 5.0)
 
 
-def as_tuples(name: str, values: Any) -> tuple[Any, ...]:
-    """Return numbers or a mask as nested tuples, which can be compared and hashed."""
-    listed = values.tolist() if isinstance(values, np.ndarray | np.generic) else values
-    if not isinstance(listed, Iterable) or isinstance(listed, str):
-        raise TypeError(f'{name} is {in_short(values)}: it must be a list')
-    return tuple(
-        as_tuples(name, each) if np.ndim(each) else np.asarray(each).item() for each in listed
-    )
+def as_tuples(values: Any) -> Any:
+    """Return lists as nested tuples, which can be compared and hashed."""
+    return tuple(map(as_tuples, values)) if isinstance(values, list) else values
 
 
 def prelec_beta(alpha: float) -> float:
@@ -125,15 +127,13 @@ class SearchOptions:
         labels = 'a whole number at least 1: beam keeps width / 4 labels of each cell and step'
         width = number('width', self.width, labels, lambda n: n >= 1 and n == n // 1)
         object.__setattr__(self, 'width', int(width))
-        object.__setattr__(self, 'keepout', as_tuples('keepout', self.keepout))
+        keepout = np.array(cells_or_mask('keepout', self.keepout), dtype=object)
+        object.__setattr__(self, 'keepout', as_tuples(keepout.tolist()))
         for name in ('max_distance', 'loss_cost'):
             object.__setattr__(self, name, cost(name, getattr(self, name)))
         survival = probability('minimum_survival', self.minimum_survival)
         object.__setattr__(self, 'minimum_survival', survival)
-        if self.objective not in OBJECTIVES:
-            raise ValueError(
-                f'objective is {self.objective!r}: it must be one of {", ".join(OBJECTIVES)}'
-            )
+        one_of('objective', self.objective, OBJECTIVES)
         low, high = ALPHAS
         alpha = number('alpha', self.alpha, f'in [{low}, {high}]', lambda a: low <= a <= high)
         if self.objective != 'behavioral' and self.alpha != SHANNON:
