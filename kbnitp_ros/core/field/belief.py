@@ -8,8 +8,10 @@ from functools import cached_property
 from typing import Any
 
 from kbnitp_ros.core.field.check import (
+    as_array,
     as_floats,
     in_short,
+    probability,
     probability_map,
     read_only,
     typed,
@@ -150,12 +152,12 @@ class Belief(Value):
             As `from_maps`; also if the given hazard of a base is 1.
 
         """
-        maps = [
-            np.full(grid.cells, values) if np.ndim(values) == 0 else np.asarray(values)
-            for values in (hazard, target, kappa)
-        ]
-        probability_map('hazard', maps[0], grid.cells)
-        return cls.from_maps(*maps).on(grid)
+        maps: dict[str, Any] = {'hazard': hazard, 'target': target, 'kappa': kappa}
+        for name, values in maps.items():
+            if as_array(name, values).ndim == 0:
+                maps[name] = np.full(grid.cells, probability(name, values))
+        probability_map('hazard', maps['hazard'], grid.cells)
+        return cls.from_maps(**maps).on(grid)
 
     def check(self, grid: Grid) -> None:
         """Check that this belief is of a grid."""
@@ -304,6 +306,7 @@ def as_truth(probability: NDArray[np.float64], truth: ArrayLike) -> NDArray[np.b
         raise TypeError(
             f'probability is {in_short(probability)}: it must be a map, such as Belief.hazard'
         )
+    probability_map('probability', probability)
     present = yes_or_no('truth', truth)
     if present.shape != probability.shape:
         raise ValueError(f'truth has shape {present.shape}: the map has {probability.shape}')

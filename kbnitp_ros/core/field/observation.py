@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 from kbnitp_ros.core.field.check import (
+    as_array,
+    as_floats,
+    flag,
     in_short,
+    listed,
     probability,
     read_only,
     Value,
@@ -88,12 +93,12 @@ class Observation(Value):
             )
         survived = self.survived
         if not isinstance(survived, bool):
-            survived = bool(yes_or_no('survived', survived))
+            survived = flag('survived', survived)
         vars(self).update(path=read_only(path), survived=survived)
         if self.entered is not None:
-            self._check_entered(np.array(self.entered))
+            self._check_entered(yes_or_no('entered', self.entered))
         if self.readings is not None:
-            self._check_readings(np.array(self.readings))
+            self._check_readings(as_array('readings', self.readings, 'readings'))
         elif survived:
             raise ValueError('readings are missing: a robot that returned has one for each step')
         steps = whole_number('steps_survived', self.steps_survived, 0)
@@ -106,10 +111,9 @@ class Observation(Value):
             )
         vars(self).update(steps_survived=steps)
         if self.lost_at is not None:
-            self._check_lost_at(np.array(self.lost_at, dtype=np.float64))
+            self._check_lost_at(as_floats('lost_at', self.lost_at))
 
-    def _check_entered(self, given: NDArray[Any]) -> None:
-        entered = yes_or_no('entered', given)
+    def _check_entered(self, entered: NDArray[np.bool_]) -> None:
         if not self.survived:
             raise ValueError('entered is given, but the robot was lost: leave it out')
         self._check_shape('entered', entered)
@@ -118,15 +122,14 @@ class Observation(Value):
     def _check_readings(self, given: NDArray[Any]) -> None:
         if self.entered is not None and given.shape == self.entered.shape:
             given = np.where(self.entered, given, -1)
-        if self.survived:
-            self._check_shape('readings', given)
-        unseen = given == -1
-        if given.dtype != bool:
-            yes_or_no('readings', given[~unseen])
         if not self.survived:
             raise ValueError(
                 f'readings has {given.size} values: a robot that was lost brings none'
             )
+        self._check_shape('readings', given)
+        unseen = given == -1
+        if given.dtype != bool:
+            yes_or_no('readings', given[~unseen])
         # Readings are stored as booleans, or as -1, 0 and 1 if a step has no reading.
         readings = given.astype(np.int8 if unseen.any() else bool, copy=False)
         vars(self).update(readings=read_only(readings))
@@ -192,6 +195,15 @@ class Observation(Value):
         lost_at = self.lost_at[first:end]
         last = end + 1
         return self.path[first:last], None if (lost_at == 1.0).all() else lost_at
+
+
+def as_observations(name: str, given: Iterable[Observation]) -> list[Observation]:
+    """Return a collection of observations as a list."""
+    observations = listed(name, given, ' of Observation')
+    for each in observations:
+        if not isinstance(each, Observation):
+            raise TypeError(f'{name} has {in_short(each)}: it must have Observation(...)')
+    return observations
 
 
 def lost_after_contact(path: ArrayLike, steps_survived: int, contact: float) -> Observation:

@@ -8,7 +8,15 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
-from kbnitp_ros.core.field.check import cost, in_short, probability, read_only, whole_number
+from kbnitp_ros.core.field.check import (
+    cost,
+    in_short,
+    listed,
+    probabilities,
+    probability,
+    read_only,
+    whole_number,
+)
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -57,11 +65,11 @@ class SensorModel:
     def survival(self, hazard: ArrayLike) -> NDArray[np.float64]:
         """Return P(step survived | Z), per step (:eq:`step-survival`)."""
         strike = self.lethality * (1.0 - self.false_negative)
-        return (1.0 - self.malfunction) * (1.0 - np.asarray(hazard, dtype=np.float64) * strike)
+        return (1.0 - self.malfunction) * (1.0 - probabilities('hazard', hazard) * strike)
 
     def reading(self, target: ArrayLike) -> NDArray[np.float64]:
         """Return P(Y = 1 | X), per step (:eq:`reading`)."""
-        present = np.asarray(target, dtype=np.float64)
+        present = probabilities('target', target)
         return present * self.true_positive + (1.0 - present) * self.false_positive
 
     # Cached, since each update and each plan needs the arrays several times.
@@ -174,6 +182,8 @@ class RobotType:
 
     def model(self, common: SensorModel) -> SensorModel:
         """Return the sensor model of the type, given the common sensor model."""
+        if not isinstance(common, SensorModel):
+            raise TypeError(f'common is {in_short(common)}: it must be SensorModel(...)')
         sensors = self.sensors
         return replace(common, **sensors) if sensors else common
 
@@ -183,8 +193,7 @@ ORDINARY = RobotType()
 
 def of_each(robots: int, robot_types: Sequence[RobotType]) -> tuple[RobotType, ...]:
     """Return the type of each robot."""
-    if not isinstance(robot_types, Sequence):
-        raise TypeError(f'robot_types is {in_short(robot_types)}: it must be a list of RobotType')
+    robot_types = listed('robot_types', robot_types, ' of RobotType')
     for robot_type in robot_types:
         if not isinstance(robot_type, RobotType):
             raise TypeError(f'robot type is {in_short(robot_type)}: it must be RobotType(...)')
