@@ -548,11 +548,12 @@ def team_information(
     Raises
     ------
     ValueError
-        If a path has no step or leaves the belief's cells, or the numbers of types and paths
-        differ.
+        If a path is invalid, as in `path_information`, or the numbers of types and paths differ.
 
     """
-    information = 0.0
+    _, cells, start = joined_paths(paths)
+    check_paths(belief, cells, start, 'path[{}]')
+    information, paths = 0.0, np.split(cells, start[1:-1])
     for path, robot_type in zip(paths, of_each(len(paths), robot_types)):
         objective = Objective.of(belief, robot_type.model(model), outcomes=outcomes)
         information += objective.evaluate(path)[0]

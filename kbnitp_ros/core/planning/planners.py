@@ -13,7 +13,14 @@ from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from math import ceil
 
-from kbnitp_ros.core.field.check import cell_numbers, in_short, typed_fields, Value
+from kbnitp_ros.core.field.check import (
+    as_array,
+    cell_numbers,
+    generator,
+    in_short,
+    typed_fields,
+    Value,
+)
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
@@ -167,7 +174,7 @@ class PathFinder(Value):
                 'does not keep to it: choose the planner beam or relaxed, or leave max_distance '
                 'at 0'
             )
-        given, cells = np.asarray(self.visited), self.grid.cells
+        given, cells = as_array('visited', self.visited), self.grid.cells
         if given.size == 0:
             given = np.zeros(cells, dtype=np.intp)
         if given.shape != (cells,) or given.dtype.kind not in 'iu' or given.min() < 0:
@@ -177,6 +184,8 @@ class PathFinder(Value):
             )
         object.__setattr__(self, 'visited', given.astype(np.intp))
         object.__setattr__(self, 'grid', kept_out(self.grid, self.options))
+        if self.rng is not None:
+            object.__setattr__(self, 'rng', generator(self.rng))
 
     def of_type(self, robot_type: RobotType) -> PathFinder:
         """Return the finder with the base and the options of a robot type."""
@@ -212,7 +221,7 @@ class PathFinder(Value):
             steps or visits.
 
         """
-        grid, options, cells = self.grid, self.options, np.asarray(path)
+        grid, options, cells = self.grid, self.options, as_array('path', path, 'cells')
         if cells.ndim != 1 or not cells.size or cells.dtype.kind not in 'iu':
             raise ValueError(f'path is {in_short(path)}: it must list cells, the base first')
         cells = cells.astype(np.intp)

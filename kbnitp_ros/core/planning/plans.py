@@ -6,10 +6,21 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import isfinite
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief, surprisal
-from kbnitp_ros.core.field.check import generator, read_only, typed, Value, whole_number
+from kbnitp_ros.core.field.check import (
+    as_array,
+    in_short,
+    listed,
+    number,
+    probability,
+    read_only,
+    typed,
+    Value,
+    whole_number,
+)
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
@@ -18,6 +29,7 @@ from kbnitp_ros.core.planning.objective import (
     after_deployment,
     camera_rates,
     check_cameras,
+    check_paths,
     JointOutcomes,
     nobody_deployed,
     Objective,
@@ -57,12 +69,18 @@ class Plan(Value):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'path', read_only(as_path(self.path)))
+        number('information', self.information, 'finite', isfinite)
+        probability('survival', self.survival)
+        if self.gain is not None:
+            number('gain', self.gain, 'finite', isfinite)
 
     @classmethod
     @typed
     def along(cls, path: ArrayLike, belief: Belief, model: SensorModel) -> Plan:
         """Return the plan of `path`, shape (steps + 1,)."""
-        return cls.alone(path, Objective.of(belief, model))
+        cells = as_path(path)
+        check_paths(belief, cells, np.array([0, cells.size]), 'path')
+        return cls.alone(cells, Objective.of(belief, model))
 
     @classmethod
     def alone(cls, path: ArrayLike, objective: Objective) -> Plan:
@@ -169,8 +187,8 @@ def divided(robots: Sequence[TeamMember]) -> Places:
 def voronoi(robots: Sequence[TeamMember]) -> list[Places]:
     """Return paths, each planned for information in its robot's region."""
     owner, paths = divided(robots), []
-    for number, robot in enumerate(robots):
-        interest = np.where(owner == number, 1.0, ELSEWHERE)
+    for place, robot in enumerate(robots):
+        interest = np.where(owner == place, 1.0, ELSEWHERE)
         objective = replace(robot.objective, interest=interest)
         paths.append(robot.finder.candidates(objective)[0].path)
     return paths
@@ -200,11 +218,11 @@ def allocated(allocation: str | Callable[..., Any], robots: Sequence[TeamMember]
         if len(paths) != len(robots):
             words = f'returns {len(paths)} paths for {len(robots)} robots'
             raise ALLOCATIONS.fault(allocation, words)
-        for number, (robot, path) in enumerate(zip(robots, paths)):
+        for place, (robot, path) in enumerate(zip(robots, paths)):
             try:
                 robot.finder.check_path(path)
             except ValueError as error:
-                words = f'returns an invalid path for robot {number}: {error}'
+                words = f'returns an invalid path for robot {place}: {error}'
                 raise ALLOCATIONS.fault(allocation, words) from error
     return paths
 
@@ -229,7 +247,8 @@ class Team:
     Raises
     ------
     ValueError
-        If there is no robot, or `types` has another length than the number of robots.
+        If there is no robot, the allocation is unknown, or `types` has another length than the
+        number of robots.
 
     """
 
@@ -240,6 +259,7 @@ class Team:
     def __post_init__(self) -> None:
         object.__setattr__(self, 'agents', whole_number('agents', self.agents, 1))
         object.__setattr__(self, 'types', of_each(self.agents, self.types))
+        ALLOCATIONS.find(self.allocation)
 
     def first(self, robots: int) -> Team:
         """Return the team of the first `robots` robots, or the whole team if it is smaller."""
@@ -298,16 +318,20 @@ def plan_team(
         If no path with the minimum survival is found.
     ValueError
         If the belief is of another grid, the planner does not support the objective or the limit
-        of distance, the distance allows no step, the allocation is unknown, there are more robots
-        than free cells, a path in flight is invalid, a base is not one of the grid's, the robots
-        have too many different cameras, or the search needs too much memory.
+        of distance, the distance allows no step, there are more robots than free cells, a path in
+        flight is invalid, a base is not one of the grid's, the robots have too many different
+        cameras, or the search needs too much memory.
 
     """
-    ALLOCATIONS.find(team.allocation)
     belief.check(grid)
-    rng = None if rng is None else generator(rng)
-    finder = PathFinder(grid, options, np.asarray(visited), rng)
+    finder = PathFinder(grid, options, as_array('visited', visited), rng)
     team_size(finder.grid, team.agents)
+    in_flight = listed('in_flight', in_flight)
+    for each in in_flight:
+        is_pair = isinstance(each, tuple | list) and len(each) == 2
+        if not (is_pair and isinstance(each[1], RobotType)):
+            words = f'in_flight has {in_short(each)}: it must have (path, RobotType(...))'
+            raise TypeError(words)
     types = dict.fromkeys((*team.types, *(robot_type for _, robot_type in in_flight)))
     cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
     check_team(finder, team.types, len(in_flight), len(cameras))
