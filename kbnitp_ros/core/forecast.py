@@ -13,9 +13,9 @@ from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.rounds import Stop
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import generator, typed, whole_number
+from kbnitp_ros.core.field.check import generator, in_short, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.observation import as_observations, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.estimator import Estimator
@@ -156,6 +156,10 @@ def forecast(
         PossibleWorld(number, *each, own)
         for number, (each, own) in enumerate(zip(drawn, rng.spawn(worlds)))
     ]
+    before = as_observations('before', before)
+    if not callable(run):
+        raise TypeError(f'run is {in_short(run)}: it must be callable, as map is')
+    estimator.prior.check(grid)
     begin = decided(goal, grid, estimator, len(before), options)[1]
     resumed = partial(
         Mission.resume, grid, estimator, options=options, before=tuple(before), goal=goal

@@ -15,7 +15,6 @@ from kbnitp_ros.core.decision.rounds import plan_round, Stop
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
 from kbnitp_ros.core.field.check import (
     generator,
-    in_short,
     read_only,
     typed,
     typed_fields,
@@ -24,11 +23,12 @@ from kbnitp_ros.core.field.check import (
 )
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.observation import as_observations, Observation
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Dynamics, Learnt, STATIC, Unknowns
 from kbnitp_ros.core.field.world import AS_ORDERED, Execution, World
 from kbnitp_ros.core.inference.estimator import Estimator
+from kbnitp_ros.core.planning.objective import Objective
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import count_visits, NoPathError
 from kbnitp_ros.core.planning.plans import Plan, Team, team_size
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+@typed_fields
 @dataclass(frozen=True, eq=False, repr=False)
 class Deployment(Value):
     """
@@ -116,6 +117,9 @@ class Learning:
     unknowns: Unknowns = ALL_KNOWN
     seed: int = 0
     clustering: Clustering | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'seed', whole_number('seed', self.seed, 0))
 
 
 class Mission(Sequence[Deployment]):
@@ -240,10 +244,8 @@ class Mission(Sequence[Deployment]):
         goal: Goal | None,
     ) -> None:
         """Set the state before the first robot to send."""
+        before = as_observations('before', before)
         for observation in before:
-            if not isinstance(observation, Observation):
-                words = f'before has {in_short(observation)}: it must have Observation(...)'
-                raise TypeError(words)
             grid.check_any_path(observation.path)
         self.grid, self.estimator, self.world = grid, estimator, world
         self.rng, self.options, self.goal = generator(rng), options, goal
@@ -300,7 +302,7 @@ class Mission(Sequence[Deployment]):
         grid = self.grid.at(robot_type.base)
         cells = grid.check_path(path.path if isinstance(path, Plan) else path)
         if not isinstance(path, Plan):
-            path = Plan.along(cells, self.belief, robot_type.model(self.model))
+            path = Plan.alone(cells, Objective.of(self.belief, robot_type.model(self.model)))
         return self._send(path, robot_type)
 
     def _send(self, plan: Plan, robot_type: RobotType) -> Observation:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import nan
 
 from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
-from kbnitp_ros.core.field.check import read_only, whole_number
+from kbnitp_ros.core.field.check import number, read_only, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np
@@ -91,6 +91,7 @@ def there_and_back(out: Path, back: Path) -> Path:
     return np.concatenate([out, back[-2::-1]])
 
 
+@typed
 def safest_path(
     grid: Grid,
     draws: HazardDraws,
@@ -134,6 +135,8 @@ def safest_path(
     """
     check_confidence(confidence)
     check_way(grid, start, to, max_steps)
+    if draws.cells != grid.cells:
+        raise ValueError(f'draws are of {draws.cells} cells: the grid has {grid.cells}')
     [paths] = lanes_within(grid, draws, start, to, [max_steps])
     best = int(np.argmax(np.round(draws.are_free(paths) @ draws.weight, DECIMALS)))
     path = paths[best]
@@ -295,5 +298,6 @@ def too_few_draws(confidence: float, independent: float) -> str:
 
 def check_confidence(confidence: float | None) -> None:
     """Check a confidence."""
-    if confidence is not None and not 0.0 < confidence < 1.0:
-        raise ValueError(f'confidence is {confidence}: it must be between 0 and 1, both excluded')
+    if confidence is not None:
+        wanted = 'between 0 and 1, both excluded'
+        number('confidence', confidence, wanted, lambda c: 0.0 < c < 1.0)

@@ -8,9 +8,19 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import read_only
+from kbnitp_ros.core.field.check import (
+    as_array,
+    as_floats,
+    in_short,
+    number,
+    on_field,
+    probability,
+    read_only,
+    typed,
+    whole_number,
+)
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.observation import Observation
+from kbnitp_ros.core.field.observation import as_observations, as_path, Observation
 from kbnitp_ros.core.field.sensor import SensorModel, times_log
 from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
@@ -54,13 +64,25 @@ class HazardDraws:
     weight: Floats = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        draws = len(self.hazardous)
-        weight = self.weight if self.weight.size else np.full(draws, 1.0 / draws)
-        vars(self).update(hazardous=read_only(self.hazardous), weight=read_only(weight))
+        hazardous, weight = self.hazardous, as_floats('weight', self.weight)
+        if getattr(hazardous, 'dtype', None) != np.bool_ or hazardous.ndim != 2:
+            words = f'hazardous is {in_short(hazardous)}: it must be bools, (draws, cells)'
+            raise TypeError(words)
+        draws = len(hazardous)
+        weight = weight if weight.size else np.full(draws, 1.0 / draws)
+        if weight.shape != (draws,):
+            raise ValueError(f'weight has shape {weight.shape}: it must be ({draws},)')
+        independent = number('independent', self.independent, 'positive', lambda n: n > 0.0)
+        vars(self).update(
+            hazardous=read_only(hazardous), independent=independent, weight=read_only(weight)
+        )
 
     @classmethod
+    @typed
     def of(cls, estimator: Estimator, deployments: int, count: int = DRAWS) -> HazardDraws:
         """Draw from an estimator; the same evidence gives the same draws."""
+        count = whole_number('count', count, 1)
+        deployments = whole_number('deployments', deployments, 0)
         if (estimate := count * estimator.belief.cells) > MAX_MEMORY:
             raise ValueError(
                 f'{count} draws of {estimator.belief.cells} cells take about '
@@ -81,12 +103,12 @@ class HazardDraws:
 
     def p_free(self, cells: ArrayLike) -> float:
         """Return the probability that no cell of `cells` has a hazard (:eq:`set-free`)."""
-        free = ~self.hazardous[:, np.unique(cells)].any(axis=1)
+        free = ~self.hazardous[:, np.unique(on_field('cells', cells, self.cells))].any(axis=1)
         return float(np.clip(self.weight @ free, 0.0, 1.0))
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
         """Return P(n of `cells` have a hazard) for n = 0, 1, ... (:eq:`hazards-remaining`)."""
-        there = np.unique(cells)
+        there = np.unique(on_field('cells', cells, self.cells))
         count = self.hazardous[:, there].sum(axis=1)
         return np.bincount(count, self.weight, there.size + 1).astype(np.float64)
 
@@ -105,21 +127,23 @@ class HazardDraws:
     def _hazards_entered(self, entered: Sequence[Path]) -> Floats:
         """Return the number of steps of each path into hazards, shape (paths, draws)."""
         cells, place = np.unique(np.concatenate(entered), return_inverse=True)
+        on_field('path', cells, self.cells)
         visits = np.zeros((len(entered), cells.size), dtype=np.float32)
         path = np.repeat(np.arange(len(entered)), [len(each) for each in entered])
         np.add.at(visits, (path, place), 1.0)
         return np.asarray(visits @ self.hazardous[:, cells].T.astype(np.float32), np.float64)
 
+    @typed
     def survival(self, path: ArrayLike, model: SensorModel) -> float:
         """Return the probability that a traveller survives a path (:eq:`traveller-survives`)."""
-        return float(np.clip(self.weight @ self.survivals([path], model)[0], 0.0, 1.0))
+        return float(np.clip(self.weight @ self.survivals([as_path(path)], model)[0], 0.0, 1.0))
 
 
 def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:
     """Return `cells` as an array, shape (cells,), checked to be cells that robots may enter."""
-    array = np.atleast_1d(np.asarray(cells))
+    array = np.atleast_1d(as_array(what, cells, 'cells'))
     if array.size == 0 or array.dtype.kind not in 'iu' or array.ndim != 1:
-        raise ValueError(f'{what} is {cells!r}: it must be a list of at least one cell')
+        raise ValueError(f'{what} is {in_short(cells)}: it must be a list of at least one cell')
     for cell in array.tolist():
         if not 0 <= cell < grid.cells:
             raise ValueError(
@@ -145,6 +169,7 @@ class Target(NamedTuple):
     missed: float
 
 
+@typed
 def targets(
     belief: Belief, model: SensorModel, observations: Sequence[Observation], least: float = 0.0
 ) -> list[Target]:
@@ -165,8 +190,10 @@ def targets(
         Minimum probability of a target, in [0, 1].
 
     """
+    least = probability('least', least)
     looks, found = np.zeros((2, belief.cells), dtype=np.intp)
-    for observation in observations:
+    for observation in as_observations('observations', observations):
+        on_field('path', observation.path, belief.cells)
         if observation.readings is not None:
             entered, readings = observation.path[1:], np.asarray(observation.readings, dtype=int)
             np.add.at(looks, entered[readings >= 0], 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kbnitp_ros.core.field.check import typed_fields
+from kbnitp_ros.core.field.check import in_short, number, typed_fields
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.partition_kernels import transfer
 from kbnitp_ros.core.field.unknowns import Bins
@@ -91,16 +91,15 @@ class Clustering:
     coupling: float | str
 
     def __post_init__(self) -> None:
-        if self.coupling == LEARNT_COUPLING:
+        if isinstance(self.coupling, str) and self.coupling == LEARNT_COUPLING:
             return
         try:
-            coupling = float(self.coupling)
-        except (TypeError, ValueError):
-            coupling = np.nan
-        if not 0.0 <= coupling <= STRONGEST:
-            raise ValueError(
-                f"coupling is {self.coupling!r}: it must be in [0, {STRONGEST}] or 'learn'"
+            coupling = number('coupling', self.coupling, '', lambda c: 0.0 <= c <= STRONGEST)
+        except (TypeError, ValueError) as error:
+            words = (
+                f"coupling is {in_short(self.coupling)}: it must be in [0, {STRONGEST}] or 'learn'"
             )
+            raise ValueError(words) from error
         object.__setattr__(self, 'coupling', coupling)
 
     @property

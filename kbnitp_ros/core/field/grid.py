@@ -12,13 +12,16 @@ from math import cos, inf, isfinite, pi, remainder, sin, sqrt, tau
 import struct
 
 from kbnitp_ros.core.field.check import (
+    as_floats,
     cell_numbers,
+    cost,
+    flag,
     in_short,
     number,
+    on_field,
     read_only,
     whole_number,
     whole_numbers,
-    yes_or_no,
 )
 from kbnitp_ros.core.field.observation import as_path
 import numpy as np
@@ -107,7 +110,8 @@ class Grid:
         resolution = number(
             'resolution', self.resolution, 'positive, in metres', lambda r: 0.0 < r < inf
         )
-        if np.shape(self.origin) != (2,):
+        # Of objects: lists of different lengths are no numbers either.
+        if np.shape(np.array(self.origin, dtype=object)) != (2,):
             raise ValueError(
                 f'origin is {in_short(self.origin)}: it must be two finite numbers, in metres'
             )
@@ -121,9 +125,7 @@ class Grid:
                 f'origin is {self.origin}: cells of {resolution} m cannot be told apart that '
                 f'far out; it must be within {resolution / (APART * EPSILON):.3g} m'
             )
-        if self.connectivity not in (4, 8):
-            raise ValueError(f'connectivity is {self.connectivity!r}: it must be 4 or 8')
-        through_corners = bool(yes_or_no('through_corners', self.through_corners))
+        connectivity = number('connectivity', self.connectivity, '4 or 8', {4.0, 8.0}.__contains__)
         vars(self).update(
             width=width,
             height=height,
@@ -131,8 +133,8 @@ class Grid:
             resolution=resolution,
             origin=origin,
             blocked=blocked,
-            connectivity=int(self.connectivity),
-            through_corners=through_corners,
+            connectivity=int(connectivity),
+            through_corners=flag('through_corners', self.through_corners),
             other_bases=frozenset(others) - {base},
             yaw=number('yaw', self.yaw, 'finite, in rad', isfinite),
         )
@@ -205,7 +207,8 @@ class Grid:
 
     def at(self, base: int | None) -> Grid:
         """Return the grid with another of its bases as `base`; None keeps the base."""
-        if base is None or base == self.base:
+        base = self.base if base is None else whole_number('base', base, 0)
+        if base == self.base:
             return self
         if base not in self.bases:
             raise ValueError(
@@ -319,14 +322,14 @@ class Grid:
     def in_reach(self, max_steps: int, max_distance: float = 0.0) -> NDArray[np.bool_]:
         """Return a mask, (cells,), of cells that paths within limits can visit; 0 m: no limit."""
         steps = self.steps_to_base
-        in_reach = (2 * steps <= max_steps) & (steps < self.cells)
-        if max_distance:
+        in_reach = (2 * steps <= whole_number('max_steps', max_steps, 0)) & (steps < self.cells)
+        if cost('max_distance', max_distance):
             in_reach &= 2.0 * self.distance_to_base <= longest(max_distance)
         return in_reach
 
     def path_length(self, path: NDArray[np.intp]) -> float:
         """Return the length of a path, shape (steps + 1,), in metres."""
-        row, col = np.divmod(np.asarray(path, dtype=np.intp), self.width)
+        row, col = np.divmod(on_field('path', path, self.cells), self.width)
         moves = np.abs(np.diff(row)) + np.abs(np.diff(col))
         straight, diagonal = (moves == 1).sum(), (moves == 2).sum()
         return float((straight + sqrt(2.0) * diagonal) * self.resolution)
@@ -337,7 +340,7 @@ class Grid:
         """Return `path` as an array of cells; raise ValueError if it is invalid on this grid."""
         cells = as_path(path)
         steps = len(cells) - 1
-        if max_steps is not None and steps > max_steps:
+        if max_steps is not None and steps > whole_number('max_steps', max_steps, 1):
             raise ValueError(
                 f'path has {steps} steps: at most max_steps = {max_steps} are allowed'
             )
@@ -346,7 +349,8 @@ class Grid:
             if cell != self.base:
                 raise ValueError(f'path must {end} at the base {self.base}, not at cell {cell}')
         self.check_steps(cells)
-        if max_distance and (length := self.path_length(cells)) > longest(max_distance):
+        most = longest(cost('max_distance', max_distance))
+        if most and (length := self.path_length(cells)) > most:
             raise ValueError(
                 f'path is {length:.6g} m long: '
                 f'at most max_distance = {max_distance:.6g} m is allowed'
@@ -399,12 +403,12 @@ class Grid:
 
     def centers(self, cells: ArrayLike) -> NDArray[np.float64]:
         """Return the centres of `cells`, shape (n,), in metres, as x and y, shape (n, 2)."""
-        row, col = np.divmod(np.asarray(cells), self.width)
+        row, col = np.divmod(on_field('cells', cells, self.cells), self.width)
         return self.in_metres(np.stack([col, row], axis=-1) + 0.5)
 
     def cells_at(self, points: ArrayLike) -> NDArray[np.intp]:
         """Return the cells of points, (n, 2) in metres; raise ValueError outside the grid."""
-        array = np.asarray(points, dtype=np.float64)
+        array = as_floats('points', points)
         if array.ndim != 2 or array.shape[1] != 2:
             raise ValueError(f'points have shape {array.shape}: it must be (n, 2), x and y')
         with np.errstate(invalid='ignore', over='ignore'):

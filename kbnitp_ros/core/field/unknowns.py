@@ -7,7 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
-from kbnitp_ros.core.field.check import number, probability, read_only, Value
+from kbnitp_ros.core.field.check import (
+    in_short,
+    number,
+    one_of,
+    probability,
+    read_only,
+    Value,
+)
 from kbnitp_ros.core.field.grid import Grid
 import numpy as np
 from numpy.typing import NDArray
@@ -185,7 +192,8 @@ class Unknowns:
                     raise ValueError('it must be two numbers, low and high')
                 vars(self)[name] = Beta(low=given[0], high=given[1])
             except (TypeError, ValueError) as error:
-                raise ValueError(f'{name} is unknown within {given}: {error}') from error
+                words = f'{name} is unknown within {in_short(given)}: {error}'
+                raise ValueError(words) from error
 
     @property
     def priors(self) -> dict[str, Beta]:
@@ -248,8 +256,7 @@ class Dynamics:
     move: Rate = 0.0
 
     def __post_init__(self) -> None:
-        if self.kind not in HAZARDS:
-            raise ValueError(f'dynamics is {self.kind!r}: it must be one of {", ".join(HAZARDS)}')
+        one_of('dynamics', self.kind, HAZARDS)
         for kind, names in HAZARD_RATES.items():
             for name in names:
                 rate = as_rate(name, getattr(self, name))
@@ -300,11 +307,13 @@ def as_rate(name: str, given: Rate) -> float | Beta:
     if isinstance(given, Beta):
         return given
     rate: Any = given
-    if np.ndim(rate) == 0 and not isinstance(rate, str):
+    # Of objects: lists of different lengths are no numbers either.
+    shape = np.shape(np.array(rate, dtype=object))
+    if not shape and not isinstance(rate, str):
         return probability(name, rate)
-    if name == 'appear' or np.shape(given) != (2,):
+    if name == 'appear' or shape != (2,):
         raise ValueError(
-            f'{name} is {given}: it must be a number'
+            f'{name} is {in_short(given)}: it must be a number'
             + (' or low and high' if name != 'appear' else '; at 0 it follows an unknown vanish')
         )
     low, high = (probability(name, each) for each in rate)

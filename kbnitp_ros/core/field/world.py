@@ -236,6 +236,7 @@ class Execution:
     def __post_init__(self) -> None:
         vars(self).update({name: probability(name, value) for name, value in vars(self).items()})
 
+    @typed
     def traverse(
         self,
         world: World,
@@ -248,7 +249,11 @@ class Execution:
     ) -> Traverse:
         """Simulate a deployment; `contact` reports steps (:eq:`contact-probability`)."""
         dynamics.known_rates()
+        world.check(grid)
         ordered = grid.check_path(path)
+        if changing is not None and yes_or_no('changing', changing).shape != (grid.cells,):
+            words = f'changing has shape {np.shape(changing)}: it must be ({grid.cells},)'
+            raise ValueError(words)
         return self.follow(world, grid, ordered, model, generator(rng), dynamics, changing)
 
     def follow(

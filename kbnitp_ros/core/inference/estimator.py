@@ -317,11 +317,12 @@ class Estimator:
 
     def worlds(self, count: int, rng: np.random.Generator) -> list[tuple[World, SensorModel]]:
         """Draw fields: hazards as in `draws`, targets, and a sensor model for each field."""
+        count, rng = whole_number('count', count, 1), generator(rng)
         draw = getattr(self._inference, 'draws_with_models', None)
         if draw is None:
             hazardous, models = self.draws(count, rng)[0], [self.model] * count
         else:
-            hazardous, models = draw(whole_number('count', count, 1), rng)
+            hazardous, models = draw(count, rng)
         joint = self.belief.joint
         chance = joint.sum(axis=2)
         if_safe, if_hazardous = (joint[:, :, 1] / np.where(chance > 0.0, chance, 1.0)).T

@@ -63,10 +63,12 @@ class Hypotheses:
     def _cluster(self, clustering: Clustering) -> None:
         """Replace the log odds of undecided cells by the fields of a clustered prior."""
         prior, undecided = self.prior, self.undecided['hazard_density']
-        if clustering.grid.cells != prior.cells:
+        grid, own = clustering.grid, prior.grid or clustering.grid
+        if grid.cells != prior.cells or grid.width != own.width:
+            cells = f'{own.width} x {own.height}' if prior.grid else prior.cells
             raise ValueError(
-                f'clustering is of a grid of {clustering.grid.cells} cells, but the prior has '
-                f'{prior.cells} cells'
+                f'clustering is of a grid of {grid.width} x {grid.height} cells: the prior has '
+                f'{cells} cells'
             )
         hazard = prior.hazard[prior.hazard > 0.0]
         if hazard.size == 0 or hazard.max() == 1.0 or np.ptp(hazard) > SAME:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import cast, Protocol
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import typed
+from kbnitp_ros.core.field.check import in_short, typed
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, HAZARDS, Learnt, STATIC, Unknowns
@@ -158,10 +158,10 @@ def update(
 
     """
     one_pass = {name: each for name, each in METHODS.items() if isinstance(each, OnePass)}
-    if method not in one_pass:
+    if not isinstance(method, str) or method not in one_pass:
         others = [name for name in METHODS if name not in one_pass]
         raise ValueError(
-            f'method is {method!r}: update takes {", ".join(one_pass)}; {", ".join(others)} need '
-            'all deployments: use an Estimator'
+            f'method is {in_short(method)}: update takes {", ".join(one_pass)}; '
+            f'{", ".join(others)} need all deployments: use an Estimator'
         )
     return one_pass[method].update(belief, model, observation)

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
+from kbnitp_ros.core.field.check import in_short, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
-from kbnitp_ros.core.field.sensor import ORDINARY, RobotType
+from kbnitp_ros.core.field.sensor import of_each, ORDINARY, RobotType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -129,6 +130,7 @@ class MissionRecord:
 
     """
 
+    @typed
     def __init__(
         self,
         grid: Grid,
@@ -136,7 +138,11 @@ class MissionRecord:
         robot_types: Mapping[str, RobotType] = MappingProxyType({}),
     ) -> None:
         self.grid = grid
-        self.max_steps = max_steps
+        self.max_steps = whole_number('max_steps', max_steps, 1)
+        if not isinstance(robot_types, Mapping):
+            words = f'robot_types is {in_short(robot_types)}: it must be a mapping of names'
+            raise TypeError(words)
+        of_each(len(robot_types), [*robot_types.values()])
         self.robot_types = dict(robot_types)
         self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
         self.outcomes: dict[DeploymentKey, Observation] = {}
@@ -177,6 +183,7 @@ class MissionRecord:
         other.copy_pending(self)
         return other
 
+    @typed
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
         """Record a path; return whether a pending report now gives the deployment an outcome."""
         cells = self.check_path(key, path)
@@ -198,6 +205,7 @@ class MissionRecord:
             raise refusals[0]
         return key in self.outcomes
 
+    @typed
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
         """Record a report; return whether the outcome changes. Refused reports change nothing."""
         if key not in self.paths:
