@@ -32,6 +32,13 @@ def share(relative: str) -> Path:
     return PACKAGE.parents[3] / 'share/kbnitp_ros' / relative
 
 
+def as_file(name: str, given: Any) -> Path:
+    """Return the path of a file or folder; `name` is that of the argument."""
+    if not isinstance(given, str | os.PathLike):
+        raise TypeError(f'{name} is {given!r}: it must be the path of a file or folder')
+    return Path(given)
+
+
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return 'did you mean' with the known names most similar to a name; empty if none is."""
     # Compare without the group first, since lethality differs much from sensor.lethality.
@@ -75,7 +82,8 @@ def naming(path: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.filename is None:
+        # Errors of libraries have no number, and would lose their text.
+        if error.filename is None and error.errno is not None:
             error.filename = str(path)
         raise
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from kbnitp_ros.core.field.check import typed
 from kbnitp_ros.figures import LETTERS, WIDTH
 from kbnitp_ros.study.results import bootstrap, Results, Series, SUMMARISED
 from kbnitp_ros.styles import SERIES, Style
@@ -28,6 +29,7 @@ LABELS = {
 }
 
 
+@typed
 def study_figures(results: Results) -> dict[str, Figure]:
     """Return the figures of a study, by the names of their files."""
     with rc_context(LETTERS):
@@ -42,8 +44,10 @@ def study_figures(results: Results) -> dict[str, Figure]:
     return figures
 
 
+@typed
 def curves(results: Results, measure: str, scale: str = 'linear') -> Figure:
     """Draw the mean of a measure by robot, with 95 % intervals, a panel for each choice."""
+    results.check_measure(measure)
 
     def draw(axes: Axes, series: Series) -> None:
         for strategy, values in series.items():
@@ -52,8 +56,10 @@ def curves(results: Results, measure: str, scale: str = 'linear') -> Figure:
     return panels(results, measure, draw, LABELS.get(measure, in_text(measure)), scale)
 
 
+@typed
 def differences(results: Results, measure: str) -> Figure:
     """Draw the paired differences from the first strategy by robot, a panel for each choice."""
+    results.check_measure(measure)
     first = results.strategies[0]
 
     def draw(axes: Axes, series: Series) -> None:
@@ -66,6 +72,7 @@ def differences(results: Results, measure: str) -> Figure:
     return panels(results, measure, draw, f'{in_text(measure)} minus {first}')
 
 
+@typed
 def final_values(results: Results) -> Figure:
     """Draw the means after the last robot with 95 % intervals, a panel for each measure."""
     measures = [each for each in SUMMARISED if each in results.measures]

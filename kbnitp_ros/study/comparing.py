@@ -10,6 +10,7 @@ from pickle import PicklingError
 from typing import Any
 
 from kbnitp_ros.core import METHODS, PLANNERS
+from kbnitp_ros.core.field.check import in_short, listed
 from kbnitp_ros.figures import FORMATS, save
 from kbnitp_ros.files import naming, read_yaml
 from kbnitp_ros.plugins import entry_name
@@ -40,7 +41,9 @@ def compare(
     names, such as ``trials=4`` or ``**{'prior.kappa': [0.5, 0.8]}``; a list is an axis of choices.
     """
     if not isinstance(scenario, str | Path | Mapping):
-        raise TypeError(f'scenario is {scenario!r}: it must be a name, a file or a mapping')
+        raise TypeError(
+            f'scenario is {in_short(scenario)}: it must be a name, a file or a mapping'
+        )
     content = dict(
         scenario if isinstance(scenario, Mapping) else read_yaml(scenario_file(str(scenario)))
     )
@@ -48,8 +51,10 @@ def compare(
     if updates:
         content['methods'] = list(updates)
     if paths:
-        teams = content.get('teams', [{}])
-        content['teams'] = [{**team, 'planner': name} for team in teams for name in paths]
+        teams = content.get('teams') or [{}]
+        # Others are refused when the study is parsed.
+        if isinstance(teams, list) and all(isinstance(team, dict) for team in teams):
+            content['teams'] = [{**team, 'planner': name} for team in teams for name in paths]
     own = [
         {name: each for name, each in named.items() if not isinstance(each, str)}
         for named in (paths, updates)
@@ -83,12 +88,16 @@ def run_own(
 
 def by_name(kind: str, given: Given) -> dict[str, str | Callable[..., Any]]:
     """Return the planners or methods to compare, by their names in tables."""
-    if isinstance(given, Mapping):
-        return dict(given)
-    if isinstance(given, str) or not isinstance(given, Iterable):
+    if isinstance(given, str) or callable(given):
         raise TypeError(f'{kind}s is {given!r}: it must be a list, such as {kind}s=[{given!r}]')
     named: dict[str, str | Callable[..., Any]] = {}
-    for entry in given:
+    entries = listed(f'{kind}s', given.values() if isinstance(given, Mapping) else given)
+    for entry in entries:
+        if not (isinstance(entry, str) or callable(entry)):
+            raise TypeError(f'{kind} is {in_short(entry)}: it must be a name or a function')
+    if isinstance(given, Mapping):
+        return dict(given)
+    for entry in entries:
         name = entry_name(entry).rpartition('.')[-1]
         if name in named or not name.isidentifier():
             reason = 'it has no name' if name not in named else 'two have this name'

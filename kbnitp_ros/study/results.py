@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
+from gzip import BadGzipFile
 from importlib.util import find_spec
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
 
-from kbnitp_ros.files import naming, nearest
+from kbnitp_ros.core.field.check import as_floats, generator, in_short, whole_number
+from kbnitp_ros.files import as_file, naming, nearest
 from kbnitp_ros.study.scenario_file import Study
 from kbnitp_ros.study.trial import list_trials, Trial
 import numpy as np
@@ -53,7 +55,9 @@ class Interval(NamedTuple):
 
 def bootstrap(samples: Any, rng: np.random.Generator | None = None) -> Interval:
     """Return the mean over worlds (the first axis) with its 95 % interval; `rng` resamples."""
-    values = np.asarray(samples, np.float64)
+    values = as_floats('samples', samples)
+    if not values.ndim:
+        raise ValueError(f'samples is {in_short(samples)}: it must have a value for each world')
     worlds = len(values)
     if worlds < 2:
         mean = values.mean(axis=0)
@@ -66,7 +70,7 @@ def bootstrap(samples: Any, rng: np.random.Generator | None = None) -> Interval:
 
 def resamples(worlds: int, rng: np.random.Generator) -> NDArray[np.float64]:
     """Return the share of each world in each resample, shape (resamples, worlds)."""
-    drawn = rng.multinomial(worlds, np.full(worlds, 1.0 / worlds), RESAMPLES)
+    drawn = generator(rng).multinomial(worlds, np.full(worlds, 1.0 / worlds), RESAMPLES)
     return np.asarray(drawn / worlds, np.float64)
 
 
@@ -85,9 +89,17 @@ class Results:
     """
 
     def __init__(self, table: DataFrame) -> None:
+        if not isinstance(table, DataFrame):
+            raise TypeError(f'table is {in_short(table)}: it must be a DataFrame')
         missing = [name for name in KEYS if name not in table]
         if missing:
             raise ValueError(f'the table has no column {missing[0]}: it needs {", ".join(KEYS)}')
+        for name, kinds, wanted in (('robot', 'iu', 'whole numbers'), ('value', 'iuf', 'numbers')):
+            if (kind := table[name].dtype).kind not in kinds:
+                raise ValueError(f'the column {name} is of {kind}: it must be of {wanted}')
+        # Names may be numbers.
+        numbers = [name for name in ('strategy', 'measure') if table[name].dtype.kind in 'iuf']
+        table = table.astype(dict.fromkeys(numbers, str))
         # Categories in the order of the table, which is that of the scenario.
         texts = table.select_dtypes(['object', 'category'])
         categories = {
@@ -107,14 +119,16 @@ class Results:
     @classmethod
     def read(cls, path: str | Path) -> Results:
         """Read the table of a study's folder, or a CSV (also .gz) or Parquet file."""
-        path = Path(path)
+        path = as_file('path', path)
         files = [path / name for name in table_files()] if path.is_dir() else [path]
         for file in files:
             if file.exists():
-                with naming(file):
-                    if file.suffix == '.parquet':
-                        return cls(pandas.read_parquet(file))
-                    return cls(pandas.read_csv(file, keep_default_na=False))
+                try:
+                    with naming(file):
+                        return cls(read_table(file))
+                except (ValueError, EOFError, BadGzipFile) as error:
+                    words = ' '.join(str(error).split())
+                    raise ValueError(f'{file} is not the table of a study: {words}') from error
         raise ValueError(f'{path} has no table.csv: run the study again, which completes it')
 
     @classmethod
@@ -148,7 +162,7 @@ class Results:
 
     def write(self, folder: Path) -> list[Path]:
         """Write the table as CSV and, where pyarrow is installed, as Parquet."""
-        written = [folder / name for name in table_files()]
+        written = [as_file('folder', folder) / name for name in table_files()]
         for file in written:
             with naming(file):
                 if file.suffix == '.parquet':
@@ -157,12 +171,15 @@ class Results:
                     self._table.to_csv(file, index=False, float_format='%.10g')
         return written
 
+    def check_measure(self, measure: str) -> None:
+        """Check that the table has a measure."""
+        if not isinstance(measure, str) or measure not in self.measures:
+            meant = nearest(str(measure), self.measures)
+            raise ValueError(f'measure is {in_short(measure)}: {meant}see .measures')
+
     def series(self, measure: str) -> Iterator[tuple[dict[str, Any], Series]]:
         """Yield, for each combination of choices, a measure of each strategy, worlds x robots."""
-        if measure not in self.measures:
-            raise ValueError(
-                f'measure is {measure!r}: {nearest(measure, self.measures)}see .measures'
-            )
+        self.check_measure(measure)
         rows = self._table[self._table['measure'] == measure]
         for choices, group in by(rows, self.axes):
             yield (
@@ -203,9 +220,9 @@ class Results:
         the number of robots, by default all; `rng` draws the resamples, by default with seed 0.
         """
         for name in (strategy, other):
-            if name not in self.strategies:
+            if not isinstance(name, str) or name not in self.strategies:
                 known = ', '.join(self.strategies)
-                raise ValueError(f'strategy {name!r} is unknown: the table has {known}')
+                raise ValueError(f'strategy {in_short(name)} is unknown: the table has {known}')
         rows = []
         for choices, series in self.series(measure):
             if strategy in series and other in series:
@@ -266,6 +283,20 @@ def table_files() -> list[str]:
     return ['table.parquet'] * (find_spec('pyarrow') is not None) + ['table.csv']
 
 
+def read_table(file: Path) -> DataFrame:
+    """Read a table from CSV or Parquet, checked to have one value of each kind."""
+    if file.suffix == '.parquet':
+        table = pandas.read_parquet(file)
+    else:
+        table = pandas.read_csv(file, keep_default_na=False)
+        if not isinstance(table.index, pandas.RangeIndex):
+            raise ValueError('its rows have more values than its header')
+    twice = table.duplicated([name for name in table if name != 'value'])
+    if twice.any():
+        raise ValueError(f'row {twice.argmax() + 1} has a value that an earlier row has')
+    return table
+
+
 def by(rows: DataFrame, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], DataFrame]]:
     """Yield the rows of each combination of values, in the order of the table."""
     if not names:
@@ -278,7 +309,7 @@ def by(rows: DataFrame, names: Sequence[str]) -> Iterator[tuple[dict[str, Any], 
 def after(series: DataFrame, robot: int | None) -> pandas.Series[float]:
     """Return a measure after a number of robots, by default all."""
     robots = series.columns.max()
-    if robot is not None and robot not in series:
+    if robot is not None and whole_number('robot', robot, 0) not in series:
         raise ValueError(f'robot is {robot}: it must be one of the table, such as {robots}')
     return series[robots if robot is None else robot]
 

@@ -12,7 +12,8 @@ from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints, Union
 
 from kbnitp_ros.core import Beta, Unknowns
-from kbnitp_ros.files import nearest, parse_yaml, read_yaml, share
+from kbnitp_ros.core.field.check import in_short
+from kbnitp_ros.files import as_file, nearest, parse_yaml, read_yaml, share
 from kbnitp_ros.plugins import Registry
 from kbnitp_ros.study.scenario import NUMBERS, Probability, Scenario
 import numpy as np
@@ -49,6 +50,7 @@ class Study:
 
 def read_study(path: Path, changes: Mapping[str, Any] | None = None) -> Study:
     """Read a scenario file; `changes` are values by their names."""
+    path = as_file('path', path)
     try:
         return parse_study(read_yaml(path), changes)
     except ValueError as error:
@@ -60,7 +62,10 @@ def parse_study(given: Any, changes: Mapping[str, Any] | None = None) -> Study:
     content = deepcopy(given)
     if not isinstance(content, dict):
         parse_scenario(content)
-    for name, value in (changes or {}).items():
+    changes = {} if changes is None else changes
+    if not isinstance(changes, Mapping):
+        raise TypeError(f'changes is {in_short(changes)}: it must be a mapping of names to values')
+    for name, value in changes.items():
         set_value(content, full_name(name), value)
     if isinstance(teams := content.get('teams'), list):
         content['teams'] = [each for team in teams for each in list_strategies(team)]
@@ -256,8 +261,9 @@ def shipped() -> list[str]:
 
 def scenario_file(name: str) -> Path:
     """Return the path of a scenario of the package, or of a file."""
+    file = as_file('scenario', name)
     if name in shipped():
         return share('config/scenarios') / f'{name}.yaml'
-    if not Path(name).is_file():
+    if not file.is_file():
         raise ValueError(f'scenario {name} is neither a file nor one of {", ".join(shipped())}')
-    return Path(name)
+    return file

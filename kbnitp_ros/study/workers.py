@@ -18,6 +18,7 @@ import signal
 from typing import Any, BinaryIO, TypeVar
 
 from joblib import cpu_count, delayed, Parallel
+from kbnitp_ros.core.field.check import number
 from kbnitp_ros.files import in_words, naming, yaml_text
 from kbnitp_ros.plugins import REGISTRIES
 from kbnitp_ros.study.scenario import ALONE
@@ -176,8 +177,9 @@ def workers(
     package = BACKENDS[backend]
     if find_spec(package) is None:
         raise ValueError(f'backend {backend} needs a package: pip install {package}')
-    if count is not None and not 1 <= count <= MAX_WORKERS:
-        raise ValueError(f'workers is {count}: it must be from 1 to {MAX_WORKERS}')
+    if count is not None:
+        allowed = range(1, MAX_WORKERS + 1)
+        count = int(number('workers', count, f'from 1 to {MAX_WORKERS}', allowed.__contains__))
     if scheduler is not None and backend != 'dask':
         raise ValueError(f'scheduler is {scheduler}: the backend must be dask, not {backend}')
     if scheduler is not None and count is not None:

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 from disk import room_for
-from kbnitp_ros.study import bootstrap, differences, study_figures
+from kbnitp_ros.study import bootstrap, curves, differences, study_figures
 from kbnitp_ros.study.comparing import write_report
 from kbnitp_ros.study.results import KEYS, Results
 from kbnitp_ros.study.scenario import Strategy
@@ -99,6 +99,46 @@ def test_an_unfinished_study_is_refused(tmp_path, made, complaint):
 def test_a_table_without_a_column_is_refused(results, name):
     with pytest.raises(ValueError, match=f'the table has no column {name}: it needs world, str'):
         Results(results.to_dataframe().drop(columns=name))
+
+
+@for_each('text, complaint', [
+    ('', 'No columns to parse'),
+    ('1,a,0,log_loss,x', 'the column value is of object: it must be of numbers'),
+    ('1,a,x,log_loss,1', 'the column robot is of object: it must be of whole numbers'),
+    ('1,a,0,log_loss,1\n1,a,0,log_loss,2', 'row 2 has a value that an earlier row has'),
+    ('1,a,0,log_loss,1,2', 'its rows have more values than its header'),
+])  # fmt: skip
+def test_a_file_that_is_no_table_is_named(tmp_path, text, complaint):
+    file = tmp_path / 'mine.csv'
+    tmp_path.mkdir(exist_ok=True)
+    file.write_text(text and f'{",".join(KEYS)}\n{text}\n')
+    with pytest.raises(ValueError, match=f'mine.csv is not the table of a study: {complaint}'):
+        Results.read(file)
+
+
+def test_strategies_may_be_named_by_numbers(results, tmp_path):
+    numbered = results.to_dataframe().replace({'strategy': {FIRST: '1', EXACT: '2'}})
+    (tmp_path / 'mine.csv').write_text(numbered[numbered['strategy'].isin(['1', '2'])].to_csv())
+    assert Results.read(tmp_path / 'mine.csv').strategies == ['1', '2']
+
+
+@for_each('make, error, words', [
+    (lambda _: Results([1]), TypeError, r'table is \[1\]: it must be a DataFrame'),
+    (lambda _: Results.read(None), TypeError, 'path is None: it must be the path of a file'),
+    (lambda r: r.write(3), TypeError, 'folder is 3: it must be the path of a file or folder'),
+    (lambda r: r.means(None), ValueError, 'measure is None: see .measures'),
+    (lambda r: r.means(robot='x'), TypeError, "robot is 'x': it must be a number"),
+    (lambda r: r.means(rng='x'), TypeError, "rng is 'x': it must be a seed"),
+    (lambda r: r.difference([], FIRST), ValueError, r'strategy \[\] is unknown'),
+    (lambda _: bootstrap(3), ValueError, 'samples is 3: it must have a value for each world'),
+    (lambda _: bootstrap(['x']), TypeError, r"samples is \['x'\]: it must be an array of num"),
+    (lambda r: curves(r, 3), ValueError, 'measure is 3: see .measures'),
+    (lambda _: curves(3, 'entropy'), TypeError, r'results is 3: it must be Results.read\(...\)'),
+    (lambda r: differences(r, 'log_los'), ValueError, 'did you mean log_loss'),
+])  # fmt: skip
+def test_wrong_arguments_are_refused(results, make, error, words):
+    with pytest.raises(error, match=words):
+        make(results)
 
 
 def test_the_interval_is_that_of_resampled_means():

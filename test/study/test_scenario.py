@@ -150,9 +150,10 @@ def test_changes_are_read_from_texts(texts, changes):
     ({'kappa': 0.5}, 'kappa may be world.kappa or prior.kappa: give one'),
     ({'zzzzz': 0.5}, 'zzzzz is unknown: see docs/files.md'),
     ({'max_visits': 0}, 'planning.max_visits is 0.*from 1'),
+    ('max_visits=3', "changes is 'max_visits=3': it must be a mapping of names to values"),
 ])  # fmt: skip
 def test_a_name_that_nobody_reads_is_refused_with_the_nearest(changes, complaint):
-    with pytest.raises(ValueError, match=complaint):
+    with pytest.raises((TypeError, ValueError), match=complaint):
         parse_study(small_study.CONTENT, changes)
     content = {**small_study.CONTENT, 'prior': [{}, {}]}
     with pytest.raises(ValueError, match=r'prior is \[{}, {}\]: set prior.kappa in each of'):

@@ -52,14 +52,18 @@ P = ParamSpec('P')
 R = TypeVar('R')
 T = TypeVar('T')
 
-CORE = __name__.removesuffix('.field.check')
+PACKAGE = __name__.partition('.')[0]
 
-# Hints on how to make instances of the core's classes.
-MADE_BY = {'Goal': 'Lane(...) or Area(...)', 'SearchOptions': 'SearchOptions(max_steps=...)'}
+# Hints on how to make instances of the package's classes.
+MADE_BY = {
+    'Goal': 'Lane(...) or Area(...)',
+    'SearchOptions': 'SearchOptions(max_steps=...)',
+    'Results': 'Results.read(...)',
+}
 
 
 def typed(call: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a function to check arguments that are annotated with classes of the core."""
+    """Decorate a function to check arguments that are annotated with classes of the package."""
     names = tuple(signature(call).parameters)
 
     @cache
@@ -67,7 +71,7 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
         known = {}
         for name, hint in get_type_hints(call).items():
             kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
-            if all(each is NoneType or each.__module__.startswith(CORE) for each in kinds):
+            if all(each is NoneType or each.__module__.startswith(PACKAGE) for each in kinds):
                 known[name] = kinds
         return known
 
