@@ -262,7 +262,7 @@ def flag(name: str, value: Any) -> bool:
     return bool(array)
 
 
-def one_of(name: str, value: Any, allowed: Sequence[str]) -> None:
+def check_word(name: str, value: Any, allowed: Sequence[str]) -> None:
     """Check that `value` is one of some words."""
     # A tuple compares the entries of an array.
     if not isinstance(value, str) or value not in allowed:

@@ -200,9 +200,9 @@ class Observation(Value):
 def as_observations(name: str, given: Iterable[Observation]) -> list[Observation]:
     """Return a collection of observations as a list."""
     observations = listed(name, given, ' of Observation')
-    for each in observations:
-        if not isinstance(each, Observation):
-            raise TypeError(f'{name} has {in_short(each)}: it must have Observation(...)')
+    for observation in observations:
+        if not isinstance(observation, Observation):
+            raise TypeError(f'{name} has {in_short(observation)}: it must have Observation(...)')
     return observations
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from kbnitp_ros.core.field.check import (
+    check_word,
     in_short,
     number,
-    one_of,
     probability,
     read_only,
     Value,
@@ -256,7 +256,7 @@ class Dynamics:
     move: Rate = 0.0
 
     def __post_init__(self) -> None:
-        one_of('dynamics', self.kind, HAZARDS)
+        check_word('dynamics', self.kind, HAZARDS)
         for kind, names in HAZARD_RATES.items():
             for name in names:
                 rate = as_rate(name, getattr(self, name))

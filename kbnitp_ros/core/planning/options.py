@@ -11,9 +11,9 @@ from typing import Any
 
 from kbnitp_ros.core.field.check import (
     cells_or_mask,
+    check_word,
     cost,
     number,
-    one_of,
     probability,
     whole_number,
 )
@@ -133,7 +133,7 @@ class SearchOptions:
             object.__setattr__(self, name, cost(name, getattr(self, name)))
         survival = probability('minimum_survival', self.minimum_survival)
         object.__setattr__(self, 'minimum_survival', survival)
-        one_of('objective', self.objective, OBJECTIVES)
+        check_word('objective', self.objective, OBJECTIVES)
         low, high = ALPHAS
         alpha = number('alpha', self.alpha, f'in [{low}, {high}]', lambda a: low <= a <= high)
         if self.objective != 'behavioral' and self.alpha != SHANNON:

@@ -327,10 +327,10 @@ def plan_team(
     finder = PathFinder(grid, options, as_array('visited', visited), rng)
     team_size(finder.grid, team.agents)
     in_flight = listed('in_flight', in_flight)
-    for each in in_flight:
-        is_pair = isinstance(each, tuple | list) and len(each) == 2
-        if not (is_pair and isinstance(each[1], RobotType)):
-            words = f'in_flight has {in_short(each)}: it must have (path, RobotType(...))'
+    for sent in in_flight:
+        is_pair = isinstance(sent, tuple | list) and len(sent) == 2
+        if not (is_pair and isinstance(sent[1], RobotType)):
+            words = f'in_flight has {in_short(sent)}: it must have (path, RobotType(...))'
             raise TypeError(words)
     types = dict.fromkeys((*team.types, *(robot_type for _, robot_type in in_flight)))
     cameras = {camera_rates(robot_type.model(model)) for robot_type in types}
