@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-@typed_fields
 @dataclass(frozen=True, eq=False, repr=False)
 class Deployment(Value):
     """

@@ -545,7 +545,6 @@ NO_PROBABILITIES = [
     (lambda: Truth(0.5), TypeError, 'model is 0.5: it must be SensorModel'),
     (lambda: Learning({'kappa': (0, 1)}), TypeError, r'unknowns is \{.kappa.*: it must be Unk'),
     (lambda: Learning(seed='x'), TypeError, "seed is 'x': it must be a number"),
-    (lambda: core.Deployment(3, *[None] * 5), TypeError, 'plan is 3: it must be Plan'),
     (lambda: forecast(before=3), TypeError, 'before is 3: it must be a list of Observation'),
     (lambda: forecast(run=3), TypeError, 'run is 3: it must be callable, as map is'),
     (lambda: core.forecast(Grid(5, 5), Estimator(PRIOR, MODEL), 1, 1, 1, goal=Lane(5)),
