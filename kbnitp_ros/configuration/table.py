@@ -210,8 +210,8 @@ ROWS: tuple[Parameter | str, ...] = (
     'Planner that searches for paths; random, coverage and shortest_unvisited seek no '
     'information and serve as baselines.',
     changeable('beam_width', 16, limits=(1, 10_000)),
-    'Width of the beam planner: it keeps a quarter of this number of labels for each cell and '
-    'step.',
+    'Width of the beam planner: it keeps a quarter of this number of labels, at least two, for '
+    'each cell and step.',
     changeable('max_visits', 3, limits=(1, 10_000)),
     'Maximum number of visits of a path to a cell.',
     changeable('allocation', 'greedy', choices=ALLOCATIONS),

@@ -67,16 +67,16 @@ def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
     return gains
 
 
-# Minimum number of closed paths ranked by exact value; twice the width if that is more.
-MIN_RANKED = 8
+# Number of closed paths ranked by exact value for each label of a cell and step.
+RANKED = 8
 
 
 def best_paths(
-    grid: Grid, objective: Objective, options: SearchOptions, width: int
+    grid: Grid, objective: Objective, options: SearchOptions, kept: int
 ) -> list[Candidate]:
-    """Search for closed paths of high value; return them best first."""
-    problem, kept = label_problem(grid, objective, options, width), kept_labels(width)
-    reach, count = problem.reach, max(2 * width, MIN_RANKED)
+    """Search for closed paths of high value with `kept` labels; return them best first."""
+    problem = label_problem(grid, objective, options, kept)
+    reach, count = problem.reach, RANKED * kept
     completions = np.empty((reach.start[-1] if kept > 1 else 0, problem.weight.size + 5))
     paths, steps = closed_paths(reach, count, *search(problem, 1, -inf, completions))
     if kept > 1:
@@ -101,13 +101,8 @@ def best_paths(
     ]
 
 
-def kept_labels(width: int) -> int:
-    """Return the number of labels of each cell and step that a search keeps."""
-    return max(1, width // 4)
-
-
 def label_problem(
-    grid: Grid, objective: Objective, options: SearchOptions, width: int
+    grid: Grid, objective: Objective, options: SearchOptions, kept: int
 ) -> LabelProblem:
     """Return the label search for an objective."""
     max_steps, chance = options.max_steps, objective.outcomes.probability
@@ -116,7 +111,7 @@ def label_problem(
     gains = visit_gains(objective, reach.cells, min(options.max_visits, max_steps))
     # Only a search that keeps several labels of a cell drops labels by this bound.
     unread: Floats = np.zeros(max_steps + 1)
-    if kept_labels(width) > 1:
+    if kept > 1:
         unread = unread_after(gains, weight.size, max_steps)
     return LabelProblem(
         reach,

@@ -73,7 +73,7 @@ class SearchOptions:
         One of `PLANNERS`, or a function of a `PathFinder` and an objective that returns a list of
         `Candidate`, the best first. If it has a parameter `rng`, it gets the mission's generator;
         without a mission, one that is seeded by the belief and the visits. 'relaxed' keeps the
-        best label of each cell and step; 'beam' keeps `width` / 4 labels. Baselines, which seek no
+        best label of each cell and step; 'beam' keeps several. Baselines, which seek no
         information: 'random' draws a closed walk, 'coverage' sweeps the field row by row, starting
         where earlier paths ended, and 'shortest_unvisited' goes from one least visited cell to the
         nearest other one.
@@ -81,7 +81,7 @@ class SearchOptions:
         Maximum steps of a path, at least 1.
     width : int
         Width of the beam, at least 1: 'beam' keeps `width` / 4 labels (partial paths) for each
-        cell and step, at least one.
+        cell and step, and at least 2, since with one it is 'relaxed'.
     max_visits : int
         Maximum visits of a path to a cell, at least 1.
     objective : str
@@ -124,8 +124,8 @@ class SearchOptions:
         PLANNERS.find(self.planner)
         for name in ('max_steps', 'max_visits'):
             object.__setattr__(self, name, whole_number(name, getattr(self, name), 1))
-        labels = 'a whole number at least 1: beam keeps width / 4 labels of each cell and step'
-        width = number('width', self.width, labels, lambda n: n >= 1 and n == n // 1)
+        wanted = 'a whole number at least 1: beam keeps width / 4 labels of each cell and step'
+        width = number('width', self.width, wanted, lambda n: n >= 1 and n == n // 1)
         object.__setattr__(self, 'width', int(width))
         keepout = np.array(cells_or_mask('keepout', self.keepout), dtype=object)
         object.__setattr__(self, 'keepout', as_tuples(keepout.tolist()))
@@ -147,6 +147,11 @@ class SearchOptions:
                 'by itself: leave loss_cost at 0, or choose objective information'
             )
         object.__setattr__(self, 'alpha', alpha)
+
+    @property
+    def labels(self) -> int:
+        """Return the number of labels of each cell and step that 'beam' keeps."""
+        return max(2, self.width // 4)
 
     def of_type(self, robot_type: RobotType) -> SearchOptions:
         """Return the options with the values that a robot type sets."""

@@ -24,7 +24,7 @@ from kbnitp_ros.core.field.check import (
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import RobotType
 from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
-from kbnitp_ros.core.planning.labels import best_paths, find_reach, kept_labels
+from kbnitp_ros.core.planning.labels import best_paths, find_reach
 from kbnitp_ros.core.planning.objective import (
     Candidate,
     MAX_OUTCOMES,
@@ -312,18 +312,18 @@ class PathFinder(Value):
     def check_memory(self, robots: int, cameras: int) -> None:
         """Check that a search for one of several robots fits in memory."""
         options, number = self.options, 8
-        width = {'relaxed': 1, 'beam': options.width}.get(str(options.planner), 0)
-        if not width and options.planner != 'random':
+        rows = {'relaxed': 1, 'beam': options.labels}.get(str(options.planner), 0)
+        if not rows and options.planner != 'random':
             return
         max_steps, max_visits = options.max_steps, options.max_visits
         reach = find_reach(self.grid, max_steps, options.max_distance)
         labels, cells = int(reach.start[-1]), reach.cells.size
         what, lower = f'random walks of max_steps = {max_steps} take', 'max_steps'
         estimate = number * reach.within.size * cells
-        if width:
-            what = f'planning with max_steps = {max_steps}, a beam width of {width} and '
-            what, lower = f'{what}max_visits = {max_visits} takes', 'one of them'
-            rows, visits = kept_labels(width), min(max_visits, max_steps)
+        if rows:
+            beam = f'a beam width of {options.width} and ' if rows > 1 else ''
+            what = f'planning with max_steps = {max_steps}, {beam}max_visits = {max_visits} takes'
+            lower, visits = 'one of them', min(max_visits, max_steps)
             # Limited, to avoid huge powers of two.
             outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
             counts = (robots - 1) * visits
@@ -383,8 +383,8 @@ def relaxed(finder: PathFinder, objective: Objective) -> list[Candidate]:
 
 
 def beam(finder: PathFinder, objective: Objective) -> list[Candidate]:
-    """Search with the best `width` / 4 labels of each cell and step."""
-    return best_paths(finder.grid, objective, finder.options, finder.options.width)
+    """Search with the best labels of each cell and step, as many as `SearchOptions.labels`."""
+    return best_paths(finder.grid, objective, finder.options, finder.options.labels)
 
 
 def random(finder: PathFinder, objective: Objective) -> list[Candidate]:

@@ -17,8 +17,10 @@ from kbnitp_ros.core import (
     path_information,
     PathFinder,
     plan,
+    run_mission,
     SearchOptions,
     SensorModel,
+    World,
 )
 from kbnitp_ros.core.planning import labels
 from kbnitp_ros.core.planning.information_kernels import take
@@ -106,7 +108,7 @@ def test_labels_have_the_values_of_their_paths(seed):
     model = SensorModel(**brute_force.random_sensors(rng))
     options = SearchOptions('relaxed', max_steps=8, max_visits=8)
     objective = Objective.of(belief, model, options)
-    problem = labels.label_problem(grid, objective, options, options.width)
+    problem = labels.label_problem(grid, objective, options, options.labels)
     rank = np.argsort(problem.reach.cells)
     products = new_labels(1, 1, problem.gains)
     visits = np.empty(12, dtype=np.int64)
@@ -149,7 +151,7 @@ def small_problem(seed, max_steps, width, **options):
         path = brute_force.random_path(rng, 3, 3, grid.base, 4)
         outcomes = after_deployment(nobody_deployed(belief), model, path)
         objective = replace(objective, outcomes=outcomes)
-    return grid, objective, labels.label_problem(grid, objective, options, options.width)
+    return grid, objective, labels.label_problem(grid, objective, options, options.labels)
 
 
 def ranks(problem):
@@ -211,7 +213,7 @@ def test_the_bound_is_reached_where_only_readings_inform():
     model = SensorModel(0.5, malfunction=0.0)
     options = SearchOptions(max_steps=5, max_visits=2, width=8)
     objective = Objective.of(belief, model, options)
-    problem = labels.label_problem(grid, objective, options, options.width)
+    problem = labels.label_problem(grid, objective, options, options.labels)
     rank = ranks(problem)
     products, visits = new_labels(1, 1, problem.gains), np.empty(9, dtype=np.int64)
     powers = problem.weight.size
@@ -257,7 +259,8 @@ def test_searches_beyond_memory_are_refused_with_an_estimate(
     planner, side, max_steps, width, max_visits, robots, is_allowed
 ):
     finder = PathFinder(Grid(side, side), SearchOptions(planner, max_steps, width, max_visits))
-    told = rf'max_steps = {max_steps}.*width.*max_visits.* GB.*lower'
+    beam = f', a beam width of {width}' if planner == 'beam' else ','
+    told = rf'max_steps = {max_steps}{beam}.* max_visits = {max_visits} .* GB.*lower'
     with nullcontext() if is_allowed else pytest.raises(ValueError, match=told):
         check_team(finder, [ORDINARY] * robots)
 
@@ -279,6 +282,19 @@ def test_the_best_of_a_wide_search_is_found():
             for w in (16, 128)
         )
         assert found >= 0.99 * best
+
+
+def test_a_narrow_beam_is_no_relaxed_search():
+    grid, model = Grid(9, 9), SensorModel(0.9)
+    for seed in range(3):
+        prior, world = Belief.prior(grid, 0.15, 0.205, 0.8), World.random(grid, seed, 0.15, 0.8, 0.1)
+        options = SearchOptions('relaxed', 18)
+        belief = run_mission(grid, prior, model, world, 30, seed, options=options).belief
+        relaxed, narrow, wide = (
+            plan(grid, belief, model, SearchOptions(planner, 18, width)).information
+            for planner, width in (('relaxed', 1), ('beam', 1), ('beam', 16))
+        )
+        assert narrow > max(1.03 * relaxed, 0.95 * wide)
 
 
 # Dense where the powers and the surprisal change fastest, near 0 and near 1.
