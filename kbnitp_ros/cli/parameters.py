@@ -11,10 +11,11 @@ from kbnitp_ros.cli.output import complain
 from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
 from kbnitp_ros.configuration.known import check_known, gone_note
+from kbnitp_ros.configuration.mission import settled_goal
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.files import nearest
 from kbnitp_ros.log.record import first_belief
-from kbnitp_ros.log.replay import RecordedGoal
+from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
 
 
@@ -90,6 +91,9 @@ def asked_on_record(log: MissionLog) -> RecordedGoal | None:
             cells = next((getattr(each, 'goal_cells', ()) for each in decisions), ())
             if len(cells):
                 planner |= {'goal.cells': [*map(int, cells)], 'goal.mask': ''}
-        if first and (goal := make_goal(planner, first.grid)):
-            return goal, planner['max_steps']
+        if first is None:
+            return None
+        planner |= settled_goal(planner, first.grid)
+        if goal := make_goal(planner, first.grid):
+            return RecordedGoal(goal, planner['max_steps'], planner['goal.cells'])
     return None

@@ -10,7 +10,6 @@ if the log lacks a report that a belief names, but has a later report of the sam
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
@@ -19,12 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.base.state import MissingError
-from kbnitp_ros.core import DeploymentKey, Goal, HazardDraws, Ledger
+from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.core.inference.record import ending_key
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import Bookmark, is_finished, LoggedMessage, parameter_changes
 from kbnitp_ros.log.record import begun, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
+    belief_name,
     BeliefFinding,
     Difference,
     differences,
@@ -32,20 +32,19 @@ from kbnitp_ros.log.replayed import (
     ReplayReport,
     TOLERANCE,
 )
+from kbnitp_ros.log.replayed_decisions import (
+    CONFIDENCE,
+    DECISIONS,
+    RecordedGoal,
+    ReplayedDecisions,
+)
 from kbnitp_ros.log.roles import MissionLog, VIEWS
 from kbnitp_ros.messages.beliefs import belief_fields, read_assimilated, Snapshot
-from kbnitp_ros.messages.headers import Fields, from_stamp
-from kbnitp_ros.messages.progress import decision_fields
+from kbnitp_ros.messages.headers import Fields
 
 # Roles that are computed from the beliefs, and all other roles that are read.
-COMPUTED = (*(f'belief/{name}' for name in VIEWS), 'model', 'decision')
+COMPUTED = (*(f'belief/{name}' for name in VIEWS), 'model', *DECISIONS)
 READ = ('belief', 'path', 'report', 'status', 'operator', 'progress')
-
-# Fields of a decision that processors may round differently.
-ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
-
-# The goal of a mission, and the maximum number of steps of a lane.
-RecordedGoal = tuple[Goal, int]
 
 
 def replay(
@@ -59,16 +58,19 @@ def replay(
     evidence = RecordedMission(first.grid, first.max_steps, first.robot_types)
     report = ReplayReport(evidence, finished=is_finished(log.path))
     fold = Fold(report, asked)
+    bookmark = Bookmark()
     # Read first, since a check or decision is computed while the ledger has its evidence.
-    for role, logged in log.read(*COMPUTED, corrupt=report.corrupt, progress=progress):
-        if role.name == 'decision':
-            fold.note_decision(logged)
+    for role, logged in log.read(
+        *COMPUTED, corrupt=report.corrupt, progress=progress, bookmark=bookmark
+    ):
+        if role.name in DECISIONS:
+            fold.decisions.note(logged)
         else:
             fold.views.note(role, logged)
-    bookmark = Bookmark()
+    fold.decisions.confidences = recorded_confidences(log, bookmark)
     # Index of the first belief that is recorded before evidence that it names.
     left: int | None = None
-    for role, logged in log.read(*READ, corrupt=[], progress=progress, bookmark=bookmark):
+    for role, logged in log.read(*READ, corrupt=[], progress=progress):
         if role.name == 'progress':
             report.standing = logged.said
             continue
@@ -88,10 +90,20 @@ def replay(
     for (topic, index), why in log.left_out.items():
         if log.roles.by_topic[topic].name in ('belief', *COMPUTED):
             report.compared[topic] += 1
-            report.mismatches.append(BeliefFinding(topic, index, None, (), why))
+            report.mismatches.append(BeliefFinding(topic, index, reason=why))
         else:
             evidence.refused.append(f'{topic}: {why}')
     return report
+
+
+def recorded_confidences(log: MissionLog, bookmark: Bookmark) -> set[float]:
+    """Return all confidences that the estimator of a log had."""
+    return {
+        values[CONFIDENCE]
+        for item in bookmark.records
+        for node, values in log.parse_parameters({item.name: item.values}).items()
+        if node.endswith('/estimator') and isinstance(values.get(CONFIDENCE), float)
+    }
 
 
 class Fold:
@@ -107,10 +119,7 @@ class Fold:
         self._held = self._last = b''
         self._seen: set[bytes] = set()
         self.views = ReplayedViews()
-        self._asked = asked
-        # Topic, index and message of decisions to be compared, by the stamp and the number of
-        # deployments of their belief.
-        self._decisions: dict[tuple[int, int], list[tuple[str, int, Any]]] = defaultdict(list)
+        self.decisions = ReplayedDecisions(report, asked)
 
     def is_ready(self, belief: Any) -> bool:
         """Return whether the log has, up to here, all evidence that a belief names."""
@@ -122,7 +131,8 @@ class Fold:
     def take(self, logged: LoggedMessage) -> None:
         """Assimilate the evidence that a belief names, and compare the beliefs."""
         said, report = logged.said, self.report
-        find = partial(BeliefFinding, logged.topic, logged.index, said.newest)
+        find = partial(BeliefFinding, logged.topic, logged.index, belief_name(said.newest))
+        self.decisions.note_belief(said, logged.message.since)
         digest = blake2b(logged.data, digest_size=16).digest()
         # Equal counts do not suffice, since a restarted estimator counts from 0 again.
         follows = self._held == self._last and logged.message.since == len(self._assimilated)
@@ -207,34 +217,8 @@ class Fold:
         seen = belief if all(each.is_rounding for each in found) else ledger.belief
         self.views.expect(ledger, seen, said)
         if not found:
-            self._compare_decisions(ledger, said.stamp)
+            self.decisions.compare(ledger, said)
         return found
-
-    def note_decision(self, logged: LoggedMessage) -> None:
-        """Keep a decision until its belief is computed."""
-        message = logged.message
-        key = from_stamp(message.header.stamp), message.deployments
-        self._decisions[key].append((logged.topic, logged.index, message))
-
-    def _compare_decisions(self, ledger: Ledger, stamp: int) -> None:
-        """Compare the recorded decisions on the ledger's belief, which has this stamp."""
-        key = stamp, len(ledger.deployments)
-        if self._asked is None or key not in self._decisions:
-            return
-        goal, max_steps = self._asked
-        draws = HazardDraws.of(ledger.estimator, len(ledger.deployments))
-        decision = goal.decide(ledger.grid, draws, ledger.estimator.model, max_steps)
-        computed = decision_fields(decision, len(ledger.deployments))
-        computed.path = Fields(
-            poses=[
-                Fields(pose=Fields(position=Fields(x=x, y=y)))
-                for x, y in ledger.grid.centers(decision.path).tolist()
-            ]
-        )
-        for topic, index, message in self._decisions.pop(key):
-            self.report.compared[topic] += 1
-            if found := tuple(differences(message, computed, TOLERANCE, ROUNDED)):
-                self.report.add(BeliefFinding(topic, index, ledger.newest, found))
 
     def finish(self) -> None:
         """Compare views with their beliefs, and report decisions and deployments left over."""
@@ -245,16 +229,7 @@ class Fold:
             if self.views.checked:
                 report.check = estimator.check
         self.views.compare(report)
-        reason = (
-            'the goal is not on record'
-            if self._asked is None
-            else 'its belief is not on record, or differs from the computed belief'
-        )
-        report.not_compared += [
-            BeliefFinding(topic, index, None, reason=reason)
-            for left in self._decisions.values()
-            for topic, index, _ in left
-        ]
+        self.decisions.finish()
         for key in report.evidence.reports:
             if (
                 self._ledger

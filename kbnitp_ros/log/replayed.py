@@ -20,7 +20,7 @@ from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role, VIEWS
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.grids import occupancy_fields
-from kbnitp_ros.messages.headers import Fields, from_stamp
+from kbnitp_ros.messages.headers import Fields, from_stamp, shown
 from kbnitp_ros.messages.progress import (
     check_fields,
     Checked,
@@ -79,7 +79,12 @@ def differences(
             yield from differences(their, our, tolerance, name=f'{name}[{index}]')
     # NaN differs from itself.
     elif theirs != ours and (theirs == theirs or ours == ours):
-        yield Difference(name, f'is {theirs!r}, computed is {ours!r}')
+        yield Difference(name, f'is {in_words(theirs)}, computed is {in_words(ours)}')
+
+
+def in_words(value: object) -> str:
+    """Return a value in words, cut if it is a long text."""
+    return shown(value) if isinstance(value, str) else repr(value)
 
 
 def _array_differences(
@@ -132,17 +137,22 @@ class BeliefFinding:
     topic: str
     # Index of the message in its topic.
     index: int
-    # The deployment that the belief assimilated last; None for a prior.
-    deployment: DeploymentKey | None
+    # Its belief in words, as by `belief_name`; empty if the belief is not known.
+    belief: str = ''
     # Differences from the computed message.
     differences: tuple[Difference, ...] = ()
     # The finding in words if there are no differences; else empty.
     reason: str = ''
 
     def __str__(self) -> str:
-        held = 'the prior' if self.deployment is None else f'after {self.deployment}'
+        held = f' ({self.belief})' if self.belief else ''
         why = self.reason or '; '.join(map(str, self.differences))
-        return f'{self.topic} message {self.index} ({held}): {why}'
+        return f'{self.topic} message {self.index}{held}: {why}'
+
+
+def belief_name(newest: DeploymentKey | None) -> str:
+    """Return a name for a belief, by the deployment that it assimilated last."""
+    return 'the prior' if newest is None else f'after {newest}'
 
 
 @dataclass
@@ -254,7 +264,8 @@ class ReplayedViews:
                 del others[: self.unknown[stamp]]
                 for (index, view), (newest, computed) in zip(others, unseen):
                     report.compared[topic] += 1
-                    report.add(BeliefFinding(topic, index, newest, self._differs(view, computed)))
+                    found = self._differs(view, computed)
+                    report.add(BeliefFinding(topic, index, belief_name(newest), found))
 
     def _differs(self, view: Any, computed: Any) -> tuple[Difference, ...]:
         """Return the differences of a recorded view from the computed one; of grids, digests."""

@@ -14,7 +14,9 @@ from kbnitp_ros.messages.headers import (
     check_frame,
     check_reason,
     content_hash,
+    Fields,
     header,
+    header_fields,
     LAST_NAME,
     MAX_REASON,
     NO_MISSION,
@@ -39,6 +41,18 @@ class Source(IntEnum):
     AGENT = 0
     SILENCE = 1
     OPERATOR = 2
+
+
+def path_fields(grid: Grid, cells: ArrayLike, stamp: int, mission: int) -> Fields:
+    """Return the fields of the message of `path_message`."""
+    begun, orientation = header_fields(mission or stamp), orientation_fields(grid.yaw)
+    poses = [
+        Fields(
+            pose=Fields(position=Fields(x=x, y=y, z=0.0), orientation=orientation), header=begun
+        )
+        for x, y in grid.centers(cells).tolist()
+    ]
+    return Fields(header=header_fields(stamp), poses=poses)
 
 
 def path_message(grid: Grid, cells: ArrayLike, stamp: int, mission: int = NO_MISSION) -> Path:

@@ -23,7 +23,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.core.inference.model_check import ModelCheck
-from kbnitp_ros.messages.deployments import path_message
+from kbnitp_ros.messages.deployments import path_fields, path_message
 from kbnitp_ros.messages.headers import (
     check_frame,
     Fields,
@@ -213,9 +213,17 @@ def read_model_belief(message: Any) -> ModelState:
     return ModelState(numbers, kinds, Checked(check, *checked_belief(message)))
 
 
-def decision_fields(decision: Decision, deployments: int) -> Fields:
-    """Return the fields of a decision that follow from the evidence."""
+def decision_fields(
+    grid: Grid,
+    decision: Decision,
+    deployments: int,
+    stamp: int,
+    mission: int,
+    goal_cells: Sequence[int] = (),
+) -> Fields:
+    """Return the fields of the message of a decision; the arguments are as for the message."""
     return Fields(
+        header=header_fields(stamp),
         deployments=deployments,
         goal=decision.goal,
         probability=decision.p_free,
@@ -224,6 +232,10 @@ def decision_fields(decision: Decision, deployments: int) -> Fields:
         hazards_mean=decision.hazards_mean,
         hazards_5=float(decision.hazards_5),
         hazards_95=float(decision.hazards_95),
+        path=path_fields(grid, decision.path, stamp, mission),
+        reached=decision.reached,
+        reason=decision.reason,
+        goal_cells=[*goal_cells],
     )
 
 
@@ -238,14 +250,9 @@ def decision_message(
     """Return the message of a decision, with deployments, stamp and mission of its belief."""
     from kbnitp_msgs.msg import Decision as DecisionMessage
 
-    return DecisionMessage(
-        header=header(stamp),
-        path=path_message(grid, decision.path, stamp, mission),
-        reached=decision.reached,
-        reason=decision.reason,
-        goal_cells=[*goal_cells],
-        **vars(decision_fields(decision, deployments)),
-    )
+    message = DecisionMessage(path=path_message(grid, decision.path, stamp, mission))
+    fields = decision_fields(grid, decision, deployments, stamp, mission, goal_cells)
+    return filled(message, fields)
 
 
 def check_decision(message: Any) -> None:

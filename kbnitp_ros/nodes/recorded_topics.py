@@ -167,11 +167,22 @@ class ParameterWatch:
     def _on_event(self, event: ParameterEvent) -> None:
         try:
             validate_full_topic_name(event.node)
+            changed = {
+                each.name: parameter_value_to_python(each.value)
+                for each in event.changed_parameters
+            }
         except NameValidationException:
             self._refuse('/parameter_events', f'{shown(event.node)} is not a valid node name')
+            return
+        except (ValueError, RuntimeError) as error:
+            self._refuse('/parameter_events', error)
+            return
         # An event of a node that is not in the graph may be forged.
         if event.node in self.present:
             self._due.add(event.node)
+            if event.node.startswith(self._namespace):
+                # The values may change again before the node answers.
+                self._take(event.node, changed)
 
 
 class Inquiry:

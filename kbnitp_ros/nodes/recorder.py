@@ -457,7 +457,9 @@ class RecorderNode(MissionNode):
             self._unsynced = False
 
     def _on_parameters(self, node: str, values: Mapping[str, Any]) -> None:
-        if values != self._configuration.get(node):
+        """Record all parameters of a node, or those that changed."""
+        known = self._configuration.get(node, {})
+        if known != (values := {**known, **values}):
             self._configuration[node] = values
             self._compare_roles(node, values.get(TOPICS, ()))
             self._log.add_metadata(f'{PARAMETERS}{node}', parameters_record(values))

@@ -377,7 +377,7 @@ def test_the_last_bit_of_a_value_is_found_by_its_cell(whole_mission, replayed, f
     report = replayed(instead(whole_mission.sent, original, spoiled))
     (mismatch,) = report.mismatches or report.roundings
     assert (mismatch.topic, mismatch.index) == ('/belief', 5)
-    assert mismatch.deployment == keys(whole_mission.sent)[4]
+    assert mismatch.belief == f'after {keys(whole_mission.sent)[4]}'
     difference, *_ = mismatch.differences
     assert (difference.field, difference.cell) == (field, cell)
     assert 0.0 < difference.largest < 1e-15

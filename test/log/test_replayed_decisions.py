@@ -2,14 +2,29 @@
 """Decisions of a log are recomputed, and every difference is reported."""
 
 from copy import deepcopy
+from functools import reduce
 
 from kbnitp_ros.core import Area, HazardDraws, Lane
+from kbnitp_ros.log.configuration import parameters_record
+from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
+from kbnitp_ros.log.replayed_decisions import RecordedGoal
+from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import decision_message
 from laws import for_each
-from mission_log import GRID, instead, MAX_STEPS, Mission, observations, on, record, without
+from mission_log import (
+    GRID,
+    instead,
+    MAX_STEPS,
+    Mission,
+    observations,
+    on,
+    record,
+    record_to,
+    without,
+)
 import pytest
 
 ROBOTS = 4
@@ -30,7 +45,13 @@ class Deciding(Mission):
         estimator = self.ledger.estimator
         draws = HazardDraws.of(estimator, held)
         decision = self.goal.decide(GRID, draws, estimator.model, MAX_STEPS)
-        self.publish('decision', decision_message(GRID, decision, held, stamp, 0))
+        message = decision_message(GRID, decision, held, stamp, 0, cells(self.goal))
+        self.publish('decision', message)
+        self.publish('decision/lane', message.path)
+
+
+def cells(goal):
+    return [goal.to] if isinstance(goal, Lane) else goal.cells
 
 
 @pytest.fixture(scope='module')
@@ -45,15 +66,29 @@ def decided(goal, method='kappa_bnitp'):
     return mission.sent
 
 
-def replayed(folder, sent, goal=LANE):
-    return replay(record(folder / 'mission.mcap', sent), asked=(goal, MAX_STEPS))
+def changed(message, field, value):
+    message = deepcopy(message)
+    *above, name = field.split('.')
+    setattr(reduce(getattr, above, message), name, value)
+    return message
+
+
+def replayed(folder, sent, goal=LANE, confidences=None):
+    path = folder / 'mission.mcap'
+    with LogWriter(path) as log:
+        asked = (0.9, goal.confidence or 0.0) if confidences is None else confidences
+        for confidence in asked:
+            values = parameters_record({'stop.confidence': confidence})
+            log.add_metadata(f'{PARAMETERS}/estimator', values)
+        record_to(log, sent)
+    return replay(path, asked=RecordedGoal(goal, MAX_STEPS, cells(goal)))
 
 
 @for_each('goal, method', [(LANE, 'kappa_bnitp_sampled'), (Area([5, 6]), 'kappa_bnitp')])
 def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     report = replayed(tmp_path_factory.mktemp('log'), decided(goal, method), goal)
     assert report.reproduced, report.mismatches
-    assert report.compared['/decision'] == ROBOTS + 1
+    assert report.compared['/decision'] == report.compared['/decision/lane'] == ROBOTS + 1
     assert report.not_compared == []
 
 
@@ -63,21 +98,53 @@ def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     ('hazards_95', 9.0, Grade.DIFFERENT),
     ('goal', 'area', Grade.DIFFERENT),
     ('path', None, Grade.DIFFERENT),
-    # The operator may have required another confidence.
-    ('reached', True, Grade.IDENTICAL),
+    ('reached', True, Grade.DIFFERENT),
+    ('reason', 'no confidence is asked for', Grade.DIFFERENT),
+    ('goal_cells', [18], Grade.DIFFERENT),
+    ('header.frame_id', 'odom', Grade.DIFFERENT),
+    ('header.stamp.nanosec', 1, Grade.DIFFERENT),
+    ('deployments', 99, Grade.DIFFERENT),
 ])  # fmt: skip
 def test_changed_decisions_are_reported(tmp_path_factory, sent, field, value, grade):
     original = on(sent, '/decision')[2]
-    message = deepcopy(original.message)
     if field == 'path':
+        message = deepcopy(original.message)
         message.path.poses[-1].pose.position.x += 0.1
     else:
-        rounded = getattr(message, field) + 1e-12 if value is None else value
-        setattr(message, field, rounded)
+        value = getattr(original.message, field) + 1e-12 if value is None else value
+        message = changed(original.message, field, value)
     report = replayed(tmp_path_factory.mktemp('log'), instead(sent, original, message))
     assert report.grade == grade
     found = report.mismatches + report.roundings
     assert [(each.topic, each.index) for each in found] == [('/decision', 2)] * (grade > 0)
+
+
+@for_each('field, value', [
+    ('header.frame_id', 'odom'),
+    ('header.stamp.nanosec', 1),
+    ('poses', []),
+])  # fmt: skip
+def test_changed_lanes_are_reported(tmp_path_factory, sent, field, value):
+    original = on(sent, '/decision/lane')[2]
+    message = changed(original.message, field, value)
+    report = replayed(tmp_path_factory.mktemp('log'), instead(sent, original, message))
+    [found] = report.mismatches
+    assert (found.topic, found.index) == ('/decision/lane', 2)
+
+
+def test_a_decision_without_a_belief_is_reported(tmp_path, sent):
+    original = on(sent, '/decision')[2]
+    forged = instead(sent, original, changed(original.message, 'deployments', ROBOTS + 1))
+    report = replayed(tmp_path, forged)
+    assert [str(each) for each in report.mismatches] == [
+        '/decision message 2: no belief on record has its stamp and its number of deployments'
+    ]
+
+
+def test_the_confidence_is_not_guessed(tmp_path, sent):
+    original = on(sent, '/decision')[2]
+    forged = instead(sent, original, changed(original.message, 'reached', True))
+    assert replayed(tmp_path, forged, confidences=()).reproduced
 
 
 def test_decisions_on_missing_beliefs_are_not_compared(tmp_path, sent):

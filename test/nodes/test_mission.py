@@ -393,7 +393,9 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     for node in ('planner', 'estimator'):
         refused = field.set_parameter(f'/m/{node}', 'stop.confidence', 0.9999)
         assert 'independent draws' in refused.reason
-    assert field.set_parameter('/m/estimator', 'stop.confidence', 0.0).successful
+    # The recorder has both, however soon one follows the other.
+    for confidence in (0.05, 0.0):
+        assert field.set_parameter('/m/estimator', 'stop.confidence', confidence).successful
     field.until(lambda: not decisions[-1].reached, 'decision by another confidence')
     sent = len(paths)
     assert field.set_parameter('/m/planner', 'stop.confidence', 0.0).successful
@@ -414,6 +416,9 @@ def test_a_mission_with_a_goal_stops_and_continues_when_overruled(field):
     told = replay(log, asked=asked_on_record(MissionLog(log)))
     assert told.reproduced, told.mismatches
     assert told.compared['/m/decision'] > len(expected), told.not_compared
+    [estimator] = [each for each in told.changes if ' of /m/estimator changed' in each][:1]
+    assert 'stop.confidence' in estimator
+    assert estimator.endswith(' to 0.05')
 
 
 def test_a_mission_with_a_mask_replays_without_its_file(field):

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded decisions and lanes compared with the decisions on the computed beliefs."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from kbnitp_ros.core import Decision, Goal, HazardDraws, Ledger
+from kbnitp_ros.log.read import LoggedMessage
+from kbnitp_ros.log.replayed import (
+    belief_name,
+    BeliefFinding,
+    Difference,
+    differences,
+    ReplayReport,
+    TOLERANCE,
+)
+from kbnitp_ros.log.roles import PATH
+from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.headers import Fields, from_stamp, shown
+from kbnitp_ros.messages.progress import decision_fields
+
+# Roles of decisions.
+DECISIONS = 'decision', 'decision/lane'
+
+# Fields of a decision that processors may round differently.
+ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
+
+# The parameter by which an estimator judges its decisions.
+CONFIDENCE = 'stop.confidence'
+
+# Reasons why a decision differs or is not compared.
+NO_BELIEF = 'no belief on record has its stamp and its number of deployments'
+NOT_COMPUTED = 'its belief is not on record, or differs from the computed belief'
+NO_GOAL = 'the goal is not on record'
+
+# Maximum number of deployments of a message.
+MAX_COUNT = 2**32 - 1
+
+
+class RecordedGoal(NamedTuple):
+    """The goal of a mission, the maximum number of steps of a lane, and the cells of the goal."""
+
+    goal: Goal
+    max_steps: int
+    cells: Sequence[int]
+
+
+class ReplayedDecisions:
+    """The recorded decisions and lanes, and the decisions on the computed beliefs."""
+
+    def __init__(self, report: ReplayReport, asked: RecordedGoal | None) -> None:
+        self._report = report
+        self._asked = asked
+        # All confidences of the estimator on record.
+        self.confidences: set[float] = set()
+        # Recorded decisions that are not compared yet, by stamp and number of deployments.
+        self._decisions = defaultdict[tuple[int, int], list[LoggedMessage]](list)
+        # Recorded lanes by stamp, and computed lanes by stamp and belief.
+        self._lanes = defaultdict[int, list[LoggedMessage]](list)
+        self._computed_lanes = defaultdict[int, dict[str, Fields]](dict)
+        # Stamp and number of deployments of each belief on record, and the last number.
+        self._beliefs: set[tuple[int, int]] = set()
+        self._last = 0
+        # Numbers of deployments that missing beliefs may have.
+        self._missing: list[range] = []
+
+    def note(self, logged: LoggedMessage) -> None:
+        """Keep a decision or its lane until its belief is computed."""
+        stamp = from_stamp(logged.message.header.stamp)
+        if logged.type_name == PATH:
+            self._lanes[stamp].append(logged)
+        else:
+            self._decisions[stamp, logged.message.deployments].append(logged)
+
+    def note_belief(self, said: Snapshot, since: int) -> None:
+        """Note a belief on record, and the number of deployments of the belief before it."""
+        if since not in (0, self._last):
+            self._missing.append(range(min(self._last + 1, since), since + 1))
+        self._last = said.deployments
+        self._beliefs.add((said.stamp, said.deployments))
+
+    def compare(self, ledger: Ledger, said: Snapshot) -> None:
+        """Compare the recorded decisions on the ledger's belief, which is identical to `said`."""
+        key, belief = (said.stamp, said.deployments), belief_name(said.newest)
+        if self._asked is None or not (key in self._decisions or said.stamp in self._lanes):
+            return
+        goal, max_steps, cells = self._asked
+        draws = HazardDraws.of(ledger.estimator, said.deployments)
+        decision = goal.decide(ledger.grid, draws, ledger.estimator.model, max_steps)
+        computed = decision_fields(
+            ledger.grid, decision, said.deployments, said.stamp, said.mission, cells
+        )
+        self._computed_lanes[said.stamp][belief] = computed.path
+        # These follow from the numbers of the message, which may be rounded differently.
+        del computed.reached, computed.reason
+        for logged in self._decisions.pop(key, []):
+            found = [*differences(logged.message, computed, TOLERANCE, ROUNDED)]
+            found += self._misjudged(decision, logged.message)
+            self._add(logged, belief, found)
+
+    def _misjudged(self, decision: Decision, message: Any) -> Iterator[Difference]:
+        """Yield a difference if `reached` and `reason` follow from no confidence on record."""
+        seen = replace(
+            decision, p_free=message.probability, independent_draws=message.independent_draws
+        )
+        judged = [seen.judged(confidence or None) for confidence in self.confidences]
+        stated = message.reached, message.reason
+        # Recorders of 1.0, whose decisions have no cells, may miss values of a parameter.
+        is_known = judged and hasattr(message, 'goal_cells')
+        if is_known and stated not in [(each.reached, each.reason) for each in judged]:
+            known = ', '.join(map(str, sorted(self.confidences)))
+            yield Difference(
+                'reached',
+                f'is {message.reached} with the reason {shown(message.reason)}, which follows '
+                f'from no {CONFIDENCE} on record ({known})',
+            )
+
+    def finish(self) -> None:
+        """Compare lanes, and report the decisions and lanes left over."""
+        for stamp in self._lanes.keys() & self._computed_lanes.keys():
+            for logged in self._lanes.pop(stamp):
+                found = {
+                    belief: [*differences(logged.message, lane, TOLERANCE)]
+                    for belief, lane in self._computed_lanes[stamp].items()
+                }
+                # Beliefs may share a stamp.
+                belief = min(found, key=lambda each: len(found[each]))
+                self._add(logged, belief, found[belief])
+        if not self._report.finished or self._report.corrupt:
+            self._missing.append(range(self._last + 1, MAX_COUNT + 1))
+        for key, decisions in self._decisions.items():
+            is_missing = any(key[1] in each for each in self._missing)
+            self._leave(decisions, is_missing or key in self._beliefs)
+        stamps = {stamp for stamp, _ in self._beliefs}
+        for stamp, lanes in self._lanes.items():
+            self._leave(lanes, bool(self._missing) or stamp in stamps)
+
+    def _leave(self, left: Sequence[LoggedMessage], may_have_belief: bool) -> None:
+        """Report decisions or lanes left over: they differ if they can have no belief."""
+        for logged in left:
+            reason = (NOT_COMPUTED if self._asked else NO_GOAL) if may_have_belief else NO_BELIEF
+            finding = BeliefFinding(logged.topic, logged.index, reason=reason)
+            if may_have_belief:
+                self._report.not_compared.append(finding)
+            else:
+                self._report.compared[logged.topic] += 1
+                self._report.mismatches.append(finding)
+
+    def _add(self, logged: LoggedMessage, belief: str, found: Sequence[Difference]) -> None:
+        """Count a compared message, and report its differences."""
+        self._report.compared[logged.topic] += 1
+        if found:
+            self._report.add(BeliefFinding(logged.topic, logged.index, belief, tuple(found)))
