@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+import errno
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -15,7 +16,7 @@ from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.read import is_finished
-from kbnitp_ros.log.record import first_belief
+from kbnitp_ros.log.record import first_belief, required_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.mission import recorded_mission
@@ -35,6 +36,9 @@ EXAMPLES = (
 )
 
 HOST, PORT = '127.0.0.1', 8080
+
+# Errors of a port that is taken or reserved.
+PORT_ERRORS = errno.EADDRINUSE, errno.EACCES
 
 # Seconds between two reads of the log, and seconds without growth after which the page reports the
 # standstill: a recorder writes diagnostics every second.
@@ -98,9 +102,13 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
     follower = Follower(log_parts(log)[0], namespace)
     try:
         server = ThreadingHTTPServer((host, port), partial(Handler, follower))
-    except OSError as error:
-        raise OSError(
-            f'cannot listen on {host}:{port} ({error.strerror}): name another --port'
+    except (OSError, UnicodeError) as error:
+        if isinstance(error, OSError) and error.errno in PORT_ERRORS:
+            raise OSError(
+                f'cannot listen on {host}:{port} ({error.strerror}): name another --port'
+            ) from error
+        raise ValueError(
+            f'--host is {host!r}: it must be an IPv4 address or a name of this machine'
         ) from error
     server.daemon_threads = True
     address = f'http://{host}:{server.server_port}/'
@@ -135,6 +143,8 @@ class Follower:
         # A missing log is awaited. Other errors are raised here, but only shown by `follow`.
         with suppress(FileNotFoundError):
             self._look()
+            if not self.facts and is_finished(self.log):
+                required_belief(MissionLog(self.log, namespace))
 
     def follow(self) -> None:
         """Read the log repeatedly until the server ends."""
@@ -169,15 +179,19 @@ class Follower:
 
     def _update(self) -> None:
         """Read what is new in the log, or all if it must be read anew."""
-        log, facts = MissionLog(self.log, self._namespace), ''
         # What raises an error here is read again.
         read, self._read = self._read, None
+        is_named = read is not None and read[0].roles.are_recorded
+        log = read[0] if read and is_named else MissionLog(self.log, self._namespace)
         # The check sum of a finished log is that of all of it.
         if read is None or read[0].roles != log.roles or is_finished(self.log):
             read = (log, read_history(log)) if first_belief(log) else None
         else:
             read_history(read[0], history=read[1])
-        sentence = 'Waiting for the first belief: the nodes of the mission are starting.'
+        belief, facts = log.roles.names['belief'], ''
+        sentence = (
+            f'Waiting for the first belief on {belief}: the nodes of the mission are starting.'
+        )
         if read is not None:
             mission = recorded_mission(*read)
             facts, _ = fitting_facts(mission, mission_curves(mission))

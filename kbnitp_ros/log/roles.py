@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 import operator
 from pathlib import Path
@@ -121,6 +121,8 @@ class Roles:
 
     namespace: str
     names: Mapping[str, str]
+    # Whether they were read from a record, which does not change, and not from topics.
+    are_recorded: bool = field(default=False, compare=False)
 
     @classmethod
     def of(
@@ -204,7 +206,7 @@ def roles_on_record(
             and {NAMESPACE, 'belief'} <= item.values.keys()
             and namespace in (None, item.values[NAMESPACE])
         ):
-            return Roles(item.values.pop(NAMESPACE), item.values)
+            return Roles(item.values.pop(NAMESPACE), item.values, are_recorded=True)
     return roles_by_topics(log, namespace, own, topics)
 
 

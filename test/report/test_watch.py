@@ -188,6 +188,12 @@ def test_bad_options_are_refused(tmp_path, monkeypatch, capsys):
             (['empty'], 'empty holds no log'),
             (['notes.txt'], 'notes.txt is no MCAP file'),
             ([str(path), '--port', port], f'cannot listen on 127.0.0.1:{port}'),
+            (
+                [str(path), '--host', 'nonsense'],
+                "--host is 'nonsense': it must be an IPv4",
+            ),
+            ([str(path), '--host', '192.0.2.1'], "--host is '192.0.2.1': it must be an IPv4"),
+            ([str(path), '--namespace', '/other'], 'has no readable beliefs: it must have messa'),
             ([str(path), '--port', '70000'], '--port is 70000: it must be from 0 to 65535'),
         ):
             assert main(arguments) == 2, arguments
