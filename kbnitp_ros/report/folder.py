@@ -21,6 +21,11 @@ def check_is_free(folder: Path) -> None:
         raise FileExistsError(f'{folder} exists and is no folder: name another with --out')
     if folder.is_dir() and any(folder.iterdir()):
         raise FileExistsError(f'{folder} exists and is not empty: name another with --out')
+    above = next(each for each in folder.absolute().parents if each.exists())
+    if not above.is_dir():
+        raise NotADirectoryError(
+            f'{folder} cannot be made: {above} is no folder; name another with --out'
+        )
 
 
 def write_report(folder: Path, mission: Mission, curves: Curves) -> str:
@@ -37,8 +42,12 @@ def write_report(folder: Path, mission: Mission, curves: Curves) -> str:
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield a new folder and move it to its place at the end; remove it on errors."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    new = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        new = Path(tempfile.mkdtemp(prefix=f'.{folder.name}.', dir=folder.parent))
+    except OSError as error:
+        error.filename = str(folder)
+        raise
     try:
         yield new
         # A temporary folder is readable by its owner only: give it the usual permissions.

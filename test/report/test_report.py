@@ -271,6 +271,14 @@ def test_an_existing_folder_is_left_alone(shown, tmp_path, capsys):
     assert [file.name for file in mine.iterdir()] == ['thesis.txt']
     assert main([str(log), '--out', str(mine / 'thesis.txt')]) == 2
     assert (mine / 'thesis.txt').read_text() == 'all of it'
+    capsys.readouterr()
+    for out, why in (
+        (mine / 'thesis.txt' / 'out', ' cannot be made: .*/thesis.txt is no folder'),
+        ('/proc/out', ': No such file'),
+        ('/proc/deep/out', ': No such file'),
+    ):
+        assert main([str(log), '--out', str(out)]) == 2
+        assert re.match(f'report: {out}{why}', capsys.readouterr().err)
 
 
 @pytest.mark.processes
