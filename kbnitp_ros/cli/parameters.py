@@ -45,7 +45,7 @@ def set_parameter(
     target, is_rule, text = rule.partition('=')
     node, of_one, name = target.rpartition(':')
     try:
-        if not is_rule:
+        if not (is_rule and name):
             raise ValueError('it must be NAME=VALUE or NODE:NAME=VALUE')
         if of_one and node not in values:
             raise ValueError(

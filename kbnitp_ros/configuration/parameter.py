@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 import json
 import re
@@ -105,6 +106,10 @@ class Parameter:
             value = parse_yaml(text)
         except ValueError:
             value = text
+        if isinstance(value, str) and isinstance(self.default, float):
+            # As options read them, such as nan, which is no number in YAML.
+            with suppress(ValueError):
+                value = float(value)
         return self.check(value)
 
     def check(self, value: Any) -> Any:
@@ -135,7 +140,7 @@ class Parameter:
         if wanted is float and type(value) is int:
             value = float(value)
         if type(value) is not wanted:
-            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.kind}')
+            raise ValueError(f'parameter {self.name} is {value!r}: it must be {self.must_be}')
         if (
             (self.limits and value != self.off and not self.limits[0] <= value <= self.limits[1])
             or (self.choices != () and value not in self.choices)
