@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from enum import auto, Enum
-from typing import Any
 
 from kbnitp_ros.base.agent_states import AgentStates
 from kbnitp_ros.base.state import BaseState, MAX_STILL
@@ -47,10 +46,8 @@ class Obstacle(Enum):
 class PlannerState:
     """The state that decides whether robots leave."""
 
-    # The planner's parameters by name.
-    values: Mapping[str, Any]
     agents: Sequence[str]
-    # The evidence, the robots in flight, and what the operator ordered.
+    # The evidence, the robots in flight, what the operator ordered, and the planner's parameters.
     base: BaseState
     # What the agents say of themselves.
     states: AgentStates
@@ -102,7 +99,7 @@ class PlannerState:
         if self.base.operator.is_ended:
             return self.sent - len({*self.base.undeparted, *self.base.held})
         # Robots that came back without a step are sent again.
-        robots: int = self.values['robots'] + len(self.base.unmoved)
+        robots: int = self.base.values['robots'] + len(self.base.unmoved)
         return robots
 
     @property
@@ -121,7 +118,7 @@ class PlannerState:
     @property
     def mute(self) -> list[str]:
         """Return the agents that do not report departures; empty if reports are not required."""
-        if self.values['presume_departure'] or not self.values['silent_loss']:
+        if self.base.values['presume_departure'] or not self.base.values['silent_loss']:
             return []
         return [agent for agent in self.silent if agent not in self.absent]
 
@@ -142,7 +139,7 @@ class PlannerState:
             return Obstacle.NO_BELIEF
         held = self.newest or 0
         unreported = self.unreported
-        if unreported and not self.values['rolling']:
+        if unreported and not self.base.values['rolling']:
             return Obstacle.UNREPORTED
         if held < self.reported:
             return Obstacle.BELIEF_BEHIND
@@ -238,7 +235,7 @@ def deployed(now: PlannerState) -> str:
     """Return the number of deployments of a mission that is over."""
     by_operator = ', ended by the operator' * now.base.operator.is_ended
     deployed = (now.newest or 0) - len(now.base.unmoved)
-    return f'{deployed} of {now.values["robots"]} robots deployed{by_operator}'
+    return f'{deployed} of {now.base.values["robots"]} robots deployed{by_operator}'
 
 
 def not_repeated(kept: int) -> str:
@@ -270,7 +267,7 @@ def report(now: PlannerState) -> str:
     key = min(now.unreported, key=deployment_order)
     agent = now.topic(key.agent)
     wait = f'the report of {key} on {agent}/report'
-    if now.values['recorded'] and not now.base.in_flight[key].is_recorded:
+    if now.base.values['recorded'] and not now.base.in_flight[key].is_recorded:
         return (
             f'{wait}: its robot leaves once the recorder acknowledges its path on '
             f'{agent}/recorded (parameter recorded)'
@@ -279,8 +276,8 @@ def report(now: PlannerState) -> str:
         said = now.states.reason(key.agent)
         says = f'; {key.agent} says: {said}' if said else ''
         return f'the departure of {key}, which its agent reports on {agent}/status{says}'
-    if now.values['silent_loss']:
-        deadline = now.values['return_deadline']
+    if now.base.values['silent_loss']:
+        deadline = now.base.values['return_deadline']
         return (
             f'{wait}: without a report the robot is given up {deadline} s after its expected '
             'return (parameter return_deadline)'

@@ -267,7 +267,7 @@ class BaseState(MissionRecord):
             return super().record_report(key, report)
         except ValueError as error:
             if key in self.held:
-                self.hold(key, f'{IMPOSSIBLE}{error}', is_left_to_operator=True)
+                self.hold_refused(key, error)
             raise
 
     def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
@@ -291,6 +291,10 @@ class BaseState(MissionRecord):
             robot.is_left_to_operator |= is_left_to_operator
             robot.await_again()
             self.held[key] = why
+
+    def hold_refused(self, key: DeploymentKey, why: ValueError) -> None:
+        """Hold a deployment whose report is refused; it is left to the operator."""
+        self.hold(key, f'{IMPOSSIBLE}{why}', is_left_to_operator=True)
 
     def follow(self, refused: Mapping[str, str]) -> None:
         """Hold the deployments whose reports the estimator refuses."""

@@ -45,6 +45,9 @@ import numpy as np
 # Minimum occupancy of a mask's pixels that belong to the goal, percent.
 MARKED = 50
 
+# The stops of a node that sends no robots.
+NEVER = Stop()
+
 
 def make_goal(values: Mapping[str, Any], grid: Grid) -> Goal | None:
     """Return the goal; None to map the field."""
@@ -80,11 +83,15 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
     return [int(cell) for cell in np.flatnonzero(is_marked)]
 
 
-def check_confidence(values: Mapping[str, Any], grid: Grid) -> None:
-    """Check the goal and its confidence, as an estimator decides on them."""
-    if goal := make_goal(values, grid):
+def checked_goal(
+    values: Mapping[str, Any], grid: Grid, stop: Stop = NEVER, robots: int = 0
+) -> Goal | None:
+    """Return the goal; check its reach, its confidence and the stops."""
+    goal = make_goal(values, grid)
+    stop.check(goal, robots)
+    if goal is not None:
         goal.check(grid, values['max_steps'])
-        Stop().check(goal, 0)
+    return goal
 
 
 def settled_goal(values: Mapping[str, Any], grid: Grid) -> dict[str, Any]:
@@ -100,12 +107,9 @@ def make_stop(values: Mapping[str, Any]) -> Stop:
 
 def check_goal(values: Mapping[str, Any], grid: Grid, options: Iterable[SearchOptions]) -> None:
     """Check that the goal can be reached, and that the stops can end the mission."""
-    goal = make_goal(values, grid)
-    make_stop(values).check(goal, values['robots'])
+    goal = checked_goal(values, grid, make_stop(values), values['robots'])
     for search in options:
         check_sought(goal, search)
-    if goal is not None:
-        goal.check(grid, values['max_steps'])
 
 
 def search_options(values: Mapping[str, Any]) -> SearchOptions:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_msgs.srv import Draws
 from kbnitp_ros.configuration import make_goal
-from kbnitp_ros.configuration.mission import check_confidence
+from kbnitp_ros.configuration.mission import checked_goal
 from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safest_path
 from kbnitp_ros.files import counted
 from kbnitp_ros.messages.deployments import path_message
@@ -92,7 +92,7 @@ class Decisions:
         """Refuse a confidence that the goal cannot have, or that takes too many draws."""
         values = {**self._node.values, **{each.name: each.value for each in changes}}
         try:
-            check_confidence(values, self._grid)
+            checked_goal(values, self._grid)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

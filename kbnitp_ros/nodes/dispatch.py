@@ -10,7 +10,7 @@ import time
 
 from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.state import BaseState, IMPOSSIBLE, MissingError
+from kbnitp_ros.base.state import BaseState, MissingError
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import DeploymentKey
@@ -218,6 +218,11 @@ class Dispatch:
     ) -> None:
         try:
             key, report = read_report(message, agent)
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/report', error)
+            self._hold_unreadable(agent, message, error)
+            return
+        try:
             if not report.survived:
                 self._state.departures.check_loss(key)
             is_awaited = key in self._state.in_flight
@@ -228,7 +233,7 @@ class Dispatch:
             return
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/report', error)
-            self._hold_refused(agent, message, error)
+            self._act()
             return
         self._log_departure(key)
         if report.survived:
@@ -241,12 +246,12 @@ class Dispatch:
                 )
         self._act()
 
-    def _hold_refused(self, agent: str, message: DeploymentReport, why: ValueError) -> None:
-        """Hold the deployment of a refused report of a robot that was not lost in this field."""
+    def _hold_unreadable(self, agent: str, message: DeploymentReport, why: ValueError) -> None:
+        """Hold the deployment of an invalid report of a robot that was not lost in this field."""
         with suppress(ValueError):
             key = DeploymentKey(agent, read_name('deployment', message.deployment))
             if message.agent == agent and is_back(message, self._node.grid):
-                self._state.hold(key, f'{IMPOSSIBLE}{why}', is_left_to_operator=True)
+                self._state.hold_refused(key, why)
                 self._act()
 
     def _on_state(self, agent: str, message: AgentState) -> None:

@@ -13,7 +13,7 @@ from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.checks import density_note, failure_note
 from kbnitp_ros.configuration.field import make_datum
-from kbnitp_ros.configuration.mission import check_confidence, settled_goal
+from kbnitp_ros.configuration.mission import checked_goal, settled_goal
 from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.files import counted
@@ -51,7 +51,7 @@ class EstimatorNode(FieldNode):
         make_datum(self.values)
         # The file of a mask is read once: it may change or go.
         self.values |= settled_goal(self.values, self.grid)
-        check_confidence(self.values, self.grid)
+        checked_goal(self.values, self.grid)
         estimator = make_estimator(self.values, self.grid)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)

@@ -158,7 +158,6 @@ class PlannerNode(FieldNode):
         """Return the state that decides whether robots leave."""
         newest = self._beliefs.tracker.newest
         return PlannerState(
-            values=self.values,
             agents=self._agents,
             base=self._state,
             states=self._dispatch.states,

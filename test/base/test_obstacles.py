@@ -36,9 +36,9 @@ VALUES = {
 }  # fmt: skip
 
 
-def base(*out, actions=()):
+def base(*out, actions=(), values=VALUES):
     """Return the state of a base with robots in flight, after actions of its operator."""
-    state = BaseState(GRID, 10, values=VALUES)
+    state = BaseState(GRID, 10, values=values)
     for content, each in enumerate(out):
         state.take_path(each, HOME, content)
     for stamp, action in enumerate(actions):
@@ -55,7 +55,6 @@ def states(**said):
 
 # One robot was deployed, two are left, and nothing blocks the next deployment.
 CLEAR = PlannerState(
-    values=VALUES,
     agents=['scout_1'],
     base=base(),
     states=states(),
@@ -74,8 +73,8 @@ CLEAR = PlannerState(
 )
 
 
-def made(out=(), actions=(), **changes):
-    return replace(CLEAR, base=base(*out, actions=actions), **changes)
+def made(out=(), actions=(), values=VALUES, **changes):
+    return replace(CLEAR, base=base(*out, actions=actions, values=values), **changes)
 
 
 MADE_BY = {
@@ -121,8 +120,9 @@ def test_the_goal_is_looked_at_only_when_robots_could_leave():
 
 
 def test_where_robots_leave_one_by_one_only_the_free_ones_do():
+    values = {**VALUES, 'rolling': True}
     rolling = made(
-        values={**VALUES, 'rolling': True},
+        values=values,
         agents=['scout_1', 'scout_2'],
         out=[key(1)],
         sent=2,
@@ -130,7 +130,8 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
     assert rolling.obstacle is None
     assert rolling.free_agents == ['scout_2']
     assert replace(rolling, why_over=lambda: 'enough').obstacle is Obstacle.UNREPORTED
-    assert replace(rolling, values={**rolling.values, 'robots': 2}).obstacle is Obstacle.ALL_LEFT
+    values['robots'] = 2
+    assert rolling.obstacle is Obstacle.ALL_LEFT
 
 
 @for_each('change, free', [
@@ -145,7 +146,7 @@ def test_agents_that_answer_and_take_orders_are_free(change, free):
 
 @for_each('change', [{'silent_loss': False}, {'presume_departure': True}])
 def test_silent_agents_are_sent_where_silence_does_not_count(change):
-    silent = replace(CLEAR, silent=['scout_1'], values=VALUES | change)
+    silent = made(silent=['scout_1'], values=VALUES | change)
     assert silent.free_agents == ['scout_1']
 
 
