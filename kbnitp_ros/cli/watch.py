@@ -99,6 +99,10 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
     """Serve the page of a log, and yield its address."""
     if not 0 <= port < 2**16:
         raise ValueError(f'--port is {port}: it must be from 0 to {2**16 - 1}')
+    wrong_host = f'--host is {host!r}: it must be an IPv4 address or a name of this machine'
+    if not host:
+        # It would listen on every address of this machine.
+        raise ValueError(wrong_host)
     follower = Follower(log_parts(log)[0], namespace)
     try:
         server = ThreadingHTTPServer((host, port), partial(Handler, follower))
@@ -107,9 +111,7 @@ def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[
             raise OSError(
                 f'cannot listen on {host}:{port} ({error.strerror}): name another --port'
             ) from error
-        raise ValueError(
-            f'--host is {host!r}: it must be an IPv4 address or a name of this machine'
-        ) from error
+        raise ValueError(wrong_host) from error
     server.daemon_threads = True
     address = f'http://{host}:{server.server_port}/'
     if host != HOST:

@@ -412,7 +412,7 @@ def decoded(path: str | Path, recorded: RecordedMessage, decoders: Decoders) -> 
             return decoder(recorded.data)
     except Exception as error:
         raise LogError(
-            f'{path}: a message of topic {channel.topic} is not a {schema.name}: {error!r}'
+            f'{path}: a message of topic {channel.topic} is not a {schema.name}: {in_words(error)}'
         ) from error
     raise LogError(
         f'{path}: topic {channel.topic} has messages in {encoding!r}, and their type is defined '

@@ -192,6 +192,7 @@ def test_bad_options_are_refused(tmp_path, monkeypatch, capsys):
                 [str(path), '--host', 'nonsense'],
                 "--host is 'nonsense': it must be an IPv4",
             ),
+            ([str(path), '--host', ''], "--host is ''"),
             ([str(path), '--host', '192.0.2.1'], "--host is '192.0.2.1': it must be an IPv4"),
             ([str(path), '--namespace', '/other'], 'has no readable beliefs: it must have messa'),
             ([str(path), '--port', '70000'], '--port is 70000: it must be from 0 to 65535'),
