@@ -14,9 +14,10 @@ from kbnitp_ros.configuration.known import check_known, gone_note
 from kbnitp_ros.configuration.mission import settled_goal
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.files import nearest
-from kbnitp_ros.log.record import first_belief
+from kbnitp_ros.log.record import required_belief
 from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.plugins import Registry
 
 
 def node_values(sections: Sections, nodes: Collection[str]) -> dict[str, dict[str, Any]]:
@@ -73,27 +74,31 @@ def recorded_values(recorded: Mapping[str, Any], node: str) -> dict[str, Any]:
 
 
 def recorded_planner(log: MissionLog) -> dict[str, Any]:
-    """Return the recorded values of the planner."""
+    """Return the recorded values of the planner, with the cells of a mask by number."""
     recorded = log.parameters
     names = [name for name in recorded if name.rpartition('/')[2] == 'planner']
     if len(names) != 1:
         raise ValueError(f'{log.path} does not record the parameters of exactly one planner')
-    return recorded_values(recorded[names[0]], 'planner')
+    planner = recorded_values(recorded[names[0]], 'planner')
+    for name, parameter in node_parameters('planner').items():
+        # A name in a log imports no module.
+        if not isinstance(parameter.choices, Registry):
+            planner[name] = parameter.check(planner[name])
+    if planner['goal.mask']:
+        # Decisions have the cells since 1.9; the file may have changed.
+        decisions = (logged.message for _, logged in log.read('decision'))
+        cells = next((getattr(each, 'goal_cells', ()) for each in decisions), ())
+        if len(cells):
+            planner |= {'goal.cells': [*map(int, cells)], 'goal.mask': ''}
+    return planner
 
 
 def asked_on_record(log: MissionLog) -> RecordedGoal | None:
-    """Return the goal on record; None if it is not recorded."""
+    """Return the goal on record; None if it is not recorded, or not valid."""
     with suppress(ValueError):
-        first, planner = first_belief(log), recorded_planner(log)
-        if planner['goal.mask']:
-            # Decisions have the cells since 1.9; the file may have changed.
-            decisions = (logged.message for _, logged in log.read('decision'))
-            cells = next((getattr(each, 'goal_cells', ()) for each in decisions), ())
-            if len(cells):
-                planner |= {'goal.cells': [*map(int, cells)], 'goal.mask': ''}
-        if first is None:
-            return None
+        first, planner = required_belief(log), recorded_planner(log)
         planner |= settled_goal(planner, first.grid)
         if goal := make_goal(planner, first.grid):
+            goal.check(first.grid, planner['max_steps'])
             return RecordedGoal(goal, planner['max_steps'], planner['goal.cells'])
     return None

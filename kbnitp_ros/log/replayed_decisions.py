@@ -35,7 +35,7 @@ CONFIDENCE = 'stop.confidence'
 # Reasons why a decision differs or is not compared.
 NO_BELIEF = 'no belief on record has its stamp and its number of deployments'
 NOT_COMPUTED = 'its belief is not on record, or differs from the computed belief'
-NO_GOAL = 'the goal is not on record'
+NO_GOAL = 'the goal is not on record, or is not valid'
 
 # Maximum number of deployments of a message.
 MAX_COUNT = 2**32 - 1

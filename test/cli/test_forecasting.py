@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 from kbnitp_ros.cli.forecast import main
+from kbnitp_ros.cli.parameters import asked_on_record, recorded_planner
 from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.record import last_belief, read_ledger
 from kbnitp_ros.log.roles import MissionLog
@@ -96,6 +97,14 @@ def test_a_log_in_which_all_robots_were_sent_is_refused(tmp_path, capsys):
     assert f'has 8 deployments, and robots is {robots}' in capsys.readouterr().err
     assert main([str(path), '--set', 'sensor.lethality=0.3']) == 2
     assert 'unknown to the planner: it is a parameter of' in capsys.readouterr().err
+
+
+def test_a_log_with_a_bad_value_of_the_planner_is_refused(tmp_path):
+    recorded = MissionLog(log(tmp_path))
+    recorded.parameters['/planner']['max_steps'] = 'x'
+    with pytest.raises(ValueError, match=r"max_steps is 'x': it must be a whole number, from 1"):
+        recorded_planner(recorded)
+    assert asked_on_record(recorded) is None
 
 
 @for_each('option', ['--worlds', '--workers'])
