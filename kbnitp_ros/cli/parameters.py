@@ -17,7 +17,6 @@ from kbnitp_ros.files import nearest
 from kbnitp_ros.log.record import required_belief
 from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.plugins import Registry
 
 
 def node_values(sections: Sections, nodes: Collection[str]) -> dict[str, dict[str, Any]]:
@@ -81,9 +80,7 @@ def recorded_planner(log: MissionLog) -> dict[str, Any]:
         raise ValueError(f'{log.path} does not record the parameters of exactly one planner')
     planner = recorded_values(recorded[names[0]], 'planner')
     for name, parameter in node_parameters('planner').items():
-        # A name in a log imports no module.
-        if not isinstance(parameter.choices, Registry):
-            planner[name] = parameter.check(planner[name])
+        planner[name] = parameter.check_recorded(planner[name])
     if planner['goal.mask']:
         # Decisions have the cells since 1.9; the file may have changed.
         decisions = (logged.message for _, logged in log.read('decision'))

@@ -132,6 +132,10 @@ class Parameter:
             )
         self.check(value)
 
+    def check_recorded(self, value: Any) -> Any:
+        """Check a value in a log and return it as `check` does; its names import no module."""
+        return value if isinstance(self.choices, Registry) else self.check(value)
+
     def _check_one(self, value: Any, wanted: type[Any]) -> Any:
         if self.word and value == self.word:
             return value

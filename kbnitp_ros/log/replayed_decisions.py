@@ -78,9 +78,12 @@ class ReplayedDecisions:
 
     def note_belief(self, said: Snapshot, since: int) -> None:
         """Note a belief on record, and the number of deployments of the belief before it."""
-        if since not in (0, self._last):
-            self._missing.append(range(min(self._last + 1, since), since + 1))
-        self._last = said.deployments
+        last, self._last = self._last, said.deployments
+        if since not in (0, last):
+            self._missing.append(range(min(last + 1, since), since + 1))
+        elif not since and last + 1 < said.deployments:
+            # It names all evidence, and may follow any belief.
+            self._missing.append(range(last + 1, said.deployments))
         self._beliefs.add((said.stamp, said.deployments))
 
     def compare(self, ledger: Ledger, said: Snapshot) -> None:
