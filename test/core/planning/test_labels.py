@@ -287,7 +287,8 @@ def test_the_best_of_a_wide_search_is_found():
 def test_a_narrow_beam_is_no_relaxed_search():
     grid, model = Grid(9, 9), SensorModel(0.9)
     for seed in range(3):
-        prior, world = Belief.prior(grid, 0.15, 0.205, 0.8), World.random(grid, seed, 0.15, 0.8, 0.1)
+        prior = Belief.prior(grid, 0.15, 0.205, 0.8)
+        world = World.random(grid, seed, 0.15, 0.8, 0.1)
         options = SearchOptions('relaxed', 18)
         belief = run_mission(grid, prior, model, world, 30, seed, options=options).belief
         relaxed, narrow, wide = (
