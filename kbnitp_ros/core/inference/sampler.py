@@ -28,10 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Number of sweeps discarded after each deployment.
-DISCARDED = 4
+DISCARDED = 2
 
 # Number of sweeps between tests of convergence, and maximum number of sweeps for a deployment.
-SWEEPS = 4
+SWEEPS = 2
 MAX_SWEEPS = 32
 
 # Number of sweeps to reach a clustered prior, and number of sweeps averaged for its belief.
