@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import overload, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import shallow_copy
@@ -65,6 +66,38 @@ GROUPS = 8
 # from static hazards, so with equal priors most static fields would be classified as changing.
 PRIOR = {'static': 1 / 2, 'used_up': 1 / 3, 'changing': 1 / 12, 'moving': 1 / 12}
 
+T = TypeVar('T')
+
+
+class Series(Sequence[T]):
+    """A sequence that grows in constant time; items added to it are not in the original."""
+
+    def __init__(self, items: list[T] | None = None, size: int = 0) -> None:
+        # The items, which may be followed by those of a series that grew from this one.
+        self._items, self._size = items or [], size
+
+    def plus(self, item: T) -> Series[T]:
+        """Return the series with one more item."""
+        is_last = len(self._items) == self._size
+        items = self._items if is_last else self._items[: self._size]
+        items.append(item)
+        return Series(items, self._size + 1)
+
+    def __len__(self) -> int:
+        return self._size
+
+    @overload
+    def __getitem__(self, place: int) -> T: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[T]: ...
+
+    def __getitem__(self, place: int | slice) -> T | list[T]:
+        if isinstance(place, slice):
+            return self._items[: self._size][place]
+        return self._items[range(self._size)[place]]
+
+
 # As `condition`.
 Condition = Callable[[Floats, Evidence, Effects], tuple[Floats, Floats]]
 
@@ -96,7 +129,7 @@ class Filters:
         self._maps = prior_maps(belief, model, self.names)
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
-        self._evidence: tuple[Evidence, ...] = ()
+        self._evidence = Series[Evidence]()
         enough, least = FEW if len(priors) < 4 else MANY
         of_each = 32 * belief.cells * COPIES
         if priors and count is None and least * of_each > MAX_MEMORY:
@@ -129,7 +162,7 @@ class Filters:
         if predicted[0] == -np.inf:
             raise ValueError(IMPOSSIBLE)
         self.log_evidence += float(predicted[0])
-        self._evidence, self._joints = (*self._evidence, evidence), joints
+        self._evidence, self._joints = self._evidence.plus(evidence), joints
         if self.names:
             self._log_likelihood = self._log_likelihood + log_chances[0]
             self._log_weights = self._log_weights + log_chances[0]
@@ -322,7 +355,7 @@ class Bank:
             for each in dynamics.kinds
         }
         self._ruled_out: frozenset[str] = frozenset()
-        self.predicted: tuple[Floats, ...] = ()
+        self.predicted = Series[Floats]()
         self._is_known = len(self._filters) == 1 and not self._priors
         self._explanations: Explanations | None = None
         if self._is_known and dynamics.kind == 'used_up':
@@ -358,7 +391,7 @@ class Bank:
             model = evidence.robot_type.model(self._known)
             self._explanations = self._explanations.with_deployment(evidence, model)
         self._filters, self._ruled_out = filters, frozenset(ruled_out)
-        self.predicted = (*self.predicted, mixed)
+        self.predicted = self.predicted.plus(mixed)
         for name in ('_weights', 'belief'):
             self.__dict__.pop(name, None)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
+from kbnitp_ros.core.inference.filter import ratio
 from kbnitp_ros.core.inference.hypotheses import CERTAIN, Floats, Hypotheses, Places, Tally
 from kbnitp_ros.core.inference.prior_maps import expit
 import numpy as np
@@ -97,10 +98,17 @@ class Chains:
         rng: np.random.Generator,
     ) -> None:
         self._hypotheses, self._rng, self._is_held = hypotheses, rng, state.is_held
-        # Cells outside the chains have the joints of the prior with each chain's numbers: they
-        # matter if the prior has unknown numbers.
-        is_shown = state.is_held | (not hypotheses.prior_is_known)
-        self._shown = shown = np.flatnonzero(is_shown)
+        # Cells outside the chains have the joints of the prior with each chain's numbers, which
+        # matter if the prior has unknown numbers. Of cells with equal priors one is computed.
+        held = np.flatnonzero(state.is_held)
+        outside = np.flatnonzero(~state.is_held & (not hypotheses.prior_is_known))
+        _, first, alike = np.unique(
+            hypotheses.alike[outside], return_index=True, return_inverse=True
+        )
+        self._shown = shown = np.sort(np.concatenate([held, outside[first]]))
+        # The cells that a belief has joints of, and the place of each in `shown`.
+        self._cells = np.concatenate([held, outside])
+        self._of_cell = shown.searchsorted(np.concatenate([held, outside[first][alike]]))
         self._place = {name: each.copy() for name, each in state.place.items()}
         self._hazardous = state.hazardous[:, shown]
         self._undecided = {name: each[shown] for name, each in hypotheses.undecided.items()}
@@ -209,10 +217,10 @@ class Chains:
         """Return joints and their sampling error (:eq:`averaged-belief`, :eq:`sampling-error`)."""
         joint = self._hypotheses.prior.joint.copy()
         by_group = np.moveaxis(self._joints / self.sweeps, 3, 0)
-        joint[self._shown] = mean = by_group.mean(axis=3)
-        variance = by_group.var(axis=3, ddof=1) / GROUPS
-        seen = mean > 0.0
-        return joint, float((variance[seen] / mean[seen]).sum() / 2.0)
+        mean, variance = by_group.mean(axis=3), by_group.var(axis=3, ddof=1) / GROUPS
+        joint[self._cells] = mean[self._of_cell]
+        error = ratio(variance, mean).sum(axis=(1, 2))[self._of_cell].sum() / 2.0
+        return joint, float(error)
 
     def learnt(self) -> dict[str, Learnt]:
         """Return the posterior of each unknown number, by name."""

@@ -25,7 +25,7 @@ from kbnitp_ros.core.field.unknowns import (
     Unknowns,
 )
 from kbnitp_ros.core.field.world import World
-from kbnitp_ros.core.inference.bank import prior_density
+from kbnitp_ros.core.inference.bank import prior_density, Series
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,
@@ -126,7 +126,7 @@ class Estimator:
         named = {'clustering': clustering} if clusters else {}
         make: Callable[..., Inference] = start
         self.version = start.version
-        self._evidence: tuple[tuple[Observation, RobotType], ...] = ()
+        self._evidence = Series[tuple[Observation, RobotType]]()
         self._checker: Checker | None = None
         if isinstance(start, OnePass) and start.learns:
             prior = belief if start.correlated else belief.independent()
@@ -249,7 +249,7 @@ class Estimator:
                 inference.assimilate(observation, robot_type)
                 self._checked(inference)
         self._inference = inference
-        self._evidence = (*self._evidence, (observation, robot_type))
+        self._evidence = self._evidence.plus((observation, robot_type))
 
     def _checked(self, inference: Inference) -> Inference:
         """Check the inference that a method returned."""

@@ -56,6 +56,9 @@ class Hypotheses:
             self.log_odds[name] = log_odds + undecided * offset[:, None]
             self.undecided[name], self.offset[name] = undecided, offset
         self.prior_is_known = not set(MAPS) & self.bins.keys()
+        # Numbers that are equal for cells with equal priors, shape (cells,).
+        joints = belief.joint.reshape(belief.cells, 4)
+        self.alike = np.unique(joints, axis=0, return_inverse=True)[1].ravel()
         self.clustering = clustering
         if clustering is not None:
             self._cluster(clustering)
