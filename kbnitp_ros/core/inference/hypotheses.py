@@ -209,33 +209,28 @@ class Tally:
 
     def blocks(self, cells: Places, most: int) -> gibbs.Losses:
         """Cut the lost paths into blocks, and index them by the place of each cell in `cells`."""
-        columns: list[tuple[NDArray[Any], ...]] = [(np.empty(0),) * 10]
-        visited = counted = 0
-        for loss in self.losses:
-            own, counts, weights, lengths = loss.blocks
-            first = np.full(own.size, counted)
-            of_type = np.full(weights.size, loss.robot_type * most)
-            rows = visited + weights.size * np.arange(own.size)
-            of_loss = np.array([own.size]), np.array([weights.size])
-            of_entries = np.searchsorted(cells, own), first, first + weights.size, rows
-            of_blocks = weights, of_type + lengths, of_type
-            columns.append((*of_loss, *of_entries, counts, *of_blocks))
-            visited, counted = visited + counts.size, counted + weights.size
-        parts = [np.concatenate(each) for each in zip(*columns)]
-        *whole, weight, steps, unexposed = parts
-        sizes, blocks, cell, *entries, visits = [each.astype(np.int32) for each in whole]
-        first_block, end_block, row = (each[np.argsort(cell, kind='stable')] for each in entries)
+        parts = [loss.blocks for loss in self.losses]
+        none = np.empty(0, np.intp)
+        own, visits, weight, lengths = (
+            np.concatenate([none, *each]) for each in (zip(*parts) if parts else [()] * 4)
+        )
+        sizes, blocks = (np.array([part[k].size for part in parts], np.intp) for k in (0, 2))
+        types = np.array([loss.robot_type for loss in self.losses], np.intp)
+        # Of each cell of a loss: its place in `cells`, the loss, and the loss's first block.
+        cell, loss = cells.searchsorted(own), np.arange(sizes.size).repeat(sizes)
+        first = starts(blocks)[loss]
+        unexposed, order = (types * most).repeat(blocks), np.argsort(cell, kind='stable')
         return gibbs.Losses(
             first_cell=starts(sizes),
-            cell=cell,
+            cell=cell.astype(np.int32),
             first_entry=starts(np.bincount(cell, minlength=cells.size)),
-            first_block=first_block,
-            end_block=end_block,
-            row=row,
-            visits=visits,
-            blocks=blocks,
-            weight=weight,
-            steps=steps.astype(np.int32),
+            first_block=first[order],
+            end_block=(first + blocks[loss])[order].astype(np.int32),
+            row=starts(blocks[loss])[:-1][order],
+            visits=visits.astype(np.int32),
+            blocks=blocks.astype(np.int32),
+            weight=weight.astype(np.float64),
+            steps=(unexposed + lengths).astype(np.int32),
             unexposed=unexposed.astype(np.int32),
         )
 
