@@ -23,7 +23,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.core.inference.model_check import ModelCheck
-from kbnitp_ros.messages.deployments import path_fields, path_message
+from kbnitp_ros.messages.deployments import path_fields
 from kbnitp_ros.messages.headers import (
     check_frame,
     Fields,
@@ -221,7 +221,7 @@ def decision_fields(
     mission: int,
     goal_cells: Sequence[int] = (),
 ) -> Fields:
-    """Return the fields of the message of a decision; the arguments are as for the message."""
+    """Return the fields of a decision, with deployments, stamp and mission of its belief."""
     return Fields(
         header=header_fields(stamp),
         deployments=deployments,
@@ -239,20 +239,14 @@ def decision_fields(
     )
 
 
-def decision_message(
-    grid: Grid,
-    decision: Decision,
-    deployments: int,
-    stamp: int,
-    mission: int,
-    goal_cells: Sequence[int] = (),
-) -> DecisionMessage:
-    """Return the message of a decision, with deployments, stamp and mission of its belief."""
+def decision_message(fields: Fields) -> DecisionMessage:
+    """Return the message with the `decision_fields` of a decision."""
+    from geometry_msgs.msg import PoseStamped
     from kbnitp_msgs.msg import Decision as DecisionMessage
 
-    message = DecisionMessage(path=path_message(grid, decision.path, stamp, mission))
-    fields = decision_fields(grid, decision, deployments, stamp, mission, goal_cells)
-    return filled(message, fields)
+    message = filled(DecisionMessage(), fields)
+    message.path.poses = [filled(PoseStamped(), each) for each in fields.path.poses]
+    return message
 
 
 def check_decision(message: Any) -> None:

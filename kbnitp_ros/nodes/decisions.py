@@ -17,7 +17,7 @@ from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safe
 from kbnitp_ros.files import counted
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import check_frame, from_stamp
-from kbnitp_ros.messages.progress import decision_message, fill_draws
+from kbnitp_ros.messages.progress import decision_fields, decision_message, fill_draws
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import Path
@@ -117,14 +117,9 @@ class Decisions:
         known = self._newest
         assert known is not None
         if self._begun[0] is known:
-            message = decision_message(
-                self._grid,
-                decision,
-                known.deployments,
-                known.stamp,
-                known.mission,
-                self._node.values['goal.cells'],
-            )
+            cells = self._node.values['goal.cells']
+            of_belief = known.deployments, known.stamp, known.mission
+            message = decision_message(decision_fields(self._grid, decision, *of_belief, cells))
             self._publisher.publish(message)
             self._lane.publish(message.path)
             taken = '' if known.estimator.draws_are_exact else ' (cells assumed independent)'

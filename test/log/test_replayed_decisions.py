@@ -12,7 +12,7 @@ from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import decision_message
+from kbnitp_ros.messages.progress import decision_fields, decision_message
 from laws import for_each
 from mission_log import (
     GRID,
@@ -45,7 +45,8 @@ class Deciding(Mission):
         estimator = self.ledger.estimator
         draws = HazardDraws.of(estimator, held)
         decision = self.goal.decide(GRID, draws, estimator.model, MAX_STEPS)
-        message = decision_message(GRID, decision, held, stamp, 0, cells(self.goal))
+        fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal))
+        message = decision_message(fields)
         self.publish('decision', message)
         self.publish('decision/lane', message.path)
 

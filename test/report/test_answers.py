@@ -5,7 +5,7 @@ from itertools import product
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_ros.core import Decision, Dynamics, HazardDraws, Observation, update
-from kbnitp_ros.messages.progress import decision_message, read_decision
+from kbnitp_ros.messages.progress import decision_fields, decision_message, read_decision
 from kbnitp_ros.report.answers import (
     advice,
     answer_tiles,
@@ -169,7 +169,8 @@ def decision_on(mission, confidence):
     draws = HazardDraws(hazardous, 1e6)
     path = np.array([GRID.base, 1, 0])
     decision = Decision.about('area', draws, path, confidence)
-    return decision, decision_message(GRID, decision, 3, mission.now, mission.now)
+    fields = decision_fields(GRID, decision, 3, mission.now, mission.now)
+    return decision, decision_message(fields)
 
 
 @for_each('confidence, reached', [(0.7, True), (0.9, False)])

@@ -17,7 +17,7 @@ from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, Unknowns
-from kbnitp_ros.core.inference.bank import Bank, log_sum
+from kbnitp_ros.core.inference.bank import Bank, log_sum, Series
 from kbnitp_ros.core.inference.filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
 
@@ -122,7 +122,7 @@ class Alternatives:
         weights = np.array([WEIGHTS.get(name, 1) for name in (*self._alternatives, *SHIFTED)])
         self._log_weights: Floats = np.log(weights / weights.sum())
         self._log_ratios: Floats = np.zeros(weights.size)
-        self.evidence: tuple[Observation, ...] = ()
+        self.evidence = Series[Observation]()
         self._turned_at: int | None = None
 
     def begin(self, evidence: Sequence[tuple[Observation, RobotType]]) -> bool:
@@ -136,7 +136,7 @@ class Alternatives:
     ) -> Alternatives:
         """Return the alternatives after one more deployment, given the belief's prediction."""
         other, evidence = copy(self), Evidence.of(observation, robot_type)
-        other.evidence = (*self.evidence, observation)
+        other.evidence = self.evidence.plus(observation)
         if self._own is not None:
             other._own = self._own.copy()
             other._own.take(evidence)

@@ -127,7 +127,7 @@ class SearchOptions:
         wanted = 'a whole number at least 1: beam keeps width / 4 labels of each cell and step'
         width = number('width', self.width, wanted, lambda n: n >= 1 and n == n // 1)
         object.__setattr__(self, 'width', int(width))
-        keepout = np.array(cells_or_mask('keepout', self.keepout), dtype=object)
+        keepout = np.asarray(cells_or_mask('keepout', self.keepout))
         object.__setattr__(self, 'keepout', as_tuples(keepout.tolist()))
         for name in ('max_distance', 'loss_cost'):
             object.__setattr__(self, name, cost(name, getattr(self, name)))
