@@ -56,6 +56,8 @@ LEARNT = ('lethality', 'hazard_density')
 IN_FIELD = {
     'sensor.malfunction': 0.001,
     'learn.numbers': LEARNT,
+    # Log-uniform around the malfunction above.
+    'learn.malfunction': (0.0002, 0.2, 0.0, 1.0),
     'silent_loss': True,
     'step_period': 0.2,
     'publish_pose': True,

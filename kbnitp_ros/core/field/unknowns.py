@@ -25,6 +25,10 @@ from numpy.typing import NDArray
 VALUES = 64
 # Number of points in a value's bin at which the prior density is summed.
 POINTS = 32
+# Probability in each tail that is left out where quantiles of a narrow prior are computed.
+TAIL = 1e-12
+# Minimum width of an interval that is refined.
+SMALLEST = 1e-9
 
 EXPONENT = 'above 0 and finite'
 
@@ -66,16 +70,32 @@ class Beta:
 
     def bins(self) -> Bins:
         """Return bins of the interval and their prior probabilities (:eq:`value-bins`)."""
-        low, high = np.arcsin(np.sqrt([self.low, self.high]))
-        edges = np.linspace(low, high, VALUES * POINTS + 1)
-        middle = np.sin((edges[1:] + edges[:-1]) / 2.0) ** 2
-        bounds = (np.sin(edges) ** 2).clip(self.low, self.high)
-        log_density = (self.a - 1.0) * np.log(middle) + (self.b - 1.0) * np.log1p(-middle)
-        mass = np.diff(bounds) * np.exp(log_density - log_density.max())
+        bounds, middle, mass = self._masses(self.low, self.high)
         mass = mass.clip(min=np.finfo(np.float64).tiny).reshape(VALUES, POINTS)
         weight = mass.sum(axis=1)
         values = (mass * middle.reshape(VALUES, POINTS)).sum(axis=1) / weight
         return Bins(bounds[::POINTS], values, np.log(weight / weight.sum()))
+
+    def quantiles(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return quantiles, interpolated on a grid that is refined to where the mass is."""
+        low, high = self.low, self.high
+        while True:
+            bounds, _, mass = self._masses(low, high)
+            below = np.concatenate([[0.0], mass.cumsum()]) / mass.sum()
+            first = int(np.searchsorted(below, TAIL, 'right')) - 1
+            last = int(np.searchsorted(below, 1.0 - TAIL))
+            if 2 * (last - first) >= mass.size or high - low < SMALLEST:
+                return np.interp(q, below, bounds)
+            low, high = bounds[first], bounds[last]
+
+    def _masses(self, low: float, high: float) -> tuple[NDArray[np.float64], ...]:
+        """Return the edges of fine bins, their middles and masses, up to a common factor."""
+        start, end = np.arcsin(np.sqrt([low, high])).tolist()
+        edges = np.linspace(start, end, VALUES * POINTS + 1)
+        middle = np.sin((edges[1:] + edges[:-1]) / 2.0) ** 2
+        bounds = (np.sin(edges) ** 2).clip(self.low, self.high)
+        log_density = (self.a - 1.0) * np.log(middle) + (self.b - 1.0) * np.log1p(-middle)
+        return bounds, middle, np.diff(bounds) * np.exp(log_density - log_density.max())
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -520,12 +520,9 @@ def log_sum(logs: Floats) -> Floats:
 
 def stratified(priors: Sequence[Beta], count: int, rng: np.random.Generator) -> Floats:
     """Draw numbers, shape (count, priors), one in each stratum of each prior."""
-    columns = []
-    for prior in priors:
-        bins = prior.bins()
-        below = np.concatenate([[0.0], np.exp(bins.log_prior).cumsum()])
-        points = (rng.permutation(count) + rng.random(count)) / count
-        columns.append(np.interp(points * below[-1], below, bins.edges))
+    columns = [
+        prior.quantiles((rng.permutation(count) + rng.random(count)) / count) for prior in priors
+    ]
     return within(np.stack(columns, axis=1), priors) if priors else np.empty((count, 0))
 
 

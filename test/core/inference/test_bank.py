@@ -239,6 +239,20 @@ def test_large_fields_have_fewer_particles_and_larger_ones_are_refused(
         particles(of_each * fewest - 1)
 
 
+@pytest.mark.parametrize('prior', [Beta(2000, 2000), Beta(2, 30), Beta(1, 1), Beta(40_000, 10)])
+def test_first_particles_follow_the_density_of_the_prior(prior):
+    """P(p <= x) of whole exponents is that of at least a successes in a + b - 1 trials."""
+    unknowns = Unknowns(lethality=prior)
+    bank = Filters(Belief([[[0.5, 0.2], [0.2, 0.1]]]), SensorModel(0.5), unknowns, 1, Dynamics())
+    drawn, trials = np.sort(bank.numbers[:, 0]), int(prior.a + prior.b) - 1
+    logs = np.concatenate([[0.0], np.log(np.arange(1, trials + 1)).cumsum()])
+    k = np.arange(int(prior.a), trials + 1)
+    ways = logs[trials] - logs[k] - logs[trials - k]
+    below = [np.exp(ways + k * np.log(p) + (trials - k) * np.log1p(-p)).sum() for p in drawn]
+    strata = (np.arange(drawn.size) + 0.5) / drawn.size
+    np.testing.assert_allclose(below, strata, atol=0.51 / drawn.size)
+
+
 def test_the_impossible_is_refused_and_changes_nothing():
     belief = Belief.from_maps([0.0, 0.0], [0.5, 0.5], [0.5, 0.5])
     model = SensorModel(0.5, malfunction=0.0)
