@@ -3,7 +3,6 @@
 
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from dataclasses import replace
 import re
 
 from kbnitp_ros.core import (
@@ -28,10 +27,8 @@ PRIOR = Belief.prior(GRID, 0.5, 0.45, 0.8)
 
 
 def search() -> None:
-    """Plan for two robots by information, and by behavioral entropies."""
-    shannon = SearchOptions(max_steps=6)
-    for options in (shannon, replace(shannon, objective='behavioral', alpha=2.0)):
-        plan_team(GRID, PRIOR, MODEL, Team(2), options)
+    """Plan for two robots."""
+    plan_team(GRID, PRIOR, MODEL, Team(2), SearchOptions(max_steps=6))
     path_information(PRIOR, MODEL, [0, 0])
 
 

@@ -30,7 +30,7 @@ EXAMPLES = (
     'python3 -m kbnitp_ros demo --set sensor.malfunction=0.01 --set agent:sensor.lethality=0.9',
     'python3 -m kbnitp_ros demo --agents 2 --set team.scout_2.sensor.true_positive=0.99',
     'python3 -m kbnitp_ros demo --params config/mission.yaml --set loss_cost=2',
-    'python3 -m kbnitp_ros demo --robots 20 --set objective=behavioral --set alpha=2',
+    'python3 -m kbnitp_ros demo --robots 20 --set objective=information_per_loss',
     'python3 -m kbnitp_ros demo --resume runs/small/mission.mcap',
 )
 

@@ -12,7 +12,7 @@ from kbnitp_ros.configuration.table import LEARNT
 # Parameters that the launch files of missions have as arguments.
 OF_MISSIONS = (
     'robots', 'max_steps', 'max_distance', 'planner', 'beam_width', 'max_visits', 'allocation',
-    'objective', 'alpha', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
+    'objective', 'loss_cost', 'rolling', 'step_period', 'silent_loss', 'return_deadline',
     'method', 'learn.numbers', 'seed', 'approval', 'keep_running', 'defaults', 'minimum_reach',
 )  # fmt: skip
 

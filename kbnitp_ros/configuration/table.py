@@ -11,7 +11,6 @@ from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING, STRONGEST
 from kbnitp_ros.core.field.unknowns import HAZARDS
-from kbnitp_ros.core.planning.options import ALPHAS
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
 FIELD = ('planner', 'agent', 'estimator')
@@ -219,12 +218,8 @@ ROWS: tuple[Parameter | str, ...] = (
     changeable('allocation', 'greedy', choices=ALLOCATIONS),
     'Allocation of paths to the robots of a round.',
     changeable('objective', 'information', choices=OBJECTIVES),
-    'Objective of paths: information, the expected information; behavioral, the decrease of '
-    'behavioral entropies; information_per_loss, the information for each robot expected to be '
-    'lost. The last two need the planner beam or relaxed.',
-    changeable('alpha', 1.0, limits=ALPHAS),
-    'Prelec weight of the objective behavioral: 1 gives the information; below 1, probabilities '
-    'near 0 or 1 count as less certain; above 1, as more certain.',
+    'Objective of paths: information, the expected information; information_per_loss, the '
+    'information for each robot expected to be lost, which needs the planner beam or relaxed.',
     changeable('loss_cost', 0.0, limits=(0.0, 1e9), per_agent=True),
     'Cost of a lost robot, in nats of information.',
     for_goal('goal.kind', 'map', choices=GOALS),

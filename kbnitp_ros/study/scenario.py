@@ -35,7 +35,6 @@ from kbnitp_ros.core import (
 from kbnitp_ros.core.decision.decision import there_and_back
 from kbnitp_ros.core.decision.goals import FlightState, GOALS
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
-from kbnitp_ros.core.planning.options import ALPHAS
 from kbnitp_ros.core.planning.plans import check_team, team_size
 import numpy as np
 
@@ -158,8 +157,6 @@ class Strategy:
     trusted: Probability = 0.0
     # Name of an objective in `OBJECTIVES`.
     objective: Annotated[str, OBJECTIVES] = 'information'
-    # Alpha of the objective 'behavioral', 0.2 to 5.
-    alpha: Annotated[float, ALPHAS] = 1.0
     # Kind of hazards believed, one of `HAZARDS`; empty: the kind in the worlds.
     dynamics: Annotated[str, HAZARDS, ''] = ''
     # 'learn' for hazards believed clustered, with a learnt coupling; empty for independent

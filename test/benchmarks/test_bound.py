@@ -110,8 +110,7 @@ def test_where_only_one_path_has_a_step_the_bound_is_its_value(malfunction):
     assert above == pytest.approx(path_information(belief, model, [0, 0]), abs=3e-4)
 
 
-@for_each('objective', ['behavioral', 'information_per_loss'])
-def test_other_objectives_have_no_bound(objective):
-    grid, options = Grid(3, 3), SearchOptions(objective=objective)
-    with pytest.raises(ValueError, match=f'objective is {objective}: only information has a'):
+def test_other_objectives_have_no_bound():
+    grid, options = Grid(3, 3), SearchOptions(objective='information_per_loss')
+    with pytest.raises(ValueError, match='only information has a'):
         upper_bound(grid, Belief.prior(grid, 0.3, 0.4, 0.8), SensorModel(0.5), options, [0, 0])

@@ -183,39 +183,6 @@ def posterior(joint, model, *deployments):
     return weighed(joint, [(model, *deployment) for deployment in deployments])[1]
 
 
-def behavioral_entropy(chance, alpha):
-    """Behavioral entropy of a coin: Shannon's, of the Prelec weights of both sides."""
-    beta = log(2) ** (1 - alpha)
-    weights = [np.exp(-beta * (-log(p)) ** alpha) for p in (chance, 1 - chance) if p > 0]
-    return -sum(w * log(w) for w in weights if w > 0)
-
-
-def behavioral_information(joint, model, path, alpha):
-    """
-    Sum the expected fall of two entropies, nats, over all states and outcomes.
-
-    One is of the robot's fate given the hazards; the other, for a return, of all targets given the
-    readings.
-    """
-    cells, states, prior = enumerate_states(joint, path[1:])
-    _, returned = fates(model, cells, states, path)
-    survival = float(prior @ returned)
-    fallen = behavioral_entropy(survival, alpha)
-    fallen -= sum(p * behavioral_entropy(r, alpha) for p, r in zip(prior, returned))
-    if survival == 0:
-        return fallen
-    back = prior * returned
-    for i in range(len(cells)):
-        there = states[:, i, 1] == 1
-        fallen += survival * behavioral_entropy(back[there].sum() / survival, alpha)
-        for readings in product((False, True), repeat=len(path) - 1):
-            seen = back * readings_likelihood(model, cells, states, path, np.array(readings))
-            if seen.sum() > 0:
-                target = min(seen[there].sum() / seen.sum(), 1.0)
-                fallen -= seen.sum() * behavioral_entropy(target, alpha)
-    return fallen
-
-
 # The published update, equation by equation
 
 

@@ -117,8 +117,8 @@ def sent(path, *robot_type):
     return begun().send(path, *robot_type)
 
 
-def informed(paths, *alpha):
-    return core.path_information(PRIOR, MODEL, paths, *alpha)
+def informed(paths):
+    return core.path_information(PRIOR, MODEL, paths)
 
 
 def together(path):
@@ -437,17 +437,10 @@ NO_PROBABILITIES = [
     (lambda: core.path_information(PRIOR, 0.5, [0, 1, 0]), TypeError, 'model is 0.5: it must be'),
     (lambda: core.path_information(PRIOR, MODEL, core.plan(GRID, PRIOR, MODEL)), ValueError,
      r'path is Plan\(.*: it must list at least two cells'),
-    (lambda: planned(objective='behavioural'), ValueError,
-     "'behavioural': it must be one of information, behavioral"),
-    (lambda: planned(objective='behavioral', alpha=0.0), ValueError,
-     r'alpha is 0.0: it must be in \[0.2, 5.0\]'),
-    (lambda: planned(objective='behavioral', alpha=nan), ValueError, 'alpha is nan'),
-    (lambda: planned(alpha=2.0), ValueError,
-     'alpha is 2.0, which the objective information does not have'),
+    (lambda: planned(objective='behavioral'), ValueError,
+     "'behavioral': it must be one of information, information_per_loss"),
     (lambda: planned(objective='information_per_loss', loss_cost=1.0), ValueError,
      'loss_cost is 1.0, and the objective information_per_loss finds it'),
-    (lambda: planned(objective='information_per_loss', alpha=2.0), ValueError,
-     'alpha is 2.0, which the objective information_per_loss does not have'),
     (lambda: planned(objective='information_per_loss', planner='random'), ValueError,
      'information_per_loss, but the planner random does not seek'),
     (lambda: mission(options=SearchOptions(objective='information_per_loss'),
@@ -459,7 +452,7 @@ NO_PROBABILITIES = [
     *((partial(core.plan, GRID, PRIOR, MODEL, visited=visited), ValueError,
        'visited has shape .*for each of the 16 cells')
       for visited in ([1, 2], [-1] * 16, [0.5] * 16, np.zeros((4, 4), dtype=int))),
-    *((partial(planned, planner=name, objective='behavioral', alpha=0.5), ValueError,
+    *((partial(planned, planner=name, objective='information_per_loss'), ValueError,
        f'{name} does not seek it: choose the planner beam or relax')
       for name in ('random', 'coverage', 'shortest_unvisited')),
     (lambda: team(0), ValueError, 'agents is 0.*at least 1'),
@@ -608,8 +601,6 @@ NO_PROBABILITIES = [
     (lambda: informed(np.zeros((2, 3))), ValueError, r'path\[0\] is of type float64'),
     (lambda: informed([]), ValueError, r'path is \[\]: it must list at least two'),
     (lambda: informed(None), ValueError, 'path is None: it must list at least two'),
-    (lambda: informed([0, 1, 0], 'x'), TypeError, "alpha is 'x': it must be a number"),
-    (lambda: informed([0, 1, 0], 9), ValueError, r'alpha is 9: it must be in \[0.2, 5.0\]'),
     (lambda: GRID.cell(4, 0), ValueError, 'row is 4: it must be a whole number from 0 to 3'),
     (lambda: GRID.cell(0, -1), ValueError, 'col is -1: .*from 0 to 3'),
     (lambda: GRID.row_col(16), ValueError, 'cell is 16: .*from 0 to 15'),

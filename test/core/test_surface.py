@@ -131,19 +131,18 @@ def test_robots_of_a_type_are_sent_from_their_base():
     assert other.send([0, 1, 0]) == mission.send([0, 1, 0])
 
 
-@for_each('alpha', (1.0, 0.5, 2.0))
-def test_many_paths_have_the_information_of_each(alpha):
+def test_many_paths_have_the_information_of_each():
     """Also that of all states and outcomes, written out."""
     rng = np.random.default_rng(8)
     joint, sensors, _ = brute_force.random_case(rng, 4, 5)
     model, belief = SensorModel(**sensors), Belief(joint)
     paths = [[0, *rng.integers(0, len(joint), n), 0] for n in rng.integers(1, 5, 30)]
-    found = path_information(belief, model, paths, alpha)
+    found = path_information(belief, model, paths)
     for path, information in zip(paths, found, strict=True):
-        assert path_information(belief, model, path, alpha) == pytest.approx(
+        assert path_information(belief, model, path) == pytest.approx(
             information, rel=0, abs=1e-12
         )
-        expected = brute_force.behavioral_information(joint, model, path, alpha)
+        expected = brute_force.joint_information(joint, [model], [path])
         assert information == pytest.approx(expected, rel=0, abs=1e-9)
 
 

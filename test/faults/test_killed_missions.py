@@ -162,8 +162,8 @@ KINDS = {
         },
         lambda made, _: made,
     ),
-    'behavioral': (
-        {'hazards.dynamics': 'used_up', 'objective': 'behavioral', 'alpha': 2.0},
+    'per_loss': (
+        {'hazards.dynamics': 'used_up', 'objective': 'information_per_loss'},
         lambda made, _: moves(made),
     ),
     'area': (

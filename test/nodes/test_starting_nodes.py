@@ -61,7 +61,7 @@ ROBOT = 'agent:=scout_1 journal:=FOLDER'
 
 CANNOT_START = [
     ('planner', 'max_steps:=0', 'parameter max_steps is 0: it must be from 1 to 10000'),
-    ('planner', 'planner:=coverage objective:=behavioral', 'coverage does not seek it'),
+    ('planner', 'planner:=coverage objective:=information_per_loss', 'coverage does not seek it'),
     (
         'planner',
         'grid.width:=100 grid.height:=100 max_steps:=200 beam_width:=10000',

@@ -187,7 +187,7 @@ def test_the_same_paths_give_the_same_evidence(scenario, kind):
     ('hazards', {'layout': 'odd'}, "'odd': it must be one of independent, blobs, rows"),
     ('hazards', {'dynamics': 'used_up'}, 'hazards: .* does not take hazards that are used_up'),
     ('teams', [{'clustering': 'learn'}], 'hazards: .* does not take clustered hazards'),
-    ('teams', [{'objective': 'odd'}], "'odd': it must be one of information, behavioral"),
+    ('teams', [{'objective': 'odd'}], "'odd': it must be one of information, information_per"),
 ])  # fmt: skip
 def test_dynamics_that_no_method_supports_are_refused(key, value, told):
     with pytest.raises(ValueError, match=told):

@@ -45,15 +45,13 @@ def predict_visits(
     joint: Floats,
     earlier: Floats,
     log_step: tuple[float, float],
-    alpha: float,
-    beta: float,
     log_survival: Floats,
     information: Floats,
 ) -> None:
     """
     Write log S of visits, and what their readings tell; rows are cells given an outcome.
 
-    Equations :eq:`predicted-survival`, :eq:`reading-information`, :eq:`behavioral-information`.
+    Equations :eq:`predicted-survival` and :eq:`reading-information`.
     """
     survival = readings.survival
     for row in range(joint.shape[0]):
@@ -76,8 +74,8 @@ def predict_visits(
             for state in range(earlier.shape[1]):
                 if earlier[row, state] > 0.0:
                     then, now = readings.after[state, n], readings.after[state, 0]
-                    more = reading_information(target, then, readings, alpha, beta)
-                    more -= reading_information(target, now, readings, alpha, beta)
+                    more = reading_information(target, then, readings)
+                    more -= reading_information(target, now, readings)
                     information[row, n] += earlier[row, state] * more
 
 
@@ -89,7 +87,6 @@ def write_gains(
     interest: Floats,
     log_step: tuple[float, float],
     exponents: Floats,
-    is_shannon: bool,
     gains: Gains,
 ) -> None:
     """
@@ -115,49 +112,38 @@ def write_gains(
                 moment = safe * power[0, n, k] + deadly * power[1, n, k]
                 after = safe * power[0, n + 1, k] + deadly * power[1, n + 1, k]
                 factor[cell, n, k] = after / moment if moment > 0.0 else 0.0
-            term[cell, n, 0] = 0.0
             mean = safe * power[0, n + 1, 0] + deadly * power[1, n + 1, 0]
-            if is_shannon:
-                after = safe * p_log_p[0, n + 1] + deadly * p_log_p[1, n + 1]
-                after = after / mean if mean > 0.0 else 0.0
-                term[cell, n, 0], spread = after - spread, after
+            after = safe * p_log_p[0, n + 1] + deadly * p_log_p[1, n + 1]
+            after = after / mean if mean > 0.0 else 0.0
+            term[cell, n, 0], spread = after - spread, after
             for outcome in range(outcomes):
                 more = information[outcome, cell, n + 1] - information[outcome, cell, n]
                 added, log_ratio = more * interest[cell], -inf
                 if log_survival[outcome, cell, n + 1] > -inf:
                     log_ratio = log_survival[outcome, cell, n + 1] - log_survival[outcome, cell, n]
                     # Once survival is impossible, a visit changes nothing.
-                    added -= log_ratio if is_shannon else 0.0
+                    added -= log_ratio
                 term[cell, n, 1 + outcome] = added
-                factor[cell, n, factor.shape[2] - outcomes + outcome] = exp(log_ratio)
-                for k in range(0 if is_shannon else powers):
-                    factor[cell, n, powers * (1 + outcome) + k] = exp(exponents[k] * log_ratio)
+                factor[cell, n, powers + outcome] = exp(log_ratio)
 
 
 @inlined
-def reading_information(
-    target: float, state: int, readings: Readings, alpha: float, beta: float
-) -> float:
+def reading_information(target: float, state: int, readings: Readings) -> float:
     """Return the information of a state's readings about a target with P(X = 1) = `target`."""
-    entropy = 0.0 if alpha == 1.0 else coin(target, 1.0 - target, alpha, beta)
+    entropy: float = 0.0
     for outcome in range(readings.outcomes[state]):
         without = (1.0 - target) * readings.likelihood[state, outcome, 0]
         there = target * readings.likelihood[state, outcome, 1]
         p = without + there
-        if p > 0.0 and alpha == 1.0:
+        if p > 0.0:
             entropy -= p * log(p)
-        elif p > 0.0:
-            entropy -= p * coin(there / p, without / p, alpha, beta)
-    if alpha == 1.0:
-        entropy -= (1.0 - target) * readings.noise[state, 0] + target * readings.noise[state, 1]
+    entropy -= (1.0 - target) * readings.noise[state, 0] + target * readings.noise[state, 1]
     return entropy
 
 
 @compiled
-def open_entropies(
-    steps: int, log_safe: float, log_deadly: float, alpha: float, beta: float
-) -> Floats:
-    """Return h(P(survive | c exposures)) by c (:eq:`exposures`, :eq:`behavioral-information`)."""
+def open_entropies(steps: int, log_safe: float, log_deadly: float) -> Floats:
+    """Return h(P(survive | c exposures)) by c (:eq:`exposures`)."""
     entropy = np.zeros(steps + 1)
     for c in range(steps + 1):
         log_survival = 0.0
@@ -166,9 +152,7 @@ def open_entropies(
         if c > 0:
             log_survival += c * log_deadly
         survival, loss = exp(log_survival), -expm1(log_survival)
-        if alpha != 1.0:
-            entropy[c] = coin(survival, loss, alpha, beta)
-        elif survival > 0.0 and loss > 0.0:
+        if survival > 0.0 and loss > 0.0:
             entropy[c] = -(survival * log_survival + loss * log(loss))
     return entropy
 
@@ -200,9 +184,7 @@ def left_open(path: Places, hazard: Floats, entropies: Floats) -> float:
 
 
 @compiled
-def readings_information(
-    target: float, readings: int, camera: tuple[float, float], alpha: float, beta: float
-) -> float:
+def readings_information(target: float, readings: int, camera: tuple[float, float]) -> float:
     """Return the information of readings about a target (:eq:`reading-information`)."""
     true_positive, false_positive = camera
     # P(k positive readings | X = x) (:eq:`reading-counts`).
@@ -214,15 +196,11 @@ def readings_information(
             without[k] = (1.0 - false_positive) * without[k] + false_positive * without[k - 1]
         there[0] *= 1.0 - true_positive
         without[0] *= 1.0 - false_positive
-    entropy = 0.0 if alpha == 1.0 else coin(target, 1.0 - target, alpha, beta)
+    entropy = 0.0
     for k in range(readings + 1):
         none, one = (1.0 - target) * without[k], target * there[k]
-        p = none + one
-        if alpha == 1.0:
-            entropy += surprisal(p)
-            entropy -= (1.0 - target) * surprisal(without[k]) + target * surprisal(there[k])
-        elif p > 0.0:
-            entropy -= p * coin(one / p, none / p, alpha, beta)
+        entropy += surprisal(none + one)
+        entropy -= (1.0 - target) * surprisal(without[k]) + target * surprisal(there[k])
     return entropy
 
 
@@ -236,15 +214,13 @@ def evaluate_paths(
     survival: tuple[float, float],
     log_survival: tuple[float, float],
     camera: tuple[float, float],
-    alpha: float,
-    beta: float,
     information: Floats,
 ) -> Floats:
     """
     Compute the information of paths, given no other robots; return their survival.
 
-    Equations :eq:`information` and :eq:`behavioral-information`. Paths stand one after another in
-    `cells`: path k begins at `start[k]`.
+    Equation :eq:`information`. Paths stand one after another in `cells`: path k begins at
+    `start[k]`.
     """
     survived, visits = np.empty(information.size), np.zeros(hazard.size, np.int64)
     # Information of n readings of a cell, (cells, n), kept for other paths.
@@ -254,7 +230,7 @@ def evaluate_paths(
         first, end = start[k] + 1, start[k + 1]
         path, p, brought = cells[first:end], 1.0, 0.0
         if entropies.size != path.size + 1:
-            entropies = open_entropies(path.size, log_survival[0], log_survival[1], alpha, beta)
+            entropies = open_entropies(path.size, log_survival[0], log_survival[1])
         for cell in path:
             visits[cell] += 1
         for cell in path:
@@ -273,13 +249,11 @@ def evaluate_paths(
                 target, read = joint[cell, 0, 1] * safe + joint[cell, 1, 1] * deadly, 0.0
                 if without + target > 0.0:
                     target /= without + target
-                    read = readings_information(target, n, camera, alpha, beta)
+                    read = readings_information(target, n, camera)
                 if is_kept:
                     kept[cell, n] = read
             brought += interest[cell] * read
         entropy = surprisal(p) + surprisal(1.0 - p)
-        if alpha != 1.0:
-            entropy = coin(p, 1.0 - p, alpha, beta)
         information[k] = entropy + p * brought - left_open(path, hazard, entropies)
         survived[k] = p
     return survived
@@ -307,19 +281,6 @@ def first_invalid(cells: Places, start: Places, count: int, neighbors: Places) -
             if not is_near:
                 return k
     return -1
-
-
-@compiled
-def coin(p: float, q: float, alpha: float, beta: float) -> float:
-    """Return the behavioral entropy of p and q = 1 - p (:eq:`behavioral-entropy`)."""
-    entropy = 0.0
-    if p > 0.0 and p < 1.0:
-        weighted = beta * (-log(p)) ** alpha
-        entropy += weighted * exp(-weighted)
-    if q > 0.0 and q < 1.0:
-        weighted = beta * (-log(q)) ** alpha
-        entropy += weighted * exp(-weighted)
-    return entropy
 
 
 @compiled
@@ -355,6 +316,6 @@ def exact_values(
             readings = label.term[0, 1 + outcome] + problem.loss_cost
             value += chance[outcome] * (survival * readings + surprisal(1.0 - survival))
         if entropies.size != path.size:
-            entropies = open_entropies(path.size - 1, log_safe, log_deadly, 1.0, 1.0)
+            entropies = open_entropies(path.size - 1, log_safe, log_deadly)
         values[k] = value - left_open(path[1:], hazard, entropies)
     return values

@@ -18,14 +18,13 @@ from kbnitp_ros.core.planning.label_kernels import (
     trace_closed,
 )
 from kbnitp_ros.core.planning.objective import (
-    BEHAVIORAL_EXPONENTS,
     Candidate,
     DECIMALS,
     EXPONENTS,
     Objective,
-    powers_weights,
+    WEIGHTS,
 )
-from kbnitp_ros.core.planning.options import SearchOptions, SHANNON
+from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,14 +55,13 @@ def find_reach(grid: Grid, max_steps: int, max_distance: float = 0.0) -> Reach:
 def visit_gains(objective: Objective, cells: Places, max_visits: int) -> Gains:
     """Return the gains of visits in `cells`, (n,) (:eq:`moment-power`, :eq:`moment-log`)."""
     log_survival, read = objective.of_visits(cells, max_visits)
-    outcomes, is_shannon = len(log_survival), objective.alpha == SHANNON
-    exponents = EXPONENTS if is_shannon else BEHAVIORAL_EXPONENTS
-    factors = exponents.size * (1 if is_shannon else 1 + outcomes) + outcomes
+    outcomes = len(log_survival)
+    factors = EXPONENTS.size + outcomes
     sizes = (cells.size, max_visits)
     gains = Gains(np.empty((*sizes, factors)), np.empty((*sizes, 1 + outcomes)))
     hazard, interest = objective.belief.hazard[cells], objective.interest[cells]
     log_step = tuple(objective.model.log_survival.tolist())
-    write_gains(log_survival, read, hazard, interest, log_step, exponents, is_shannon, gains)
+    write_gains(log_survival, read, hazard, interest, log_step, EXPONENTS, gains)
     return gains
 
 
@@ -80,11 +78,8 @@ def best_paths(
     completions = np.empty((reach.start[-1] if kept > 1 else 0, problem.weight.size + 5))
     paths, steps = closed_paths(reach, count, *search(problem, 1, -inf, completions))
     if kept > 1:
-        # The bound on continuations of a label does not apply to behavioral entropies.
-        least = -inf
-        if objective.alpha == SHANNON:
-            least = rounded_values(problem, objective, paths[:1], steps[:1])[0]
-            least = least * problem.units - 1.0
+        least = rounded_values(problem, objective, paths[:1], steps[:1])[0]
+        least = least * problem.units - 1.0
         found = search(problem, kept, least, completions)
         more, more_steps = closed_paths(reach, count, *found)
         paths = np.concatenate([more, paths[:1]])
@@ -107,17 +102,16 @@ def label_problem(
     """Return the label search for an objective."""
     max_steps, chance = options.max_steps, objective.outcomes.probability
     reach = find_reach(grid, max_steps, options.max_distance)
-    weight = powers_weights(objective.alpha, chance)
     gains = visit_gains(objective, reach.cells, min(options.max_visits, max_steps))
     # Only a search that keeps several labels of a cell drops labels by this bound.
     unread: Floats = np.zeros(max_steps + 1)
     if kept > 1:
-        unread = unread_after(gains, weight.size, max_steps)
+        unread = unread_after(gains, WEIGHTS.size, max_steps)
     return LabelProblem(
         reach,
         scattered(reach.cells.size, 62 - max_steps.bit_length()),
         gains,
-        weight,
+        WEIGHTS,
         chance,
         objective.loss_cost,
         10.0**DECIMALS,
@@ -141,9 +135,6 @@ def rounded_values(
 ) -> Floats:
     """Return the exact values of closed paths of ranks, rounded."""
     cells = problem.reach.cells
-    if objective.alpha != SHANNON:
-        each = (cells[path[: count + 1]] for path, count in zip(paths, steps))
-        return np.array([Candidate.along(path, objective).value for path in each])
     hazard, log_survival = objective.belief.hazard[cells], objective.model.log_survival
     return exact_values(problem, paths, steps, hazard, *log_survival).round(DECIMALS)
 

@@ -21,7 +21,6 @@ from kbnitp_ros.core.field.sensor import (
 )
 from kbnitp_ros.core.inference.filter import condition, Evidence, known_effects
 from kbnitp_ros.core.planning.information_kernels import (
-    coin,
     evaluate_paths,
     first_invalid,
     left_open,
@@ -30,7 +29,7 @@ from kbnitp_ros.core.planning.information_kernels import (
     Readings,
 )
 from kbnitp_ros.core.planning.label_kernels import Floats, Places
-from kbnitp_ros.core.planning.options import prelec_beta, SearchOptions, SHANNON
+from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -257,43 +256,6 @@ def _merged(outcomes: JointOutcomes) -> JointOutcomes:
     return replace(outcomes, probability=probability, joint=joint, readings=readings)
 
 
-# Exponents of powers of the survival; the label search approximates behavioral entropies by sums
-# of them. The first is 1, for the predicted survival of a path.
-BEHAVIORAL_EXPONENTS = np.append(1.0, np.geomspace(0.1, 5000.0, 15))
-
-
-def behavioral_entropy(probability: ArrayLike, alpha: float) -> Floats:
-    """Return the behavioral entropy of a coin (:eq:`behavioral-entropy`)."""
-    p = np.asarray(probability, dtype=np.float64)
-    if alpha == SHANNON:
-        return binary_entropy(p)
-    beta = prelec_beta(alpha)
-    entropy = [coin(each, 1.0 - each, alpha, beta) for each in p.ravel().tolist()]
-    return np.array(entropy, dtype=np.float64).reshape(p.shape)
-
-
-def powers_weights(alpha: float, chance: Floats) -> Floats:
-    """Return the weights of a label's powers in the entropy of the outcome."""
-    if alpha == SHANNON:
-        return WEIGHTS
-    entropy, rest = fit_weights(alpha)
-    return np.concatenate([entropy, *(-each * rest for each in chance)])
-
-
-@lru_cache(maxsize=16)
-def fit_weights(alpha: float) -> Floats:
-    """Return weights of `BEHAVIORAL_EXPONENTS`, by least squares (:eq:`behavioral-powers`)."""
-    # The first weights fit h(p), the second h(p) + (1 - p) ln(1 - p), since the label search adds
-    # the surprisal of a loss itself.
-    ends = np.geomspace(1e-8, 1e-2, 300)
-    survival = np.concatenate([ends, np.linspace(0.01, 0.99, 600), 1.0 - ends[::-1]])
-    powers = survival[:, None] ** BEHAVIORAL_EXPONENTS
-    entropy = behavioral_entropy(survival, alpha)
-    targets = np.stack([entropy, entropy - surprisal(1.0 - survival)], axis=1)
-    found, *_ = np.linalg.lstsq(powers, targets, rcond=1e-10)
-    return np.ascontiguousarray(found.T)
-
-
 @dataclass(frozen=True, eq=False)
 class Objective:
     """The expected information of a path minus the cost of expected losses."""
@@ -308,8 +270,6 @@ class Objective:
     interest: Floats
     # The cost of a loss of the robot, nats, at least 0.
     loss_cost: float
-    # Alpha of the Prelec weight: 1 for Shannon's entropy, other values for behavioral entropies.
-    alpha: float
     # Results by path, since the path of a plan was evaluated in its search.
     _evaluated: dict[bytes, tuple[float, Floats]] = field(default_factory=dict, init=False)
 
@@ -322,14 +282,13 @@ class Objective:
         outcomes: JointOutcomes | None = None,
     ) -> Objective:
         """Return the objective of a robot; by default information, and no robot sent before."""
-        loss_cost, alpha = (options.loss_cost, options.alpha) if options else (0.0, SHANNON)
+        loss_cost = options.loss_cost if options else 0.0
         outcomes = outcomes or nobody_deployed(belief)
-        return cls(belief, model, outcomes, all_cells(belief.cells), loss_cost, alpha)
+        return cls(belief, model, outcomes, all_cells(belief.cells), loss_cost)
 
     def alone(self) -> Objective:
         """Return the objective of all information, without other robots."""
-        is_alone = not self.outcomes.cells.size and self.alpha == SHANNON
-        if is_alone and self.interest is all_cells(self.belief.cells):
+        if not self.outcomes.cells.size and self.interest is all_cells(self.belief.cells):
             return self
         return Objective.of(self.belief, self.model)
 
@@ -353,8 +312,6 @@ class Objective:
             joint.reshape(-1, 2, 2),
             earlier.reshape(-1, earlier.shape[-1]),
             tuple(self.model.log_survival.tolist()),
-            self.alpha,
-            prelec_beta(self.alpha),
             log_survival.reshape(-1, most + 1),
             information.reshape(-1, most + 1),
         )
@@ -372,8 +329,6 @@ class Objective:
             model.step_survival,
             tuple(model.log_survival.tolist()),
             camera_rates(model),
-            self.alpha,
-            prelec_beta(self.alpha),
             information,
         )
         return information, survival
@@ -382,9 +337,9 @@ class Objective:
         """
         Return a path's information, nats, and the chance of a return given each joint outcome.
 
-        Equations :eq:`added-information` and :eq:`behavioral-information`.
+        Equation :eq:`added-information`.
         """
-        belief, model, alpha = self.belief, self.model, self.alpha
+        belief, model = self.belief, self.model
         cells = as_path(path)
         listed = cells.tolist()
         if min(listed) < 0 or max(listed) >= belief.cells:
@@ -405,9 +360,9 @@ class Objective:
         )
         survival = np.exp(np.ascontiguousarray(log_survival).sum(axis=1))
         log_safe, log_deadly = model.log_survival.tolist()
-        entropies = open_entropies(cells.size - 1, log_safe, log_deadly, alpha, prelec_beta(alpha))
+        entropies = open_entropies(cells.size - 1, log_safe, log_deadly)
         brought = (read * self.interest[visits.cells]).sum(axis=1)
-        of_each = behavioral_entropy(survival, alpha) + survival * brought
+        of_each = binary_entropy(survival) + survival * brought
         of_each -= left_open(visits.of_step, belief.hazard[visits.cells], entropies)
         return float((self.outcomes.probability * of_each).sum()), survival
 
@@ -417,7 +372,6 @@ def path_information(
     belief: Belief,
     model: SensorModel,
     paths: ArrayLike | Sequence[ArrayLike],
-    alpha: float = SHANNON,
 ) -> Any:
     """
     Return the mutual information between the field and the outcome of one deployment.
@@ -429,9 +383,6 @@ def path_information(
 
         h(P0) - E_z[h(P(survive | z))] + P0 * sum_i I(X_i; Y_i^(n_i) | survived n_i visits)
 
-    With another alpha than 1, behavioral entropies take the place of Shannon's in the entropies of
-    the outcome and of the targets (:eq:`behavioral-information`).
-
     Parameters
     ----------
     belief : Belief
@@ -441,28 +392,22 @@ def path_information(
     paths : array_like of int, shape (steps + 1,), or a sequence of such paths
         The cells in order, the base first and last. Paths of equal length may be an array, (paths,
         steps + 1).
-    alpha : float
-        As in `SearchOptions`.
 
     Returns
     -------
     float, or ndarray of shape (paths,)
-        Nats; a number for one path, an array for several. At least 0 except for rounding if alpha
-        is at most 1; else it may be slightly negative, since the entropies are then convex near
-        certainty.
+        Nats; a number for one path, an array for several. At least 0 except for rounding.
 
     Raises
     ------
     ValueError
-        If a path has no step, is not closed or leaves the belief's cells, or alpha is out of
-        range; if the belief knows its grid, also if a path jumps or enters a blocked cell.
+        If a path has no step, is not closed or leaves the belief's cells; if the belief knows its
+        grid, also if a path jumps or enters a blocked cell.
 
     """
-    behavioral = alpha is not SHANNON
-    options = SearchOptions(objective='behavioral', alpha=alpha) if behavioral else None
     is_one, cells, start = joined_paths(paths)
     check_paths(belief, cells, start, 'path' if is_one else 'path[{}]')
-    information, _ = Objective.of(belief, model, options).of_paths(cells, start)
+    information, _ = Objective.of(belief, model).of_paths(cells, start)
     return float(information[0]) if is_one else information
 
 

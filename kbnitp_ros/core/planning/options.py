@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import wraps
-from math import log
 from typing import Any
 
 from kbnitp_ros.core.field.check import (
@@ -23,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # The objectives.
-OBJECTIVES = ('information', 'behavioral', 'information_per_loss')
+OBJECTIVES = ('information', 'information_per_loss')
 
 
 def as_planner(given: Any) -> Callable[..., list[Any]]:
@@ -47,19 +46,10 @@ PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     gone={'exact': 'it is gone: use beam; benchmarks/bound.py bounds the best path'},
 )
 
-# Alpha of Shannon's entropy, and range of alpha of behavioral entropies.
-SHANNON = 1.0
-ALPHAS = (0.2, 5.0)
-
 
 def as_tuples(values: Any) -> Any:
     """Return lists as nested tuples, which can be compared and hashed."""
     return tuple(map(as_tuples, values)) if isinstance(values, list) else values
-
-
-def prelec_beta(alpha: float) -> float:
-    """Return the beta with which a Prelec weight maps 1/2 to 1/2 (:eq:`behavioral-entropy`)."""
-    return float(log(2.0) ** (1.0 - alpha))
 
 
 @dataclass(frozen=True)
@@ -85,11 +75,8 @@ class SearchOptions:
     max_visits : int
         Maximum visits of a path to a cell, at least 1.
     objective : str
-        'information'; 'behavioral', for behavioral entropies in place of Shannon's; or
-        'information_per_loss', for the ratio of information to the expected number of lost robots.
-    alpha : float
-        Parameter of the Prelec weight of the behavioral objective, from 0.2 to 5; 1 gives
-        Shannon's information.
+        'information', or 'information_per_loss', for the ratio of information to the expected
+        number of lost robots.
     loss_cost : float
         The cost of a lost robot, nats of information, at least 0.
     minimum_survival : float
@@ -104,8 +91,7 @@ class SearchOptions:
     Raises
     ------
     ValueError
-        If the planner or the objective is unknown, an alpha is given for another objective, or a
-        number is out of range.
+        If the planner or the objective is unknown, or a number is out of range.
 
     """
 
@@ -114,7 +100,6 @@ class SearchOptions:
     width: int = 16
     max_visits: int = 3
     objective: str = 'information'
-    alpha: float = SHANNON
     loss_cost: float = 0.0
     minimum_survival: float = 0.0
     max_distance: float = 0.0
@@ -134,19 +119,11 @@ class SearchOptions:
         survival = probability('minimum_survival', self.minimum_survival)
         object.__setattr__(self, 'minimum_survival', survival)
         check_word('objective', self.objective, OBJECTIVES)
-        low, high = ALPHAS
-        alpha = number('alpha', self.alpha, f'in [{low}, {high}]', lambda a: low <= a <= high)
-        if self.objective != 'behavioral' and self.alpha != SHANNON:
-            raise ValueError(
-                f'alpha is {self.alpha}, which the objective {self.objective} does not have: '
-                'choose objective behavioral, or leave alpha at 1'
-            )
         if self.objective == 'information_per_loss' and self.loss_cost:
             raise ValueError(
                 f'loss_cost is {self.loss_cost}, and the objective information_per_loss finds it '
                 'by itself: leave loss_cost at 0, or choose objective information'
             )
-        object.__setattr__(self, 'alpha', alpha)
 
     @property
     def labels(self) -> int:

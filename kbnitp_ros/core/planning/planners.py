@@ -30,7 +30,7 @@ from kbnitp_ros.core.planning.objective import (
     MAX_OUTCOMES,
     most_counted,
     Objective,
-    powers_weights,
+    WEIGHTS,
 )
 from kbnitp_ros.core.planning.options import PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.regions import without
@@ -328,7 +328,7 @@ class PathFinder(Value):
             outcomes = 2 ** min(robots - 1, MAX_OUTCOMES.bit_length() - 1)
             counts = (robots - 1) * visits
             counts = 1 + min(counts, most_counted(cameras) or counts)
-            powers = powers_weights(options.alpha, np.ones(outcomes)).size
+            powers = WEIGHTS.size
             factors_and_terms = powers + 1 + 2 * outcomes
             estimate = (
                 # The origin of each label, and the completions if labels are kept by a heuristic.
