@@ -26,7 +26,6 @@ from kbnitp_ros.core.field.unknowns import (
     Learnt,
     Unknowns,
 )
-from kbnitp_ros.core.inference.explanations import Explanations
 from kbnitp_ros.core.inference.filter import (
     check_cells,
     condition,
@@ -357,9 +356,6 @@ class Bank:
         self._ruled_out: frozenset[str] = frozenset()
         self.predicted = Series[Floats]()
         self._is_known = len(self._filters) == 1 and not self._priors
-        self._explanations: Explanations | None = None
-        if self._is_known and dynamics.kind == 'used_up':
-            self._explanations = Explanations(belief.hazard > 0.0)
 
     def copy(self) -> Bank:
         """Return an independent copy; arrays are shared, since none is ever changed."""
@@ -387,9 +383,6 @@ class Bank:
             # Weights underflow to 0 after hundreds of robots.
             weights = [w for kind, w in zip(filters, self._weights) if kind not in ruled_out]
             mixed = log_sum(safe_log(np.array(weights)) + np.transpose(predicted))
-        if self._explanations is not None:
-            model = evidence.robot_type.model(self._known)
-            self._explanations = self._explanations.with_deployment(evidence, model)
         self._filters, self._ruled_out = filters, frozenset(ruled_out)
         self.predicted = self.predicted.plus(mixed)
         for name in ('_weights', 'belief'):
