@@ -84,11 +84,15 @@ def goal_cells(values: Mapping[str, Any], grid: Grid) -> list[int]:
 
 
 def checked_goal(
-    values: Mapping[str, Any], grid: Grid, stop: Stop = NEVER, robots: int = 0
+    values: Mapping[str, Any],
+    grid: Grid,
+    stop: Stop = NEVER,
+    robots: int = 0,
+    estimator: Estimator | None = None,
 ) -> Goal | None:
-    """Return the goal; check its reach, its confidence and the stops."""
+    """Return the goal; check its reach, the stops and, if known, the estimator's confidence."""
     goal = make_goal(values, grid)
-    stop.check(goal, robots)
+    stop.check(goal, robots, estimator)
     if goal is not None:
         goal.check(grid, values['max_steps'])
     return goal

@@ -4,7 +4,7 @@
 # Decisions: what may be relied on.
 from kbnitp_ros.core.decision.decision import Decision, safest_path
 from kbnitp_ros.core.decision.goals import Area, Goal, Lane
-from kbnitp_ros.core.decision.hazard_draws import HazardDraws, targets
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws, Mixture, targets
 from kbnitp_ros.core.decision.rounds import Stop
 
 # The field: what is, and what is known of it.
@@ -59,6 +59,7 @@ __all__ = [
     'Learning',
     'Ledger',
     'Mission',
+    'Mixture',
     'NoPathError',
     'Observation',
     'PathFinder',

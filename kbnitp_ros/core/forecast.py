@@ -160,7 +160,7 @@ def forecast(
     if not callable(run):
         raise TypeError(f'run is {in_short(run)}: it must be callable, as map is')
     estimator.prior.check(grid)
-    begin = decided(goal, grid, estimator, len(before), options)[1]
+    begin = decided(goal, grid, estimator, len(before), options)
     resumed = partial(
         Mission.resume, grid, estimator, options=options, before=tuple(before), goal=goal
     )

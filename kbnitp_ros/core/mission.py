@@ -10,8 +10,9 @@ from typing import Any, overload, TYPE_CHECKING
 
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
-from kbnitp_ros.core.decision.hazard_draws import HazardDraws
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws, joint_hazards
 from kbnitp_ros.core.decision.rounds import plan_round, Stop
+from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
 from kbnitp_ros.core.field.check import (
     generator,
@@ -266,7 +267,7 @@ class Mission(Sequence[Deployment]):
         self._deployments: list[Deployment] = []
         self.visited = read_only(count_visits(grid, [each.path for each in before]))
         self.sent, self.lost = len(before), sum(not each.survived for each in before)
-        self._draws, self.decision = decided(goal, grid, estimator, self.sent, options)
+        self.decision = decided(goal, grid, estimator, self.sent, options)
 
     @property
     def belief(self) -> Belief:
@@ -320,9 +321,7 @@ class Mission(Sequence[Deployment]):
         self.visited = read_only(self.visited + count_visits(self.grid, [plan.path]))
         self.sent += 1
         self.lost += not made.observation.survived
-        self._draws, self.decision = decided(
-            self.goal, self.grid, self.estimator, self.sent, self.options
-        )
+        self.decision = decided(self.goal, self.grid, self.estimator, self.sent, self.options)
         after = self.belief, self.model, dict(self.estimator.parameters)
         self._deployments.append(
             Deployment(plan, made.observation, *after, self.world, self.decision)
@@ -350,13 +349,13 @@ class Mission(Sequence[Deployment]):
         team, stop = team or Team(), stop or Stop()
         last = self.sent + whole_number('robots', robots, 0)
         team_size(self.grid, team.agents)
-        stop.check(self.goal, last)
+        stop.check(self.goal, last, self.estimator)
         while self.sent < last and not stop.why(self.decision, self.lost):
             leaving = team.first(last - self.sent)
             try:
                 plans = plan_round(
                     self.goal,
-                    self._draws,
+                    HazardDraws.of(self.estimator, self.sent) if self.goal else None,
                     self.grid,
                     self.belief,
                     self.model,
@@ -505,12 +504,13 @@ def run_mission(
 
 def decided(
     goal: Goal | None, grid: Grid, estimator: Estimator, deployments: int, options: SearchOptions
-) -> tuple[HazardDraws | None, Decision | None]:
-    """Return the draws and the decision for a goal; None and None without a goal."""
+) -> Decision | None:
+    """Return the decision on a goal, with the numbers it trusts if it is reached."""
     if goal is None:
-        return None, None
-    draws = HazardDraws.of(estimator, deployments)
-    return draws, goal.decide(grid, draws, estimator.model, options.max_steps)
+        return None
+    hazards = joint_hazards(estimator, deployments)
+    decision = goal.decide(grid, hazards, estimator.model, options.max_steps)
+    return with_told(decision, estimator, deployments) if decision.reached else decision
 
 
 def deployments_table(

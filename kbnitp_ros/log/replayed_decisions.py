@@ -8,7 +8,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from kbnitp_ros.core import Decision, Goal, HazardDraws, Ledger
+from kbnitp_ros.core import Decision, Goal, Ledger
+from kbnitp_ros.core.decision.hazard_draws import joint_hazards
+from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.replayed import (
     belief_name,
@@ -27,7 +29,10 @@ from kbnitp_ros.messages.progress import decision_fields
 DECISIONS = 'decision', 'decision/lane'
 
 # Fields of a decision that processors may round differently.
-ROUNDED = ('probability', 'independent_draws', 'survival', 'hazards_mean')
+ROUNDED = (
+    'probability', 'error', 'survival', 'hazards_mean',
+    'told_other', 'told_probability', 'told_survival',
+)  # fmt: skip
 
 # The parameter by which an estimator judges its decisions.
 CONFIDENCE = 'stop.confidence'
@@ -92,24 +97,28 @@ class ReplayedDecisions:
         if self._asked is None or not (key in self._decisions or said.stamp in self._lanes):
             return
         goal, max_steps, cells = self._asked
-        draws = HazardDraws.of(ledger.estimator, said.deployments)
-        decision = goal.decide(ledger.grid, draws, ledger.estimator.model, max_steps)
-        computed = decision_fields(
-            ledger.grid, decision, said.deployments, said.stamp, said.mission, cells
-        )
-        self._computed_lanes[said.stamp][belief] = computed.path
-        # These follow from the numbers of the message, which may be rounded differently.
-        del computed.reached, computed.reason
+        hazards = joint_hazards(ledger.estimator, said.deployments)
+        decision = goal.decide(ledger.grid, hazards, ledger.estimator.model, max_steps)
         for logged in self._decisions.pop(key, []):
+            # Without a confidence on record a decision may be reached by any.
+            is_told = logged.message.reached and (self.confidences or logged.message.told)
+            if is_told and not decision.told:
+                decision = with_told(decision, ledger.estimator, said.deployments)
+            stated = decision if is_told else replace(decision, told={})
+            computed = decision_fields(
+                ledger.grid, stated, said.deployments, said.stamp, said.mission, cells
+            )
+            # These follow from the numbers of the message, which may be rounded differently.
+            del computed.reached, computed.reason
             found = [*differences(logged.message, computed, TOLERANCE, ROUNDED)]
             found += self._misjudged(decision, logged.message)
             self._add(logged, belief, found)
+        lane = decision_fields(ledger.grid, decision, 0, said.stamp, said.mission).path
+        self._computed_lanes[said.stamp][belief] = lane
 
     def _misjudged(self, decision: Decision, message: Any) -> Iterator[Difference]:
         """Yield a difference if `reached` and `reason` follow from no confidence on record."""
-        seen = replace(
-            decision, p_free=message.probability, independent_draws=message.independent_draws
-        )
+        seen = replace(decision, p_free=message.probability, error=message.error)
         judged = [seen.judged(confidence or None) for confidence in self.confidences]
         stated = message.reached, message.reason
         # Recorders of 1.0, whose decisions have no cells, may miss values of a parameter.

@@ -20,6 +20,7 @@ from kbnitp_ros.core import (
     path_information,
     World,
 )
+from kbnitp_ros.core.decision.decision import Trusted
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.core.inference.model_check import ModelCheck
@@ -99,6 +100,9 @@ def progress_message(
         reason=status[1],
     )
 
+
+# Columns of the numbers that a decision trusts: fields told_... of the message.
+TOLD = 'value', 'other', 'probability', 'survival'
 
 # Percent.
 QUANTILES = (5, 25, 50, 75, 95)
@@ -227,7 +231,7 @@ def decision_fields(
         deployments=deployments,
         goal=decision.goal,
         probability=decision.p_free,
-        independent_draws=decision.independent_draws,
+        error=decision.error,
         survival=decision.survival,
         hazards_mean=decision.hazards_mean,
         hazards_5=float(decision.hazards_5),
@@ -236,6 +240,14 @@ def decision_fields(
         reached=decision.reached,
         reason=decision.reason,
         goal_cells=[*goal_cells],
+        told=[*decision.told],
+        **{
+            f'told_{column}': np.array(values)
+            for column, values in zip(
+                TOLD,
+                zip(*decision.told.values()) if decision.told else [()] * 4,
+            )
+        },
     )
 
 
@@ -251,7 +263,7 @@ def decision_message(fields: Fields) -> DecisionMessage:
 
 def check_decision(message: Any) -> None:
     """Check that a message is a valid decision."""
-    names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability')
+    names = ('hazards_mean', 'hazards_5', 'hazards_95', 'probability', 'error')
     if wrong := [name for name in names if not 0.0 <= getattr(message, name) < np.inf]:
         raise ValueError(f'{wrong[0]} is {getattr(message, wrong[0])}: it must be 0 or more')
     if message.probability > 1.0:
@@ -270,7 +282,7 @@ def read_decision(grid: Grid, message: Any) -> Decision:
         p_free=message.probability,
         # The message of a lane has its path; that of an area has cells since 1.9.
         cells=np.unique(path if path.size else getattr(message, 'goal_cells', path)),
-        independent_draws=message.independent_draws,
+        error=message.error,
         path=path,
         survival=message.survival,
         hazards_mean=message.hazards_mean,
@@ -278,7 +290,20 @@ def read_decision(grid: Grid, message: Any) -> Decision:
         hazards_95=int(message.hazards_95),
         reached=message.reached,
         reason=message.reason,
+        told={name: Trusted(*each) for name, *each in zip(message.told, *told_columns(message))},
     )
+
+
+def told_columns(message: Any) -> list[Sequence[float]]:
+    """Return the columns of a decision's told numbers."""
+    columns = [getattr(message, f'told_{column}') for column in TOLD]
+    for column, values in zip(TOLD, columns):
+        if len(values) != len(message.told):
+            raise ValueError(
+                f'told_{column} has {len(values)} values: it must have one for each of the '
+                f'{len(message.told)} numbers in told'
+            )
+    return columns
 
 
 def fill_draws(response: Any, draws: HazardDraws) -> None:

@@ -14,6 +14,8 @@ from kbnitp_msgs.srv import Draws
 from kbnitp_ros.configuration import make_goal
 from kbnitp_ros.configuration.mission import checked_goal
 from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safest_path
+from kbnitp_ros.core.decision.hazard_draws import joint_hazards
+from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.files import counted
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import check_frame, from_stamp
@@ -89,10 +91,11 @@ class Decisions:
             )
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
-        """Refuse a confidence that the goal cannot have, or that takes too many draws."""
+        """Refuse a confidence that the goal cannot have, or whose error would be too large."""
         values = {**self._node.values, **{each.name: each.value for each in changes}}
         try:
-            checked_goal(values, self._grid)
+            estimator = self._newest and self._newest.estimator
+            checked_goal(values, self._grid, estimator=estimator)
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -104,10 +107,15 @@ class Decisions:
             return
         self._begun = due
         goal, known, most = self._goal, self._newest, self._node.values['max_steps']
-        self._deciding = self._node.compute(
-            lambda: goal.decide(self._grid, self._draws(known), known.estimator.model, most),
-            self._take,
-        )
+        self._deciding = self._node.compute(partial(self._decision, goal, known, most), self._take)
+
+    def _decision(self, goal: Goal, known: Known, max_steps: int) -> Decision:
+        """Decide, and find the numbers that a reached goal trusts."""
+        hazards = joint_hazards(known.estimator, known.deployments)
+        decision = goal.decide(self._grid, hazards, known.estimator.model, max_steps)
+        if decision.reached:
+            decision = with_told(decision, known.estimator, known.deployments)
+        return decision
 
     def _take(self, deciding: futures.Future[Decision]) -> None:
         """Publish a decision unless there is a newer belief, and start the next one."""
@@ -128,6 +136,8 @@ class Decisions:
                 f'{decision.hazards_mean:.2f} hazards expected, after '
                 f'{counted(known.deployments, "deployment")}{taken}'
             )
+            for sentence in decision.trusts:
+                self._node.get_logger().warning(f'the decision {sentence}')
         self._decide()
 
     def _draws(self, known: Known) -> HazardDraws:
@@ -180,7 +190,8 @@ class Decisions:
 
     def _safest_path(self, known: Known, start: int, to: int) -> Decision:
         model, most = known.estimator.model, self._node.values['max_steps']
-        return safest_path(self._grid, self._draws(known), model, start, to, most)
+        hazards = joint_hazards(known.estimator, known.deployments)
+        return safest_path(self._grid, hazards, model, start, to, most)
 
     def _answered(
         self, service: str, response: Any, find: Callable[[], T], fill: Callable[[T], None]

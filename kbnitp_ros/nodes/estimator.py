@@ -51,8 +51,8 @@ class EstimatorNode(FieldNode):
         make_datum(self.values)
         # The file of a mask is read once: it may change or go.
         self.values |= settled_goal(self.values, self.grid)
-        checked_goal(self.values, self.grid)
         estimator = make_estimator(self.values, self.grid)
+        checked_goal(self.values, self.grid, estimator=estimator)
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()

@@ -290,6 +290,10 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     yield Tile('What to do next?', answer, why)
 
 
+# A hazard that never strikes leaves no evidence.
+DUDS = ' Free of hazards that can strike: a hazard that never strikes, a dud, is not found.'
+
+
 def lane(mission: Mission) -> Tile:
     """Describe the decision on the lane, or on another goal."""
     decision = mission.decision
@@ -305,16 +309,20 @@ def lane(mission: Mission) -> Tile:
     method = mission.moments[-1].snapshot.method
     taken = '' if method == 'kappa_bnitp_sampled' else f' {method} assumes independent cells.'
     question = 'Is the lane safe?' if decision.goal == 'lane' else f'Is the {decision.goal} safe?'
-    survived = ''
+    survived, error = '', ''
+    if decision.error >= 0.0005:
+        error = f' (± {100.0 * decision.error:.1f})'
     if decision.path.size:
         steps = counted(decision.path.size - 1, 'step')
         survived = f'a robot survives the {steps} with {100.0 * decision.survival:.1f} %; '
     return Tile(
         question,
-        f'Free of hazards with {100.0 * decision.p_free:.1f} %',
+        f'Free of hazards with {100.0 * decision.p_free:.1f} %{error}',
         f'{survived}{decision.hazards_mean:.2f} hazards expected. '
         + ('The goal is reached.' if decision.reached else 'The goal is not reached.')
-        + taken,
+        + taken
+        + ''.join(f' The decision {sentence}.' for sentence in decision.trusts)
+        + DUDS,
         'map-title',
     )
 

@@ -12,11 +12,11 @@ from kbnitp_ros.core import (
     Estimator,
     Execution,
     Grid,
-    HazardDraws,
     Mission,
     Truth,
     World,
 )
+from kbnitp_ros.core.decision.hazard_draws import joint_hazards
 from kbnitp_ros.core.field.belief import binary_entropy, log_losses, surprisal
 from kbnitp_ros.core.field.unknowns import Learnt
 from kbnitp_ros.study.scenario import ALONE, Scenario, Strategy
@@ -265,8 +265,7 @@ def knowledge(
     def known(robots: int) -> Knowledge:
         decision = None
         if goal is not None:
-            draws = HazardDraws.of(estimator, robots)
-            decision = goal.decide(grid, draws, estimator.model, steps)
+            decision = goal.decide(grid, joint_hazards(estimator, robots), estimator.model, steps)
         return Knowledge(estimator.belief, estimator.parameters, decision)
 
     yield known(0)
@@ -305,15 +304,15 @@ def measure_goal(
     """
     Return the measures of decisions before the first robot and after each.
 
-    Robots sent; believed probability that the goal is free, and whether it is free; independent
-    draws; shares of the goal's cells declared free, and rightly declared free.
+    Robots sent; believed probability that the goal is free, its error, and whether it is free;
+    shares of the goal's cells declared free, and rightly declared free.
     """
     declared = hazard[:, cells] <= 1.0 - DECLARED
     return {
         'sent': range(len(decisions)),
         'p_free': [decision.p_free for decision in decisions],
         'free': [float(not true[each.cells].any()) for true, each in zip(hazardous, decisions)],
-        'independent_draws': [decision.independent_draws for decision in decisions],
+        'p_free_error': [decision.error for decision in decisions],
         'declared': declared.mean(axis=1),
         'declared_free': (declared & ~hazardous[:, cells]).mean(axis=1),
     }

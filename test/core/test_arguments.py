@@ -21,6 +21,7 @@ from kbnitp_ros.core import (
     Learning,
     log_loss,
     METHODS,
+    Mixture,
     Observation,
     RobotType,
     run_mission,
@@ -98,10 +99,11 @@ def mission(robots=4, rng=1, method='kappa_bnitp', grid=GRID, world=WORLD, **oth
     return run_mission(grid, belief, MODEL, world, robots, rng, method, **given)
 
 
-def goal(sought):
+def goal(sought, **options):
     """Run a mission for a goal in a field whose cell 4 no way leads to."""
     walled, world = Grid(5, 5, blocked=(3, 8, 9)), World(np.zeros(25, bool), np.zeros(25, bool))
-    return mission(2, grid=walled, world=world, options=SearchOptions(max_steps=3), goal=sought)
+    options = {'options': SearchOptions(max_steps=3), **options}
+    return mission(2, grid=walled, world=world, goal=sought, **options)
 
 
 def forecast(**changes):
@@ -513,7 +515,14 @@ NO_PROBABILITIES = [
     (lambda: goal(Lane(4)), ValueError, 'no way leads'),
     (lambda: goal(Lane(20)), ValueError, 'max_steps = 3'),
     (lambda: goal(Area([20])), ValueError, 'max_steps = 3'),
-    (lambda: goal(Lane(6, 0.999)), ValueError, 'independent draws'),
+    (lambda: goal(Lane(6, 0.999), method='kappa_bnitp_sampled'), ValueError,
+     'confidence is 0.999: with draws of the hazards .* ask for at most 0.998'),
+    (lambda: goal(Lane(6, 0.9999), learning=Learning(Unknowns(lethality=(0.0, 1.0)))), ValueError,
+     'with 192 particles of the learnt numbers .* ask for at most 0.9995'),
+    (lambda: Mixture([0.5], [1.0]), ValueError, r'hazard has shape \(1,\): it must be \(hypoth'),
+    (lambda: Mixture([[0.5]], [0.5, 0.5]), ValueError, r'weights has shape \(2,\): it must be'),
+    (lambda: Mixture([[0.5]], [0.9]), ValueError, 'weights has the sum 0.9: it must be 1'),
+    (lambda: Mixture([[1.5]], [1.0]), ValueError, 'hazard is 1.5'),
     (lambda: Stop(gain=-1.0), ValueError, 'stop.gain is -1.0'),
     (lambda: Stop(losses=-1), ValueError, 'stop.losses is -1'),
     (lambda: Stop(losses=1.5), ValueError, 'stop.losses is 1.5'),

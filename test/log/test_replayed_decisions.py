@@ -4,7 +4,9 @@
 from copy import deepcopy
 from functools import reduce
 
-from kbnitp_ros.core import Area, HazardDraws, Lane
+from kbnitp_ros.core import Area, Lane
+from kbnitp_ros.core.decision.hazard_draws import joint_hazards
+from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.replay import replay
@@ -43,8 +45,10 @@ class Deciding(Mission):
         held = len(self.ledger.deployments)
         stamp = from_stamp(on(self.sent, '/belief')[-1].message.header.stamp)
         estimator = self.ledger.estimator
-        draws = HazardDraws.of(estimator, held)
-        decision = self.goal.decide(GRID, draws, estimator.model, MAX_STEPS)
+        hazards = joint_hazards(estimator, held)
+        decision = self.goal.decide(GRID, hazards, estimator.model, MAX_STEPS)
+        if decision.reached:
+            decision = with_told(decision, estimator, held)
         fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal))
         message = decision_message(fields)
         self.publish('decision', message)

@@ -4,8 +4,8 @@
 from dataclasses import replace
 from itertools import product
 
-from kbnitp_ros.core import Estimator, Grid, HazardDraws, Lane, log_loss, Mission
-from kbnitp_ros.core.decision.decision import FEWEST_LEFT_OUT
+from kbnitp_ros.core import Estimator, Grid, Lane, log_loss, Mission
+from kbnitp_ros.core.decision.hazard_draws import joint_hazards
 from kbnitp_ros.study.results import Results
 from kbnitp_ros.study.scenario import DecisionRequest, Hazards, Strategy
 from kbnitp_ros.study.scenario_file import parse_scenario
@@ -57,8 +57,8 @@ def test_every_strategy_is_asked_for_the_same_decision(asked, lanes):
         rng = np.random.default_rng([asked.seed, number])
         hazard = draw_world(asked, asked.field(), truth, rng, number).hazard
         prior = Estimator(asked.belief(truth), asked.model(truth), METHOD, seed=number)
-        draws = HazardDraws.of(prior, 0)
-        first = Lane(GOAL).decide(asked.field(), draws, prior.model, asked.planning.max_steps)
+        hazards = joint_hazards(prior, 0)
+        first = Lane(GOAL).decide(asked.field(), hazards, prior.model, asked.planning.max_steps)
         assert p_free[0] == first.p_free
         assert free[0] == (not hazard[first.path].any())
         assert set(free) <= {0.0, 1.0}
@@ -77,8 +77,8 @@ def test_the_table_says_how_often_certified_lanes_are_free(certified):
     table = Results.of(study, outcomes).to_dataframe()
     wide = table.pivot(index=['world', 'robot'], columns='measure', values='value').reset_index()
     confidence = 0.9
-    has_draws = (1 - confidence) * wide['independent_draws'] >= FEWEST_LEFT_OUT
-    sure = wide[has_draws & (wide['p_free'] >= confidence)].groupby('world').first()
+    is_exact = wide['p_free_error'] <= (1 - confidence) / 2
+    sure = wide[is_exact & (wide['p_free'] >= confidence)].groupby('world').first()
     stated, free, robots = [], [], []
     for outcome in outcomes.values():
         p_free = outcome['p_free']
@@ -123,7 +123,6 @@ def test_a_stopped_mission_is_the_start_of_a_longer_one_and_keeps_its_last_value
     ({'asked': {'goal': 'map', 'cells': [3]}}, 'goal map takes no cells'),
     ({'asked': {'goal': 'lane', 'cells': [3, 4]}}, 'goal lane has 2 cells'),
     ({'asked': {'goal': 'lane', 'cells': [12]}}, 'asked: goal is cell 12, off the map'),
-    ({'asked': {'goal': 'lane', 'cells': [3], 'confidence': 0.999}}, 'independent draws'),
 ])  # fmt: skip
 def test_inconsistent_goals_are_refused(changes, named):
     with pytest.raises(ValueError, match=named):

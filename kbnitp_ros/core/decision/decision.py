@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import nan
+from types import MappingProxyType
+from typing import NamedTuple
 
-from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, Hazards, Path
 from kbnitp_ros.core.field.check import number, read_only, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -66,13 +68,13 @@ def ways_back(from_cells: Path, cost: Floats, goal: Path) -> list[Path]:
 
 
 def lanes_within(
-    grid: Grid, draws: HazardDraws, start: int, to: int, limits: Sequence[int]
+    grid: Grid, draws: Hazards, start: int, to: int, limits: Sequence[int]
 ) -> list[list[Path]]:
     """Return, for each limit, candidates for the safest path, the same for equal draws."""
     free = 1.0 - draws.p_hazard()
-    rng = np.random.default_rng(len(draws.hazardous))
-    some = rng.choice(len(draws.hazardous), (LANES // 2, TOGETHER), p=draws.weight)
-    free_in_some = 1.0 - draws.hazardous[some].mean(axis=1)
+    rng = np.random.default_rng(draws.weight.size)
+    some = rng.choice(draws.weight.size, (LANES // 2, TOGETHER), p=draws.weight)
+    free_in_some = 1.0 - draws.hazard[some].mean(axis=1)
     by_marginals = np.tile(free, (1 + LANES - LANES // 2, 1))
     by_some = (TOGETHER * free_in_some + free) / (TOGETHER + 1.0)
     with np.errstate(divide='ignore'):
@@ -94,7 +96,7 @@ def there_and_back(out: Path, back: Path) -> Path:
 @typed
 def safest_path(
     grid: Grid,
-    draws: HazardDraws,
+    draws: Hazards,
     model: SensorModel,
     start: int,
     to: int,
@@ -104,16 +106,18 @@ def safest_path(
     """
     Return the path with the highest probability of being free of hazards.
 
-    The search is a heuristic; the probabilities are those of the path found, over all draws.
+    The search is a heuristic; the probabilities are those of the path found, over all draws or
+    hypotheses.
 
     Parameters
     ----------
     grid : Grid
         The field.
-    draws : HazardDraws
-        Draws of the hazards.
+    draws : HazardDraws or Mixture
+        Joint probabilities of the hazards.
     model : SensorModel
-        Believed sensor model of the traveller.
+        Believed sensor model of the traveller; numbers that differ between the hypotheses of a
+        mixture replace its own.
     start, to : int
         The first and the last cell.
     max_steps : int
@@ -198,8 +202,15 @@ def check_way(grid: Grid, start: int, to: int, max_steps: int) -> None:
         )
 
 
-# Minimum of (1 - confidence) * independent draws: below it, the draws are too few to decide.
-FEWEST_LEFT_OUT = 5.0
+class Trusted(NamedTuple):
+    """A told number that a decision trusts, and what it would state with another one."""
+
+    # The number, and 1.5 times or two thirds of it, within [0, 1].
+    value: float
+    other: float
+    # `p_free` and `survival` of the decision with the other number.
+    p_free: float
+    survival: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +226,8 @@ class Decision:
         Probability that none of `cells` has a hazard, in [0, 1].
     cells : ndarray of int, shape (cells,)
         Cells of the goal.
-    independent_draws : float
-        Effective number of independent draws of the hazards.
+    error : float
+        Standard error of `p_free` by the finite number of draws or of particles; 0 if exact.
     path : ndarray of int, shape (steps + 1,)
         Lane, one way, from the base to the goal; empty for other goals.
     survival : float
@@ -229,13 +240,16 @@ class Decision:
         Whether the requested confidence is reached; False if none is requested.
     reason : str
         Why the confidence is not reached; empty if it is.
+    told : mapping of str to Trusted
+        Numbers that the decision trusts without having learnt them, by name in `Unknowns`, each
+        with what the decision would state with another one; computed once the goal is reached.
 
     """
 
     goal: str
     p_free: float
     cells: Path
-    independent_draws: float
+    error: float
     path: Path
     survival: float
     hazards_mean: float
@@ -243,12 +257,26 @@ class Decision:
     hazards_95: int
     reached: bool
     reason: str
+    told: Mapping[str, Trusted] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def trusts(self) -> list[str]:
+        """Return a sentence on each number that the decision trusts."""
+        sentences = []
+        for name, (value, other, p_free, survival) in self.told.items():
+            of_path = abs(survival - self.survival) > abs(p_free - self.p_free)
+            what, then = ('survival', survival) if of_path else ('the probability', p_free)
+            sentences.append(
+                f'trusts the {name.replace("_", " ")} that you set, {value:.3g}: with '
+                f'{other:.2g} {what} is {then:.2f}'
+            )
+        return sentences
 
     @classmethod
     def about(
         cls,
         goal: str,
-        draws: HazardDraws,
+        draws: Hazards,
         cells: ArrayLike,
         confidence: float | None,
         path: ArrayLike = (),
@@ -261,7 +289,7 @@ class Decision:
             goal=goal,
             p_free=draws.p_free(cells),
             cells=read_only(np.unique(cells)),
-            independent_draws=draws.independent,
+            error=draws.error(cells),
             path=read_only(np.array(path, dtype=np.intp)),
             survival=survival,
             hazards_mean=float(count @ np.arange(count.size)),
@@ -280,20 +308,14 @@ class Decision:
             reason = (
                 f'free of hazards with probability {self.p_free:.3f}: {confidence} is asked for'
             )
+        elif self.error > (1.0 - confidence) / 2.0:
+            reason = (
+                f'the standard error of the probability is {self.error:.2g}: a confidence of '
+                f'{confidence} takes at most half of the rest, {(1.0 - confidence) / 2.0:.2g}'
+            )
         else:
-            reason = too_few_draws(confidence, self.independent_draws)
+            reason = ''
         return replace(self, reached=not reason, reason=reason)
-
-
-def too_few_draws(confidence: float, independent: float) -> str:
-    """Explain why the draws are too few for a confidence; empty if enough (:eq:`draws-needed`)."""
-    if (1.0 - confidence) * independent >= FEWEST_LEFT_OUT:
-        return ''
-    needed = FEWEST_LEFT_OUT / (1.0 - confidence)
-    return (
-        f'a confidence of {confidence} takes {needed:.0f} independent draws of the hazards, and '
-        f'there are {independent:.0f}: ask for less'
-    )
 
 
 def check_confidence(confidence: float | None) -> None:

@@ -27,7 +27,13 @@ from kbnitp_ros.core.decision.decision import (
     STEP_COST,
     there_and_back,
 )
-from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, HazardDraws, Path
+from kbnitp_ros.core.decision.hazard_draws import (
+    cells_on,
+    Floats,
+    HazardDraws,
+    Hazards,
+    Path,
+)
 from kbnitp_ros.core.field.belief import Belief, binary_entropy
 from kbnitp_ros.core.field.check import whole_number, whole_numbers
 from kbnitp_ros.core.field.grid import Grid
@@ -182,9 +188,7 @@ class Area:
                 f'such as {out[0]}: raise max_steps or choose a smaller area'
             )
 
-    def decide(
-        self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
-    ) -> Decision:
+    def decide(self, grid: Grid, draws: Hazards, model: SensorModel, max_steps: int) -> Decision:
         """Return the decision on whether all cells are free."""
         return Decision.about(self.name, draws, list(self.cells), self.confidence)
 
@@ -306,9 +310,7 @@ class Lane:
             raise ValueError(f'goal is cell {self.to}, the base: choose another cell')
         check_way(grid, grid.base, self.to, max_steps)
 
-    def decide(
-        self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
-    ) -> Decision:
+    def decide(self, grid: Grid, draws: Hazards, model: SensorModel, max_steps: int) -> Decision:
         """Return the decision on the safest lane found, of at most `max_steps` steps one way."""
         return safest_path(grid, draws, model, grid.base, self.to, max_steps, self.confidence)
 
@@ -407,10 +409,8 @@ class Goal(Protocol):
     def check(self, grid: Grid, max_steps: int) -> None:
         """Check that a field allows the goal; raises ValueError."""
 
-    def decide(
-        self, grid: Grid, draws: HazardDraws, model: SensorModel, max_steps: int
-    ) -> Decision:
-        """Return the decision on the goal."""
+    def decide(self, grid: Grid, draws: Hazards, model: SensorModel, max_steps: int) -> Decision:
+        """Return the decision on the goal, by draws of the hazards or by a mixture."""
 
     def flight(self, situation: FlightState) -> Plan | None:
         """Return the flight of the next robot; None if no flight is allowed."""

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint draws of the hazards, and the targets found."""
+"""Joint probabilities of the hazards, as draws or as a mixture, and the targets found."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from math import sqrt
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import (
@@ -14,6 +16,7 @@ from kbnitp_ros.core.field.check import (
     in_short,
     number,
     on_field,
+    probabilities,
     probability,
     read_only,
     typed,
@@ -29,6 +32,13 @@ from numpy.typing import ArrayLike, NDArray
 # Number of draws for a decision: an event of probability 0.5 % occurs in about ten draws.
 DRAWS = 2048
 
+# Expected standard error of a mixture's probability p that a lane is free: A (1 - p)^B / sqrt(n)
+# with n particles, fitted to nine banks of 192 particles on the same evidence.
+ERROR_SCALE, ERROR_POWER = 0.7, 0.7
+
+# Maximum number of products for the distribution of the number of hazards in a set of cells.
+MAX_PRODUCTS = 1 << 27
+
 # Maximum number of bytes of the draws.
 MAX_MEMORY = 1 << 30
 
@@ -40,8 +50,52 @@ Bools = NDArray[np.bool_]
 Path = NDArray[np.intp]
 
 
+class JointHazards:
+    """A joint distribution of all hazards: a weighted mixture of hypotheses or of draws."""
+
+    # Weights, shape (members,), and P(hazard) of each cell in each member, (members, cells).
+    weight: Any
+    hazard: Any
+
+    @property
+    def cells(self) -> int:
+        """Return the number of cells of the field."""
+        return int(self.hazard.shape[1])
+
+    def p_hazard(self) -> Floats:
+        """Return the probability of a hazard in each cell, shape (cells,)."""
+        p: Floats = np.clip(self.weight @ self.hazard, 0.0, 1.0)
+        return p
+
+    def p_free(self, cells: ArrayLike) -> float:
+        """Return the probability that no cell of `cells` has a hazard (:eq:`set-free`)."""
+        there = np.unique(on_field('cells', cells, self.cells))
+        return float(np.clip(self.weight @ self.are_free([there])[0], 0.0, 1.0))
+
+    @typed
+    def survival(self, path: ArrayLike, model: SensorModel) -> float:
+        """Return the probability that a traveller survives a path (:eq:`traveller-survives`)."""
+        return float(np.clip(self.weight @ self.survivals([as_path(path)], model)[0], 0.0, 1.0))
+
+    def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
+        """Return P(no hazard on a path) in each member, shape (paths, members)."""
+        raise NotImplementedError
+
+    def survivals(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
+        """Return P(survive a path) in each member, shape (paths, members)."""
+        raise NotImplementedError
+
+    def hazard_count(self, cells: ArrayLike) -> Floats:
+        """Return P(n of `cells` have a hazard) for n = 0, 1, ... (:eq:`hazards-remaining`)."""
+        raise NotImplementedError
+
+    def error(self, cells: ArrayLike) -> float:
+        """Return the standard error of `p_free` (:eq:`certificate-error`)."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, eq=False)
-class HazardDraws:
+class HazardDraws(JointHazards):
     """
     Weighted joint draws of all hazards.
 
@@ -93,18 +147,9 @@ class HazardDraws:
         return cls(*estimator.draws(count, rng))
 
     @property
-    def cells(self) -> int:
-        """Return the number of cells of the field."""
-        return self.hazardous.shape[1]
-
-    def p_hazard(self) -> Floats:
-        """Return the probability of a hazard in each cell, shape (cells,)."""
-        return np.clip(self.weight @ self.hazardous, 0.0, 1.0)
-
-    def p_free(self, cells: ArrayLike) -> float:
-        """Return the probability that no cell of `cells` has a hazard (:eq:`set-free`)."""
-        free = ~self.hazardous[:, np.unique(on_field('cells', cells, self.cells))].any(axis=1)
-        return float(np.clip(self.weight @ free, 0.0, 1.0))
+    def hazard(self) -> Bools:
+        """Return the hazards in each draw, shape (draws, cells)."""
+        return self.hazardous
 
     def hazard_count(self, cells: ArrayLike) -> Floats:
         """Return P(n of `cells` have a hazard) for n = 0, 1, ... (:eq:`hazards-remaining`)."""
@@ -124,6 +169,13 @@ class HazardDraws:
         """Return 1 where a draw has no hazard on a path, 0 elsewhere; shape (paths, draws)."""
         return np.where(self._hazards_entered([*map(np.asarray, paths)]) == 0.0, 1.0, 0.0)
 
+    def error(self, cells: ArrayLike) -> float:
+        """Return the standard error of `p_free`, with one more draw for and one against it."""
+        if self.independent == np.inf:
+            return 0.0
+        p = (self.p_free(cells) * self.independent + 1.0) / (self.independent + 2.0)
+        return sqrt(p * (1.0 - p) / self.independent)
+
     def _hazards_entered(self, entered: Sequence[Path]) -> Floats:
         """Return the number of steps of each path into hazards, shape (paths, draws)."""
         cells, place = np.unique(np.concatenate(entered), return_inverse=True)
@@ -133,10 +185,123 @@ class HazardDraws:
         np.add.at(visits, (path, place), 1.0)
         return np.asarray(visits @ self.hazardous[:, cells].T.astype(np.float32), np.float64)
 
-    @typed
-    def survival(self, path: ArrayLike, model: SensorModel) -> float:
-        """Return the probability that a traveller survives a path (:eq:`traveller-survives`)."""
-        return float(np.clip(self.weight @ self.survivals([as_path(path)], model)[0], 0.0, 1.0))
+
+@dataclass(frozen=True, eq=False)
+class Mixture(JointHazards):
+    """
+    Hypotheses under each of which the hazards of all cells are independent.
+
+    Joint probabilities of cells are weighted sums of exact products.
+
+    Parameters
+    ----------
+    hazard : array_like, shape (hypotheses, cells)
+        P(hazard) of each cell under each hypothesis, at least one.
+    weights : array_like, shape (hypotheses,)
+        Probability of each hypothesis, at least 0, with sum 1.
+    rates : mapping of str to ndarray, shape (hypotheses,)
+        Numbers of the sensor model that differ between hypotheses, by name.
+    is_sampled : bool
+        Whether the hypotheses are drawn at random, so that `error` is not 0.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, or the weights have a sum other than 1.
+
+    """
+
+    hazard: Floats
+    weights: Floats
+    rates: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
+    is_sampled: bool = True
+    # Numbers of the sensor model that count for survival.
+    strikes: ClassVar[tuple[str, ...]] = ('lethality', 'malfunction')
+
+    def __post_init__(self) -> None:
+        hazard = probabilities('hazard', self.hazard)
+        weights = as_floats('weights', self.weights)
+        if hazard.ndim != 2 or not len(hazard):
+            raise ValueError(f'hazard has shape {hazard.shape}: it must be (hypotheses, cells)')
+        if weights.shape != (len(hazard),):
+            raise ValueError(f'weights has shape {weights.shape}: it must be ({len(hazard)},)')
+        if not (weights.min() >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
+            raise ValueError(f'weights has the sum {weights.sum()}: it must be 1, each at least 0')
+        rates = {name: self.rates[name] for name in self.strikes if name in self.rates}
+        vars(self).update(hazard=read_only(hazard), weights=read_only(weights), rates=rates)
+
+    @property
+    def weight(self) -> Floats:
+        """Return the probability of each hypothesis, shape (hypotheses,)."""
+        return self.weights
+
+    def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
+        """Return P(no hazard on a path), (paths, hypotheses) (:eq:`mixture-free`)."""
+        cells = [np.unique(on_field('path', path, self.cells)) for path in paths]
+        return np.stack([(1.0 - self.hazard[:, there]).prod(axis=1) for there in cells])
+
+    def survivals(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
+        """Return P(survive a path) under each hypothesis, shape (paths, hypotheses)."""
+        lethality, malfunction = (
+            np.asarray(self.rates.get(name, getattr(model, name)))[..., None]
+            for name in self.strikes
+        )
+        spared = 1.0 - lethality * (1.0 - model.false_negative)
+        chances = []
+        for path in paths:
+            entered = on_field('path', path, self.cells)[1:]
+            cells, counts = np.unique(entered, return_counts=True)
+            each = 1.0 - self.hazard[:, cells] * (1.0 - spared**counts)
+            chances.append(each.prod(axis=1) * (1.0 - malfunction[..., 0]) ** entered.size)
+        return np.stack(chances)
+
+    def hazard_count(self, cells: ArrayLike) -> Floats:
+        """Return P(n of `cells` have a hazard) for n = 0, 1, ... (:eq:`hazards-remaining`)."""
+        there = np.unique(on_field('cells', cells, self.cells))
+        hazard, weights = self.hazard[:, there], self.weights
+        most = max(1, MAX_PRODUCTS // (there.size + 1) ** 2)
+        if len(hazard) > most:
+            # Representatives of equal weight, by their expected numbers of hazards.
+            order = np.argsort(hazard.sum(axis=1), kind='stable')
+            points = (np.arange(most) + 0.5) / most
+            places = weights[order].cumsum().searchsorted(points).clip(max=order.size - 1)
+            hazard, weights = hazard[order[places]], np.full(most, 1.0 / most)
+        count = np.zeros((len(hazard), there.size + 1))
+        count[:, 0] = 1.0
+        for chance in hazard.T:
+            more = count[:, :-1] * chance[:, None]
+            count[:, :-1] -= more
+            count[:, 1:] += more
+        return np.asarray(weights @ count)
+
+    def error(self, cells: ArrayLike) -> float:
+        """Return the standard error of `p_free` by the spread of the hypotheses."""
+        if not self.is_sampled:
+            return 0.0
+        free = self.are_free([np.unique(cells)])[0]
+        variance = self.weights**2 @ (free - self.weights @ free) ** 2
+        return sqrt(float(variance))
+
+
+# Objects by which goals are decided.
+Hazards: TypeAlias = HazardDraws | Mixture
+
+
+@typed
+def joint_hazards(estimator: Estimator, deployments: int) -> Hazards:
+    """Return an estimator's hazards: a mixture if its cells are independent, else draws."""
+    hypotheses = estimator.hypotheses
+    if hypotheses is None:
+        return HazardDraws.of(estimator, deployments)
+    return Mixture(*hypotheses, estimator.particles < np.inf)
+
+
+def highest_confidence(estimator: Estimator) -> float:
+    """Return the confidence whose expected error is half of what is left to 1."""
+    if estimator.hypotheses is None:
+        return DRAWS / (DRAWS + 4.0)
+    left = (2.0 * ERROR_SCALE / sqrt(estimator.particles)) ** (1.0 / (1.0 - ERROR_POWER))
+    return max(0.0, 1.0 - float(left))
 
 
 def cells_on(grid: Grid, cells: ArrayLike, what: str) -> Path:

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from kbnitp_ros.core.decision.decision import Decision, too_few_draws
+from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import FlightState, Goal, GOALS
-from kbnitp_ros.core.decision.hazard_draws import DRAWS, HazardDraws
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws, highest_confidence
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import cost, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
+from kbnitp_ros.core.inference.estimator import Estimator
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.planners import NoPathError, PathFinder
 from kbnitp_ros.core.planning.plans import check_team, Plan, plan_team, Team
@@ -50,15 +51,15 @@ class Stop:
         object.__setattr__(self, 'gain', cost('stop.gain', self.gain))
         object.__setattr__(self, 'losses', whole_number('stop.losses', self.losses, 0))
 
-    def check(self, goal: Goal | None, robots: int) -> None:
-        """Check that the conditions fit each other and the mission."""
+    def check(self, goal: Goal | None, robots: int, estimator: Estimator | None = None) -> None:
+        """Check that the conditions fit each other, the mission and, if known, its estimator."""
         if self.losses > robots:
             raise ValueError(
                 f'stop.losses is {self.losses}, but at most robots = {robots} are sent: '
                 'lower it, or raise robots'
             )
-        if goal and goal.confidence and (few := too_few_draws(goal.confidence, DRAWS)):
-            raise ValueError(few)
+        if goal and goal.confidence and estimator:
+            check_reachable(goal.confidence, estimator)
 
     def why(self, decision: Decision | None, lost: int) -> str:
         """Return why the mission is over; empty if it continues."""
@@ -80,6 +81,19 @@ class Stop:
         return (
             f'the best deployment gains {gain:.3g} and loses {lost:.3g} robots: less than '
             f'{self.gain:.3g} for each (stop.gain)'
+        )
+
+
+def check_reachable(confidence: float, estimator: Estimator) -> None:
+    """Check that the error of an estimator's probabilities allows a confidence."""
+    highest = highest_confidence(estimator)
+    if confidence > highest:
+        by = 'draws of the hazards'
+        if estimator.hypotheses is not None:
+            by = f'{estimator.particles:.0f} particles of the learnt numbers'
+        raise ValueError(
+            f'confidence is {confidence}: with {by} the expected error of the probability is more '
+            f'than half of the rest; ask for at most {np.floor(1e4 * highest) / 1e4}'
         )
 
 

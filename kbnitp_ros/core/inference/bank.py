@@ -38,7 +38,13 @@ from kbnitp_ros.core.inference.filter import (
     RATES,
     safe_log,
 )
-from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
+from kbnitp_ros.core.inference.prior_maps import (
+    expit,
+    make_joint,
+    MAPS,
+    prior_maps,
+    with_average,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -162,11 +168,11 @@ class Filters:
             raise ValueError(IMPOSSIBLE)
         self.log_evidence += float(predicted[0])
         self._evidence, self._joints = self._evidence.plus(evidence), joints
+        self._log_likelihood = self._log_likelihood + log_chances[0]
         if self.names:
-            self._log_likelihood = self._log_likelihood + log_chances[0]
             self._log_weights = self._log_weights + log_chances[0]
             self.__dict__.pop('weights', None)
-            if self._effective() < 0.5 * self._count or len(self.numbers) > self._count:
+            if self.effective() < 0.5 * self._count or len(self.numbers) > self._count:
                 self._resample(rng)
                 self.__dict__.pop('weights', None)
         return predicted
@@ -188,10 +194,6 @@ class Filters:
         weights: Floats = np.exp(self._log_weights - self._log_weights.max())
         weights /= weights.sum()
         return weights
-
-    def _effective(self) -> float:
-        """Return the effective number of particles."""
-        return float(1.0 / (self.weights**2).sum())
 
     def joint(self) -> Floats:
         """Return the weighted mean of the joints."""
@@ -220,18 +222,50 @@ class Filters:
         chance = mean * (1.0 - mean)
         return float((spread[chance > 0.0] / (2.0 * GROUPS * chance[chance > 0.0])).sum())
 
-    def draws(
-        self, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], list[SensorModel], float]:
-        """Draw particles, and then hazards of each cell; return the effective number of draws."""
-        particles = rng.choice(len(self.numbers), count, p=self.weights)
-        hazard = self._joints[:, 1].sum(axis=1).T[particles]
-        models = [
+    def hazard(self) -> Floats:
+        """Return P(hazard) of each cell by particle, shape (particles, cells)."""
+        hazard: Floats = self._joints[:, 1].sum(axis=1).T
+        return hazard
+
+    def models(self, particles: NDArray[np.intp]) -> list[SensorModel]:
+        """Return the sensor models of some particles."""
+        return [
             replace(self._known, **{k: v for k, v in zip(self.names, numbers) if k in RATES})
             for numbers in self.numbers[particles].tolist()
         ]
-        effective = float(min(count, self._effective()))
-        return rng.random(hazard.shape) < hazard, models, effective
+
+    def draws(
+        self, count: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+        """Draw particles, and then hazards of each cell; return both."""
+        particles = rng.choice(len(self.numbers), count, p=self.weights)
+        hazard = self.hazard()[particles]
+        return rng.random(hazard.shape) < hazard, particles
+
+    def effective(self) -> float:
+        """Return the effective number of particles."""
+        return float(1.0 / (self.weights**2).sum())
+
+    def retold(
+        self, belief: Belief, model: SensorModel, own: Callable[[RobotType], RobotType]
+    ) -> Filters:
+        """Return the filters of the same particles with another prior, model and robot types."""
+        other = shallow_copy(self)
+        other._prior, other._known = belief, model
+        other._maps = prior_maps(belief, model, self.names)
+        other._effects = other._effects_with(self.numbers)
+        evidence = [replace(each, robot_type=own(each.robot_type)) for each in self._evidence]
+        other._joints, (log_likelihood, *_) = other._fold(
+            other._first_joints(self.numbers), self.numbers, evidence
+        )
+        if log_likelihood.max() == -np.inf:
+            raise ValueError(IMPOSSIBLE)
+        gain = log_likelihood - self._log_likelihood
+        other._log_likelihood = log_likelihood
+        other._log_weights = self._log_weights + gain
+        other.log_evidence = self.log_evidence + float(log_sum(np.log(self.weights) + gain))
+        other.__dict__.pop('weights', None)
+        return other
 
     def _first_joints(self, numbers: Floats) -> Floats:
         """Return the prior of each particle, shape (cells, 2, 2, particles)."""
@@ -388,6 +422,19 @@ class Bank:
         for name in ('_weights', 'belief'):
             self.__dict__.pop(name, None)
 
+    def retold(
+        self, belief: Belief, model: SensorModel, own: Callable[[RobotType], RobotType]
+    ) -> Bank:
+        """Return the bank of the same particles with another prior, model and robot types."""
+        other = shallow_copy(self)
+        other._prior, other._known, other._filters = belief, model, dict(self._filters)
+        for kind, each in self._filters.items():
+            if kind not in self._ruled_out:
+                other._filters[kind] = each.retold(belief, model, own)
+        for name in ('_weights', 'belief'):
+            other.__dict__.pop(name, None)
+        return other
+
     @cached_property
     def _weights(self) -> Floats:
         """Return the probability of each kind."""
@@ -454,47 +501,54 @@ class Bank:
         errors = [each.sampling_error() for each in self._filters.values()]
         return float(self._weights @ errors)
 
+    def hypotheses(self) -> tuple[Floats, Floats, dict[str, Floats]]:
+        """Return P(hazard) by hypothesis, their weights, and learnt numbers of the sensors."""
+        filters = [*self._filters.values()]
+        return (
+            np.concatenate([each.hazard() for each in filters]),
+            np.concatenate([w * each.weights for w, each in zip(self._weights, filters)]),
+            {
+                name: np.concatenate([each.numbers[:, each.names.index(name)] for each in filters])
+                for name in self._priors
+                if name in RATES
+            },
+        )
+
+    @property
+    def particles(self) -> float:
+        """Return the least number of particles of a kind with unknown numbers."""
+        return min((len(e.numbers) for e in self._filters.values() if e.names), default=np.inf)
+
     def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], float]:
         """Draw hypotheses, and then the hazards of each cell independently."""
-        hazardous, _, independent = self._draw(count, rng)
-        return hazardous, independent
+        if self._is_known:
+            hazard = self.belief.hazard
+            return rng.random((count, hazard.size)) < hazard, float(count)
+        drawn, order = self._draw(count, rng)
+        independent = sum(min(len(hazards), each.effective()) for each, hazards, _ in drawn)
+        return np.concatenate([hazards for _, hazards, _ in drawn])[order], float(independent)
 
     def draws_with_models(
         self, count: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.bool_], list[SensorModel]]:
         """Draw hazards, each draw with the sensor model of its hypothesis."""
-        hazardous, models, _ = self._draw(count, rng)
-        return hazardous, models
+        if self._is_known:
+            return self.draws(count, rng)[0], [self._known] * count
+        drawn, order = self._draw(count, rng)
+        models = [model for each, _, particles in drawn for model in each.models(particles)]
+        hazardous = np.concatenate([hazards for _, hazards, _ in drawn])
+        return hazardous[order], [models[place] for place in order]
 
     def _draw(
         self, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], list[SensorModel], float]:
-        """Return hazards and sensor models in random order, and the effective number of draws."""
-        if self._is_known:
-            hazard = self.belief.hazard
-            return rng.random((count, hazard.size)) < hazard, [self._known] * count, float(count)
-        if len(self._filters) == 1:
-            (only,) = self._filters.values()
-            return only.draws(count, rng)
+    ) -> tuple[list[tuple[Filters, NDArray[np.bool_], NDArray[np.intp]]], NDArray[np.intp]]:
+        """Draw hazards and particles of each kind; return them, and an order of all draws."""
+        filters = [*self._filters.values()]
+        if len(filters) == 1:
+            return [(filters[0], *filters[0].draws(count, rng))], np.arange(count)
         shares = rng.multinomial(count, self._weights).tolist()
-        drawn = [e.draws(n, rng) for e, n in zip(self._filters.values(), shares) if n]
-        hazardous = np.concatenate([each for each, _, _ in drawn])
-        models = [model for _, each, _ in drawn for model in each]
-        order = rng.permutation(count)
-        independent = sum(effective for _, _, effective in drawn)
-        return hazardous[order], [models[place] for place in order], independent
-
-
-def with_average(probability: Floats, undecided: NDArray[np.bool_], averages: Floats) -> Floats:
-    """Shift a map to each particle's average, (cells, particles) (:eq:`prior-offset`)."""
-    shifted = np.repeat(probability[:, None], averages.size, axis=1)
-    open_to = probability[undecided]
-    if np.ptp(open_to) == 0.0:
-        shifted[undecided] = averages
-    else:
-        odds = np.log(open_to) - np.log1p(-open_to)
-        shifted[undecided] = expit(odds[:, None] + offsets(odds, averages))
-    return shifted
+        drawn = [(each, *each.draws(n, rng)) for each, n in zip(filters, shares) if n]
+        return drawn, rng.permutation(count)
 
 
 def prior_density(belief: Belief) -> float:

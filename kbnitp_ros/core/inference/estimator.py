@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import generator, shallow_copy, typed, whole_number
@@ -26,6 +26,7 @@ from kbnitp_ros.core.field.unknowns import (
 )
 from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.bank import prior_density, Series
+from kbnitp_ros.core.inference.filter import Floats
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,
@@ -36,6 +37,7 @@ from kbnitp_ros.core.inference.methods import (
 )
 from kbnitp_ros.core.inference.model_check import Alternatives, Checker, ModelCheck
 from kbnitp_ros.core.inference.one_pass import OnePass
+from kbnitp_ros.core.inference.prior_maps import told_numbers, with_number
 from kbnitp_ros.core.inference.record import deployment_order, DeploymentKey, MissionRecord, Report
 from kbnitp_ros.plugins import entry_name, PluginError
 import numpy as np
@@ -114,7 +116,7 @@ class Estimator:
                 lambda each: getattr(each, 'clusters', False),
                 f'{name} does not take clustered hazards',
             )
-        self.prior = belief
+        self.prior, self._given = belief, model
         self.method = method
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)
@@ -265,6 +267,67 @@ class Estimator:
                 f'{self.prior.cells}',
             )
         return inference
+
+    @property
+    def told(self) -> dict[str, float]:
+        """Return the numbers of sensors and prior that are given and not 0, by name."""
+        return {
+            name: value
+            for name, value in told_numbers(self.prior, self._given).items()
+            if name not in self.unknowns.priors and value
+        }
+
+    def retold(self, name: str, factor: float) -> Estimator:
+        """
+        Return the estimator of the same evidence with a told number times a factor.
+
+        Own numbers of robot types change as well. Learnt numbers keep their particles, which are
+        weighed anew.
+        """
+        prior, model = with_number(self.prior, self._given, name, factor)
+
+        def own(robot_type: RobotType) -> RobotType:
+            value = robot_type.sensors.get(name)
+            if value is None:
+                return robot_type
+            return replace(robot_type, **{name: min(value * factor, 1.0)})
+
+        other = shallow_copy(self)
+        if hasattr(self._inference, 'retold'):
+            other._inference = self._inference.retold(prior, model, own)
+            return other
+        other = Estimator(
+            prior,
+            model,
+            self.method,
+            self.unknowns,
+            self.seed,
+            dynamics=self.dynamics,
+            clustering=self.clustering,
+        )
+        for observation, robot_type in self._evidence:
+            other.assimilate(observation, own(robot_type))
+        return other
+
+    @property
+    def hypotheses(self) -> tuple[Floats, Floats, Mapping[str, Floats]] | None:
+        """
+        Return the hypotheses under which the hazards of all cells are independent.
+
+        P(hazard) of each cell, shape (hypotheses, cells), the weights, (hypotheses,), and learnt
+        numbers of the sensor model, by name; None for methods that draw all cells jointly.
+        """
+        given = getattr(self._inference, 'hypotheses', None)
+        if given is not None:
+            return cast(tuple[Floats, Floats, Mapping[str, Floats]], given())
+        if hasattr(self._inference, 'draws'):
+            return None
+        return self.belief.hazard[None], np.ones(1), {}
+
+    @property
+    def particles(self) -> float:
+        """Return the number of hypotheses that are drawn at random; infinity if none is."""
+        return float(getattr(self._inference, 'particles', np.inf))
 
     @property
     def draws_are_exact(self) -> bool:

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.inference.filter import ratio
+from kbnitp_ros.core.inference.filter import RATES, ratio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,6 +61,44 @@ def offsets(log_odds: NDArray[np.float64], averages: NDArray[np.float64]) -> NDA
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     offset: NDArray[np.float64] = (low + high) / 2.0
     return offset
+
+
+def with_average(
+    probability: NDArray[np.float64], undecided: NDArray[np.bool_], averages: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shift a map to each of some averages, (cells, averages) (:eq:`prior-offset`)."""
+    shifted = np.repeat(probability[:, None], averages.size, axis=1)
+    open_to = probability[undecided]
+    if np.ptp(open_to) == 0.0:
+        shifted[undecided] = averages
+    else:
+        odds = np.log(open_to) - np.log1p(-open_to)
+        shifted[undecided] = expit(odds[:, None] + offsets(odds, averages))
+    return shifted
+
+
+def told_numbers(belief: Belief, model: SensorModel) -> dict[str, float]:
+    """Return the numbers of the sensor model and the averages of the prior's undecided maps."""
+    averages = {
+        name: float(values[undecided].mean())
+        for name, (values, undecided) in prior_maps(belief, model, ()).items()
+        if undecided.any()
+    }
+    return {name: getattr(model, name) for name in RATES} | averages
+
+
+def with_number(
+    belief: Belief, model: SensorModel, name: str, factor: float
+) -> tuple[Belief, SensorModel]:
+    """Return prior and sensor model with one of `told_numbers` times a factor, at most 1."""
+    if name in RATES:
+        return belief, replace(model, **{name: min(getattr(model, name) * factor, 1.0)})
+    maps = prior_maps(belief, model, ())
+    values, undecided = maps[name]
+    average = np.array([min(values[undecided].mean() * factor, 1.0)])
+    changed = with_average(values, undecided, average)[:, 0]
+    joint = make_joint(*(changed if each == name else maps[each][0] for each in MAPS))
+    return Belief(joint, belief.grid), model
 
 
 def expit(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
