@@ -3,6 +3,7 @@
 
 from multiprocessing import forkserver
 import os
+from pathlib import Path
 import shutil
 import sys
 
@@ -113,3 +114,11 @@ def server():
         # It skips modules that it does not find, and does not get the tests' path.
         patch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
         forkserver.ensure_running()
+
+
+@pytest.fixture
+def gate(tmp_path, monkeypatch):
+    """Return the file that `gated:search` and `gated:lane` wait for in nodes that start next."""
+    shutil.copy(Path(__file__).with_name('gated.py'), tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / 'open'

@@ -8,9 +8,11 @@ from campaign import run_forged_missions, run_mission, run_missions
 from extent import some
 from fickle_robot import CRASHED
 from forger import FORGERIES, run_forged
+import gated
 from kbnitp_msgs.msg import AgentState, DeploymentReport
 from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Observation
+from kbnitp_ros.core.planning.planners import PLANNERS
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import report_message
 from kbnitp_ros.messages.states import Readiness, state_message
@@ -83,14 +85,14 @@ def test_a_mission_goes_on_among_ten_thousand_topics(tmp_path):
     assert not outcome.findings, outcome
 
 
-# The search takes long enough to stop the recorder meanwhile.
-SLOW = {
-    'grid.width': 6, 'grid.height': 6, 'max_steps': 14, 'robots': 4, 'beam_width': 40, 'seed': 13,
+GATED = {
+    'grid.width': 5, 'grid.height': 5, 'max_steps': 8, 'robots': 4, 'planner': 'gated:search',
+    'seed': 13,
 }  # fmt: skip
 
 
-def test_a_path_that_only_the_agent_has_is_not_accepted(set_out):
-    mission = set_out(SLOW)
+def test_a_path_that_only_the_agent_has_is_not_accepted(set_out, gate, monkeypatch):
+    mission = set_out(GATED)
     mission.start(*NODES)
     topic = f'{NAMESPACE}/{AGENT}/path'
 
@@ -100,7 +102,9 @@ def test_a_path_that_only_the_agent_has_is_not_accepted(set_out):
     mission.until(
         lambda: mission.onlooker.held == 0 and readers() >= {'agent', 'recorder'}, 'prior'
     )
+    # The search ends when the recorder can no longer receive its path.
     mission.halt('recorder')
+    gate.touch()
     mission.until(lambda: mission.onlooker.evidence.paths, 'path')
     for name in ('recorder', 'estimator', 'planner'):
         mission.kill(name)
@@ -108,6 +112,8 @@ def test_a_path_that_only_the_agent_has_is_not_accepted(set_out):
     mission.start('estimator', 'planner', 'recorder')
     mission.until_over()
     assert mission.unused == 1
+    # The mission in the core searches as the planner does.
+    monkeypatch.setitem(PLANNERS._entries, 'gated:search', gated.search)
     assert not mission.findings()
 
 

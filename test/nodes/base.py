@@ -138,6 +138,8 @@ class Base:
 
     def replayed(self, *, has_refused=False):
         """End all nodes and return the replay of the log, which must be bit-exact."""
+        newest = {f'/{agent}/report': reports for agent, reports in self.heard.items()}
+        self.field.until_recorded(self.log, {'/belief': self.beliefs, **newest})
         for name, code in self.field.processes.stop(60).items():
             assert code == 0, self.field.said(name)
         report = replay(self.log)

@@ -11,16 +11,20 @@ from forked import COVERED, ForkedProcesses
 from kbnitp_msgs.msg import AgentState, AgentStatus, Recorded
 from kbnitp_ros.cli.processes import environment, free_domain, Processes
 from kbnitp_ros.configuration.starts import awaited_nodes
-from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.log.read import read_log
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.messages.states import Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
 import pytest
 from rcl_interfaces.srv import SetParameters
 import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock as ClockMessage
 from samples import on_disk
 from std_msgs.msg import Bool
 
@@ -40,6 +44,8 @@ class Field:
         self._states = {}
         self._diagnosed = {}
         self._diagnosed_at = {}
+        # Simulated time in nanoseconds, once `start_clock` was called.
+        self._now = None
         node.create_subscription(
             DiagnosticArray, '/diagnostics', self._keep_diagnostics, qos.DIAGNOSTICS
         )
@@ -128,7 +134,7 @@ class Field:
         topic = f'/{agent}/state'
         if topic not in self._states:
             self._states[topic] = self.node.create_publisher(AgentState, topic, qos.LATCHED)
-        at = self.node.get_clock().now().nanoseconds if stamp is None else stamp
+        at = self.now() if stamp is None else stamp
         self._states[topic].publish(state_message(grid, agent, state, reason, is_at_base, at))
 
     def set_parameter(self, full_name, name, value):
@@ -139,6 +145,31 @@ class Field:
         answer = client.call_async(SetParameters.Request(parameters=[wanted]))
         self.until(answer.done, f'answer of {full_name}')
         return answer.result().results[0]
+
+    def start_clock(self):
+        """Publish a simulated clock that only `advance` moves."""
+        self._now = 100 * 10**9
+        publisher = self.node.create_publisher(ClockMessage, '/clock', 1)
+
+        def tick():
+            publisher.publish(ClockMessage(clock=to_stamp(self._now)))
+
+        self.node.create_timer(0.02, tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def now(self):
+        """Return a later ROS time than before, in nanoseconds."""
+        if self._now is None:
+            return self.node.get_clock().now().nanoseconds
+        self._now += 1
+        return self._now
+
+    def advance(self, seconds, full_name='/planner'):
+        """Move the simulated clock; wait until a node has seen the time and polled again."""
+        self._now += int(seconds * 10**9)
+        # Between two diagnostics there are many polls.
+        for _ in range(2):
+            now = self.now()
+            self.until(lambda now=now: (self.diagnosed_at(full_name) or 0) >= now, f'{seconds} s')
 
     def let_depart(self, namespace=''):
         """Allow departures to the agents of a mission, in place of its planner."""
@@ -169,17 +200,25 @@ class Field:
             self.executor.spin_once(timeout_sec=0.02)
 
     def until_failed(self, full_name):
-        """Handle messages until a node has failed; return its exit code and last output."""
+        """Handle messages until a node has ended; return its exit code and its last line."""
         process = self.processes.started[full_name]
-        self.until(
-            lambda: (
-                process.poll() is not None
-                and self.diagnosed(full_name).level == DiagnosticStatus.ERROR
-            ),
-            f'end of {full_name}',
-            may_end=True,
-        )
-        return process.returncode, self.diagnosed(full_name).message
+        self.until(lambda: process.poll() is not None, f'end of {full_name}', may_end=True)
+        return process.returncode, self.said(full_name).splitlines()[-1]
+
+    def until_recorded(self, log, newest):
+        """Wait until a log has a message with the stamp of the newest in each list, by topic."""
+        # A message that the test has received may still be on its way to the recorder.
+        wanted = {
+            (topic, from_stamp(each[-1].header.stamp)) for topic, each in newest.items() if each
+        }
+
+        def is_recorded():
+            messages = read_log(log, topics={topic for topic, _ in wanted})
+            return wanted <= {
+                (each.topic, from_stamp(each.message.header.stamp)) for each in messages
+            }
+
+        self.until(is_recorded, f'record of {sorted(newest)}')
 
     def until_refused(self, full_name, times):
         """Handle messages until a node has refused `count`; return its message on the last."""

@@ -130,13 +130,12 @@ def test_deadlines_start_with_recorded_departures_under_any_clock(system_clock, 
         field.until(lambda end=waited: time.monotonic() > end, 'end of its deadline')
         # It does not move before that is on disk.
         assert len(base.heard['scout_1']) == number - 1
+        begun = time.monotonic()
         field.start('recorder', {**base.parameters, 'resume': str(base.log)})
         base.until_named(departure)
-        begun = time.monotonic()
-        base.until_state(f'given up {deadline} s after its expected return')
         change()
         field.until(lambda n=number: len(base.heard['scout_1']) == n, 'loss')
-        assert time.monotonic() > begun + deadline / 2
+        assert time.monotonic() > begun + deadline
     base.until_state('done: 2 of 2')
     assert len(base.replayed().evidence.reports) == 2
 

@@ -145,11 +145,11 @@ def test_a_mission_ended_before_its_start_is_over_at_once(field):
     planner = field.start('planner', parameters)
     client = field.node.create_client(Trigger, '/end_mission')
     field.until(client.service_is_ready, 'service')
-    answer = client.call_async(Trigger.Request())
+    client.call_async(Trigger.Request())
+    # DDS does not acknowledge the answer of a planner that ends at once.
     field.until(lambda: planner.poll() is not None, 'end', may_end=True)
     assert planner.returncode == 0
-    field.until(answer.done, 'answer', may_end=True)
-    assert answer.result().success
+    assert 'the mission is over: done: 0 of 4 robots deployed, ended by' in field.said('/planner')
 
 
 def megabytes(process):

@@ -309,78 +309,60 @@ def test_a_planner_that_waits_for_a_belief_states_the_estimator_s_refusal(field)
     field.until(lambda: told and 'impossible' in told[-1].reason, 'reason on record')
 
 
-AGENTS = [f'scout_{number}' for number in range(1, 9)]
-WIDE = {
-    'grid.width': 30, 'grid.height': 30, 'max_steps': 60, 'robots': 16, 'recorded': False,
-    'beam_width': 400,
-}  # fmt: skip
-GOAL = {
-    'goal.kind': 'lane',
-    'goal.cells': [899],
-    'method': 'kappa_bnitp_sampled',
-    'learn.numbers': ['lethality'],
-}
-SEARCHING = 'waiting for the search for the paths of scout_1, scout_2, scout_3 and 5 more to end'
+AGENTS = ['scout_1', 'scout_2']
+SEARCHING = 'waiting for the search for the paths of scout_1, scout_2 to end'
 
 
 @pytest.fixture
-def base(field):
-    """Return a base whose planner searches for many seconds."""
-    base = Base(field, AGENTS, **WIDE)
+def base(gate, field):
+    """Return a base whose planner searches until the gate opens."""
+    base = Base(field, AGENTS, planner='gated:search', recorded=False)
     base.until_state(SEARCHING)
     return base
 
 
 def until_said(field, words):
-    """Wait for a message of the planner after a search."""
-    field.until(lambda: words in field.said('/planner'), words, patience=240)
+    field.until(lambda: words in field.said('/planner'), words)
 
 
-@pytest.mark.full
-def test_a_pause_during_a_search_is_answered_and_no_robot_is_sent(base):
-    seconds = []
+def test_a_pause_during_a_search_is_answered_and_no_robot_is_sent(gate, base):
     for data in (True, False, True, False, True):
-        begun = time.monotonic()
         base.do('pause', data=data)
-        seconds.append(time.monotonic() - begun)
-    # Other processes may delay a call, but not every call.
-    assert min(seconds) < 0.5
     field = base.field
     assert 'paths were found' not in field.said('/planner')
-    kept = 'the plan for scout_1, scout_2, scout_3 and 5 more is ready, but robots cannot '
-    until_said(field, f'{kept}leave yet: waiting for the operator')
+    gate.touch()
+    kept = 'the plan for scout_1, scout_2 is ready, but robots cannot leave yet: '
+    until_said(field, f'{kept}waiting for the operator')
     assert not any(base.paths.values())
     base.do('pause', data=False)
     for agent in AGENTS:
         field.until(lambda agent=agent: len(base.paths[agent]) == 1, f'path of {agent}')
 
 
-@pytest.mark.full
-def test_plans_by_other_parameters_are_discarded(base):
-    base.field.set_parameter('/planner', 'loss_cost', 1.0)
-    dropped = 'discarding the plan for scout_1, scout_2, scout_3 and 5 more'
-    until_said(base.field, dropped)
-    assert not any(base.paths.values())
+def test_plans_by_other_parameters_are_discarded(gate, base):
+    assert base.field.set_parameter('/planner', 'loss_cost', 1.0).successful
+    gate.touch()
+    until_said(base.field, 'discarding the plan for scout_1, scout_2')
+    base.until_sent(1)
     base.do('end_mission')
     assert base.field.processes.stop(30)['/planner'] == 0
 
 
-@pytest.mark.full
-def test_a_pause_during_a_decision_is_answered(field):
-    """Drawing the hazards and searching lanes in all draws takes a second or more."""
-    base = Base(field, **WIDE, **GOAL)
+def test_a_pause_during_a_decision_is_answered(gate, field):
+    gate.touch()
+    goal = {'goal.kind': 'gated:lane', 'goal.cells': [24]}
+    base = Base(field, ['scout_1'], recorded=False, **goal)
     paths, decisions = base.paths['scout_1'], field.listen(Decision, '/decision')
-    field.until(lambda: paths, 'path', patience=240)
-    before = len(decisions)
-    key, cells = read_path(Grid(30, 30), 'scout_1', paths[0])
-    home = Observation(cells, True, [False] * (len(cells) - 1))
-    base.reports['scout_1'].publish(report_message(key, home, key.stamp + 1))
+    field.until(lambda: paths and decisions, 'path')
+    gate.unlink()
+    base.come_back()
     base.until_held(1)
     base.do('pause')
-    assert len(decisions) == before == 1
-    field.until(lambda: len(decisions) == 2, 'decision', patience=240)
+    assert len(decisions) == 1
+    gate.touch()
+    field.until(lambda: len(decisions) == 2, 'decision')
     base.do('pause', data=False)
-    field.until(lambda: len(paths) == 2, 'next path', patience=240)
+    field.until(lambda: len(paths) == 2, 'next path')
 
 
 def test_plans_without_value_are_not_sent(field):

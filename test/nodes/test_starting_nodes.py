@@ -8,6 +8,7 @@ import subprocess
 
 from base import Base
 from base import GRID as BASE_GRID
+from diagnostic_msgs.msg import DiagnosticStatus
 from extent import some
 from forked import ForkedProcess, run_node
 from kbnitp_msgs.msg import DeploymentReport, Progress
@@ -29,10 +30,12 @@ from kbnitp_ros.log.read import is_finished, read_parameters
 from kbnitp_ros.messages.deployments import read_path, read_report, report_message
 from kbnitp_ros.messages.progress import MissionState
 from kbnitp_ros.nodes.runtime import signals
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS, MissionNode
 from laws import for_each
 from nav_msgs.msg import Path
 import pytest
+import rclpy
 
 
 @pytest.fixture
@@ -112,11 +115,23 @@ def test_a_failing_start_is_explained_in_one_line(run, tmp_path, refused):
 
 
 @for_each('name', NODES)
-def test_a_failing_start_is_explained_on_diagnostics(field, name):
+def test_a_failing_start_is_explained_in_its_namespace(field, name):
     field.start(name, {'max_steps': 0, 'file': '/'}, '/m')
     code, told = field.until_failed(f'/m/{name}')
     assert code == 2
-    assert field.said(f'/m/{name}') == f'{name}: {told}\n'
+    assert field.said(f'/m/{name}') == f'{told}\n'
+    assert told.startswith(f'{name}: ')
+
+
+def test_a_failure_is_published_on_diagnostics(field):
+    node = rclpy.create_node('failing', context=field.node.context, namespace='/m')
+    diagnostics = Diagnostics(node)
+    topic = [each for each in node.publishers if each.topic_name == '/diagnostics']
+    field.until(lambda: topic[0].get_subscription_count() == 1, 'reader')
+    diagnostics.fail(ValueError('max_steps is 0'))
+    field.until(lambda: field.diagnosed('/m/failing').level == DiagnosticStatus.ERROR, 'failure')
+    assert field.diagnosed('/m/failing').message == 'max_steps is 0'
+    node.destroy_node()
 
 
 @pytest.mark.processes

@@ -67,8 +67,10 @@ MAX_NAMELESS = 1.0
 # Pause after a scan of the graph, in multiples of its duration.
 REST = 4.0
 
-# Maximum seconds that a node waits until subscribers have received its last messages.
+# Seconds that a node stays for its last responses of services, which DDS does not acknowledge, and
+# maximum seconds that it stays until subscribers have acknowledged its last messages.
 FAREWELL = 0.3
+ACKNOWLEDGED = 2.0
 
 # Seconds until a node logs that it is waiting or reading (short waits are normal at a start), and
 # seconds until it logs this again.
@@ -357,9 +359,8 @@ class MissionNode(Node):
     def close(self) -> None:
         """Wait until the last messages have been received: DDS drops them with the publisher."""
         if self.is_over:
-            # DDS does not acknowledge responses of services.
             time.sleep(FAREWELL)
-        end = time.monotonic() + FAREWELL
+        end = time.monotonic() + ACKNOWLEDGED
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
