@@ -13,8 +13,7 @@ from inspect import signature
 from operator import attrgetter
 from pathlib import Path
 import sys
-from types import MappingProxyType
-from typing import Any, Generic, NoReturn, TypeVar
+from typing import Any, Generic, TypeVar
 from warnings import warn
 
 
@@ -27,17 +26,6 @@ def extra(name: str) -> Iterator[None]:
         words = f"No module named {error.name!r}; pip install 'kbnitp_ros[{name}]'"
         words += ', or make study in the sources' if name == 'study' else ''
         raise ModuleNotFoundError(words, name=error.name) from None
-
-
-def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], NoReturn]:
-    """Return the ``__getattr__`` of a module, which refuses old names and states the new names."""
-
-    def refuse(name: str) -> NoReturn:
-        if name in names:
-            raise ImportError(f'{module}.{name} is called {names[name]} now')
-        raise AttributeError(f'module {module!r} has no attribute {name!r}')
-
-    return refuse
 
 
 Entry = TypeVar('Entry')
@@ -61,14 +49,13 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         kind: str,
         check: Callable[[object], Entry],
         own: Mapping[str, object],
-        gone: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.kind = kind
         self.check = check
         self.own: tuple[str, ...] = ()
         self._entries: dict[str, Entry] = {}
         self._sources: dict[str, str] = {}
-        self._refused = dict(gone)
+        self._refused: dict[str, str] = {}
         self._is_searched = False
         REGISTRIES[kind] = self
         self.fill(own)

@@ -2,7 +2,7 @@
 """Requirements and contents of the package are declared, locked, installed and tested."""
 
 from collections import defaultdict
-from importlib import import_module, metadata
+from importlib import metadata
 import json
 import os
 from pathlib import Path
@@ -317,20 +317,3 @@ def test_ros_is_tested_with_packages_unknown_to_rosdep():
     installed = {name for line in steps('ros') if 'pip install' in line for name in line.split()}
     assert len(wanted) > 5
     assert wanted <= installed
-
-
-@pytest.mark.parametrize(
-    'module, old, new',
-    [
-        ('configuration', 'grid_of', 'make_grid'),
-        ('maps', 'levels_of', 'quantise_belief'),
-        ('study', 'figures_of', 'study_figures'),
-    ],
-)
-def test_an_old_name_is_refused_with_the_new_one(module, old, new):
-    package = import_module(f'kbnitp_ros.{module}')
-    with pytest.raises(ImportError, match=f'kbnitp_ros.{module}.{old} is called {new} now'):
-        getattr(package, old)
-    assert callable(getattr(package, new))
-    with pytest.raises(AttributeError, match='has no attribute'):
-        getattr(package, f'{old}_all')

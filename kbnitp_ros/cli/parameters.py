@@ -7,10 +7,9 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from typing import Any
 
-from kbnitp_ros.cli.output import complain
 from kbnitp_ros.configuration import find_parameter, make_goal, node_parameters
 from kbnitp_ros.configuration.given import Sections, values_for
-from kbnitp_ros.configuration.known import check_known, gone_note
+from kbnitp_ros.configuration.known import check_known
 from kbnitp_ros.configuration.mission import settled_goal
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.files import nearest
@@ -31,11 +30,9 @@ def node_values(sections: Sections, nodes: Collection[str]) -> dict[str, dict[st
 def assign(
     values: dict[str, Any], node: str, name: str, given: Any, *, is_text: bool = False
 ) -> None:
-    """Set a parameter if the node has it; warn if it is gone."""
+    """Set a parameter if the node has it."""
     if parameter := find_parameter(node, name):
         values[name] = parameter.read(given) if is_text else parameter.check(given)
-    elif note := gone_note(node, name):
-        complain('warning', note)
 
 
 def set_parameter(

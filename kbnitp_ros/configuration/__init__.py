@@ -7,7 +7,6 @@ from kbnitp_ros.configuration.known import find_parameter, node_parameters
 from kbnitp_ros.configuration.mission import make_estimator, make_goal, with_defaults
 from kbnitp_ros.configuration.parameter import Parameter
 from kbnitp_ros.configuration.table import NODES, TABLE
-from kbnitp_ros.plugins import renamed
 
 __all__ = [
     'NODES',
@@ -22,15 +21,3 @@ __all__ = [
     'value_for',
     'with_defaults',
 ]
-
-__getattr__ = renamed(
-    __name__,
-    {
-        'agents_of': 'agent_names',
-        'estimator_of': 'make_estimator',
-        'goal_of': 'make_goal',
-        'grid_of': 'make_grid',
-        'parameter_of': 'find_parameter',
-        'parameters_of': 'node_parameters',
-    },
-)

@@ -18,14 +18,6 @@ TOPICS = 'topics'
 CLOCK = 'use_sim_time'
 ROS_PARAMETERS = (CLOCK, 'start_type_description_service', 'qos_overrides', TOPICS)
 
-# Removed parameters by node and name, each with the reason: nodes ignore them.
-GONE = {
-    ('planner', 'bound'): 'benchmarks/bound.py computes it',
-    ('recorder', 'compression'): 'ros2 bag convert compresses a log',
-    ('recorder', 'max_file_size'): 'ros2 bag convert splits a log',
-    ('recorder', 'max_file_duration'): 'a run of the recorder is one file',
-}
-
 
 def node_parameters(name: str) -> dict[str, Parameter]:
     """Return the parameters of a node by name."""
@@ -43,16 +35,8 @@ def find_parameter(node: str, name: str) -> Parameter | None:
     return replace(common, name=name) if common else None
 
 
-def gone_note(node: str, name: str) -> str:
-    """Return a note on a removed parameter of a node; empty for other names."""
-    why = GONE.get((node, name))
-    return f'parameter {name} is gone: {why}' if why else ''
-
-
 def check_known(name: str, nodes: Sequence[str]) -> None:
     """Check that a name is a parameter of one of these nodes."""
-    if any(gone_note(node, name) for node in nodes):
-        return
     if name.split('.')[0] in ROS_PARAMETERS or any(find_parameter(node, name) for node in nodes):
         return
     whose = f'the {nodes[0]}' if len(nodes) == 1 else 'every node'

@@ -10,7 +10,6 @@ from kbnitp_ros.maps.files import (
     write_probabilities,
 )
 from kbnitp_ros.maps.occupancy import Datum, Map, MapError
-from kbnitp_ros.plugins import renamed
 
 __all__ = [
     'Datum',
@@ -23,5 +22,3 @@ __all__ = [
     'read_site',
     'write_probabilities',
 ]
-
-__getattr__ = renamed(__name__, {'levels_of': 'quantise_belief'})

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Experiments over the core, with tables and figures."""
 
-from kbnitp_ros.plugins import extra, renamed
+from kbnitp_ros.plugins import extra
 
 with extra('study'):
     from kbnitp_ros.study.charts import curves, differences, final_values, study_figures
@@ -17,8 +17,3 @@ __all__ = [
     'final_values',
     'study_figures',
 ]
-
-__getattr__ = renamed(
-    __name__,
-    {'figures_of': 'study_figures', 'study_tables': 'Results.summary', 'Table': 'Results'},
-)

@@ -240,7 +240,7 @@ MINE = """
     sensor: {lethality: 0.8}
     world: {file: WORLD}
 /**/planner:
-  ros__parameters: {robots: 30, beam_width: 2, max_visits: 1, loss_cost: 0.5, bound: true}
+  ros__parameters: {robots: 30, beam_width: 2, max_visits: 1, loss_cost: 0.5}
 /**/estimator:
   ros__parameters:
     prior: {hazard: 0.3, target: 0.4, kappa: 0.7}
@@ -261,8 +261,6 @@ def test_options_override_the_file_and_the_file_overrides_defaults(tmp_path, cap
         '--method', 'kappa_bnitp', '--out', str(tmp_path / 'out'),
     ]  # fmt: skip
     plain, given = (chosen_parameters(parse(each)) for each in ([], options))
-    gone = 'warning: parameter bound is gone: benchmarks/bound.py computes it\n'
-    assert capsys.readouterr().err == gone
     field = {'grid.width': 4, 'grid.height': 3, 'grid.base': 5, 'grid.blocked': [0, 7]}
     sensor = {'malfunction': 0.02, 'false_negative': 0.1, 'true_positive': 0.9}
     everywhere = {f'sensor.{name}': value for name, value in sensor.items()}
@@ -463,7 +461,6 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     ),
     (['--planner', 'nowhere:plan'], "planner is 'nowhere:plan': .*No module named 'nowhere'; it"),
     (['--size', '9x'], "--size.*'9x'"),
-    (['--method', 'kappa_bnitp_smoothed'], 'smoothed.*it is gone.* 0.3.0 .*use kappa_b'),
     (['--agents', '0'], 'agents is 0.*at least 1'),
     (['--agents', '17', '--size', '4'], 'agents has 17 names.*16 free cells'),
     (['--size', '600'], 'learning numbers on 360000 cells takes about .* GB.*: take a smaller'),

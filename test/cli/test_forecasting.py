@@ -57,9 +57,8 @@ def test_a_mission_on_record_goes_on(tmp_path, capsys):
     path = log(tmp_path / 'run')
     sent = last_belief(MissionLog(path)).deployments
     options = ['--set', f'robots={sent + 2}', '--worlds', '3', '--workers', '1']
-    assert main([str(tmp_path / 'run'), *options, '--set', 'bound=true']) == 0
-    told, warnings = capsys.readouterr()
-    assert warnings.count('warning: parameter bound is gone') == 1
+    assert main([str(tmp_path / 'run'), *options]) == 0
+    told, _ = capsys.readouterr()
     assert told.startswith('3 missions of at most 2 robots, no goal')
     assert '| robots sent | 2.0 | 2 | 2 | 2 |' in told
 

@@ -406,8 +406,6 @@ NO_PROBABILITIES = [
           ({'false_negative': 0.0, 'lethality': 1.0}, 1.0, [1, 1, 1]),
           ({'true_positive': 1.0, 'false_positive': 0.0}, 0.5, [1, 0, 1]),
       ))),
-    (lambda: METHODS.find('kappa_bnitp_smoothed'), ValueError,
-     "'kappa_bnitp_smoothed': it is gone.* 0.3.0 .*use kappa_bnit"),
     (lambda: update(PRIOR, MODEL, [0, 1, 0]), TypeError, r'observation is \[0, 1, 0\]: it must'),
     (lambda: Estimator(GRID, MODEL), TypeError, 'belief is Grid.*: it must be Belief'),
     (lambda: Estimator(PRIOR, MODEL, unknowns='x'), TypeError, "unknowns is 'x': it must"),

@@ -189,7 +189,7 @@ def test_files_by_ros2_param_dump_are_read(tmp_path, name):
 
 
 def test_the_shared_section_may_have_parameters_of_any_node():
-    given = {'robots': 3, 'seed': 4, 'file': 'a.mcap', 'use_sim_time': True, 'bound': False}
+    given = {'robots': 3, 'seed': 4, 'file': 'a.mcap', 'use_sim_time': True}
     assert check_sections(section('/**', **given), {}) == {'/**': given}
 
 
@@ -243,8 +243,6 @@ def test_a_bad_rule_is_refused(name, rule, told):
         )
     ),
     ('sensor.lethality:=0.3', '^$'),
-    # It was the planner's, which notes that it is gone.
-    ('bound:=true', '^$'),
     ('use_sim_time:=true', '^$'),
 ])  # fmt: skip
 def test_parameters_of_other_nodes_are_ignored_with_a_note(rule, note):

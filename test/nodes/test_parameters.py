@@ -202,12 +202,6 @@ def test_an_agent_s_values_for_other_nodes_are_ignored(make_node):
     assert not [name for name in declare(sensors, 'planner') if 'sensor' in name]
 
 
-def test_a_removed_parameter_is_ignored_and_named_once_by_its_node(make_node, capfd):
-    for name in ('planner', 'estimator'):
-        assert 'bound' not in declare(make_node(bound=True), name)
-    assert capfd.readouterr().err.count('bound is gone: benchmarks/bound.py computes it') == 1
-
-
 def test_a_number_that_no_robot_shares_cannot_be_learnt():
     own = {'team.scout_1.sensor.lethality': 0.3, 'learn.numbers': ('lethality',)}
     values = DEFAULTS | own | {'method': 'kappa_bnitp_sampled'}

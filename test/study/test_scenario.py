@@ -44,7 +44,6 @@ def test_a_scenario_equals_its_file(tmp_path):
     ('lethalities', 0.5, 'lethalities is 0.5.*a list'),
     ('lethalities', [0.5, 0.50], 'lethalities.*each entry may occur only once'),
     ('methods', ['magic'], 'methods is .magic.*kappa_bnitp_sampled'),
-    ('methods', ['kappa_bnitp_smoothed'], 'methods is .*: it is gone.* 0.3.0 .*use kappa_'),
     ('world.kappa', -0.1, r'world.kappa is -0\.1.*from 0\.0 to 1\.0'),
     ('teams', [{'agents': 0}], 'teams.agents is 0.*from 1'),
     ('teams', [{'robots': 2}], 'teams.robots is unknown: teams has agents'),

@@ -120,7 +120,6 @@ METHODS = Registry(
         ),
         'kappa_bnitp_sampled': Sampler,
     },
-    gone={'kappa_bnitp_smoothed': 'it is gone: 0.3.0 reads its logs; use kappa_bnitp'},
 )
 
 

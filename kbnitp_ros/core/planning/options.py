@@ -43,7 +43,6 @@ PLANNERS: Registry[Callable[..., list[Any]]] = Registry(
     'planner',
     as_planner,
     {},
-    gone={'exact': 'it is gone: use beam; benchmarks/bound.py bounds the best path'},
 )
 
 

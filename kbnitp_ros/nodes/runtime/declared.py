@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, node_parameters, Parameter, with_defaults
-from kbnitp_ros.configuration.known import check_own, CLOCK, foreign_note, gone_note, TOPICS
+from kbnitp_ros.configuration.known import check_own, CLOCK, foreign_note, TOPICS
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -27,7 +27,7 @@ def declare(node: Node, name: str) -> dict[str, Any]:
         if parameter := find_parameter(name, given):
             mine[given] = parameter
             overrides[given] = parameter.check(override.value)
-        elif note := gone_note(name, given) or foreign_note(given):
+        elif note := foreign_note(given):
             node.get_logger().warning(note)
     values = with_defaults(name, overrides)
     # A real robot has no parameter agents.
