@@ -161,7 +161,9 @@ clean:
 	$(WITH_NODE); tools/step.sh 'Installing test/report/package-lock.json with npm' $(NPM) --prefix test/report
 	touch $@
 
+# Links to files that a newer version lacks would end the build.
 install/.done: .venv/.run $(SOURCES)
+	if test -d build/kbnitp_ros; then find build/kbnitp_ros -xtype l -delete; fi
 	. ./env.sh 2> /dev/null && tools/step.sh 'Building the messages and the package' $(COLCON) . msg_defs tools/wheels/tf2_msgs
 	echo '$(CURDIR)/build/kbnitp_ros' > "$$(.venv/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/kbnitp_ros.pth"
 	touch $@
