@@ -81,17 +81,27 @@ def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
         raise ValueError(f'parameter hazards.{error}') from error
 
 
-def true_dynamics(values: Mapping[str, Any]) -> Dynamics:
-    """Return the true dynamics of hazards; refuse an unknown kind or rate."""
-    dynamics = make_dynamics(values)
+def make_target_dynamics(values: Mapping[str, Any]) -> Dynamics:
+    """Return the dynamics of targets."""
+    rates = {name: values[f'targets.{name}'] for name in ('appear', 'vanish', 'move')}
     try:
-        dynamics.known_rates()
+        return Dynamics(values['targets.dynamics'], **rates)
     except ValueError as error:
-        raise ValueError(
-            f'parameter hazards.{error}; to learn it, set it for the estimator only, such as '
-            'estimator:hazards.dynamics=learn'
-        ) from error
-    return dynamics
+        raise ValueError(f'parameter targets.{error}'.replace('hazards', 'targets')) from error
+
+
+def true_dynamics(values: Mapping[str, Any]) -> tuple[Dynamics, Dynamics]:
+    """Return the true dynamics of hazards and targets; refuse an unknown kind or rate."""
+    dynamics = {'hazards': make_dynamics(values), 'targets': make_target_dynamics(values)}
+    for what, each in dynamics.items():
+        try:
+            each.known_rates()
+        except ValueError as error:
+            raise ValueError(
+                f'parameter {what}.{error}; to learn it, set it for the estimator only, such as '
+                f'estimator:{what}.dynamics=learn'
+            ) from error
+    return dynamics['hazards'], dynamics['targets']
 
 
 def make_clustering(values: Mapping[str, Any], grid: Grid) -> Clustering | None:

@@ -17,6 +17,7 @@ from kbnitp_ros.configuration.agents import (
     make_robot_type,
     make_robot_types,
     make_sensor_model,
+    make_target_dynamics,
     make_unknowns,
 )
 from kbnitp_ros.configuration.known import node_parameters
@@ -227,4 +228,5 @@ def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
         values['seed'],
         dynamics=make_dynamics(values),
         clustering=make_clustering(values, grid),
+        target_dynamics=make_target_dynamics(values),
     )

@@ -10,7 +10,7 @@ from kbnitp_ros.configuration.parameter import NAME, Parameter
 from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING, STRONGEST
-from kbnitp_ros.core.field.unknowns import HAZARDS
+from kbnitp_ros.core.field.unknowns import HAZARDS, TARGET_KINDS
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
 FIELD = ('planner', 'agent', 'estimator')
@@ -145,6 +145,18 @@ ROWS: tuple[Parameter | str, ...] = (
     Parameter('hazards.move', 0.0, SENSING, limits=PROBABILITY),
     'Probability per deployment that a hazard goes to a free neighbouring cell, for moving '
     'hazards.',
+    Parameter('targets.dynamics', 'static', SENSING, choices=TARGET_KINDS),
+    'Dynamics of targets: static, changing from one deployment to the next, or moving to '
+    'neighbouring cells; learn, for the estimator, to infer from the evidence if and how fast '
+    'they change. Targets that move are learnt as changing ones. The value of the agent is the '
+    'truth, the value of the estimator is the belief.',
+    Parameter('targets.appear', 0.0, SENSING, limits=PROBABILITY),
+    'Probability per deployment that a cell without a target gets one, for changing targets.',
+    Parameter('targets.vanish', 0.0, SENSING, limits=PROBABILITY),
+    'Probability per deployment that a target disappears, for changing targets.',
+    Parameter('targets.move', 0.0, SENSING, limits=PROBABILITY),
+    'Probability per deployment that a target of the agent goes to a free neighbouring cell, for '
+    'moving targets.',
     for_estimator('prior.hazard', 0.5, limits=PROBABILITY),
     'Probability of a hazard in each cell before the first deployment.',
     for_estimator('prior.target', 0.45, limits=PROBABILITY),

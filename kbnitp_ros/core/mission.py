@@ -88,12 +88,15 @@ class Truth:
         Deviations from orders; none by default.
     dynamics : Dynamics, optional
         True dynamics of the hazards; None: the believed dynamics.
+    target_dynamics : Dynamics, optional
+        True dynamics of the targets, also 'moving'; None: the believed dynamics.
 
     """
 
     model: SensorModel | None = None
     execution: Execution = AS_ORDERED
     dynamics: Dynamics | None = None
+    target_dynamics: Dynamics | None = None
 
 
 @typed_fields
@@ -136,7 +139,8 @@ class Mission(Sequence[Deployment]):
 
     Parameters
     ----------
-    grid, belief, model, world, rng, method, options, truth, learning, dynamics, goal
+    grid, belief, model, world, rng, method, options, truth, learning, dynamics, \
+    target_dynamics, goal
         As in `run_mission`.
 
     Attributes
@@ -178,6 +182,7 @@ class Mission(Sequence[Deployment]):
         truth: Truth | None = None,
         learning: Learning | None = None,
         dynamics: Dynamics = STATIC,
+        target_dynamics: Dynamics = STATIC,
         goal: Goal | None = None,
     ) -> None:
         truth, learning = truth or Truth(), learning or Learning()
@@ -189,8 +194,14 @@ class Mission(Sequence[Deployment]):
             learning.seed,
             dynamics=dynamics,
             clustering=learning.clustering,
+            target_dynamics=target_dynamics,
         )
-        truth = replace(truth, model=truth.model or model, dynamics=truth.dynamics or dynamics)
+        truth = replace(
+            truth,
+            model=truth.model or model,
+            dynamics=truth.dynamics or dynamics,
+            target_dynamics=truth.target_dynamics or target_dynamics,
+        )
         self._begin(grid, estimator, world, rng, options, (), truth, goal)
 
     @classmethod
@@ -261,6 +272,8 @@ class Mission(Sequence[Deployment]):
         self._execution = truth.execution
         self._dynamics = truth.dynamics or estimator.probable_dynamics
         self._dynamics.known_rates()
+        self._target_dynamics = truth.target_dynamics or estimator.probable_target_dynamics
+        self._target_dynamics.known_rates('target_dynamics')
         self._possible = grid.may_be_hazardous & (estimator.prior.hazard > 0.0)
         if goal is not None:
             goal.check(grid, options.max_steps)
@@ -315,6 +328,7 @@ class Mission(Sequence[Deployment]):
             self.rng.spawn(1)[0],
             self._dynamics,
             self._possible if self.sent else None,
+            self._target_dynamics,
         )
         self.estimator.assimilate(made.observation, robot_type)
         self.world = made.world
@@ -426,6 +440,7 @@ def run_mission(
     truth: Truth | None = None,
     learning: Learning | None = None,
     dynamics: Dynamics = STATIC,
+    target_dynamics: Dynamics = STATIC,
     goal: Goal | None = None,
     stop: Stop | None = None,
 ) -> Mission:
@@ -466,6 +481,8 @@ def run_mission(
     dynamics : Dynamics
         How hazards are believed to change. The field that robot k - 1 left may change before
         robot k enters; the change is drawn with the second child of robot k's generator.
+    target_dynamics : Dynamics
+        How targets are believed to change, likewise, drawn with the third child.
     goal : Goal, optional
         Goal of the mission, such as `Lane` or `Area`; by default the field is mapped.
     stop : Stop, optional
@@ -497,6 +514,7 @@ def run_mission(
         truth=truth,
         learning=learning,
         dynamics=dynamics,
+        target_dynamics=target_dynamics,
         goal=goal,
     )
     return mission.run(robots, team=team, stop=stop)

@@ -10,7 +10,7 @@ the evidence that was assimilated, so the belief can be computed again from the 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from typing import Any, TYPE_CHECKING
 
@@ -29,6 +29,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING
+from kbnitp_ros.core.field.unknowns import TARGET_VANISH
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
     Fields,
@@ -71,6 +72,7 @@ class Snapshot:
     # Seed of the method's random draws.
     seed: int
     dynamics: Dynamics
+    target_dynamics: Dynamics
     # The clustering of hazards; None if they are independent.
     clustering: Clustering | None
     # Number of deployments assimilated.
@@ -101,6 +103,7 @@ class Snapshot:
             'unknowns': unknowns,
             'seed': self.seed,
             'dynamics': self.dynamics,
+            'target_dynamics': self.target_dynamics,
             'clustering': self.clustering,
         }
 
@@ -114,6 +117,7 @@ class Snapshot:
             self.seed,
             dynamics=self.dynamics,
             clustering=self.clustering,
+            target_dynamics=self.target_dynamics,
         )
         return Ledger(self.grid, self.max_steps, estimator, self.robot_types)
 
@@ -129,7 +133,12 @@ def belief_fields(
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)
     estimator = ledger.estimator
-    learnt = {**estimator.unknowns.priors, **estimator.dynamics.unknown_rates}
+    targets = estimator.target_dynamics
+    learnt = {
+        **estimator.unknowns.priors,
+        **estimator.dynamics.unknown_rates,
+        **targets.target_rates,
+    }
     rates = {
         name: 0.0 if name in learnt else getattr(estimator.dynamics, name)
         for name in ('appear', 'vanish', 'move')
@@ -158,6 +167,9 @@ def belief_fields(
         ],
         dynamics=estimator.dynamics.kind,
         **rates,
+        target_dynamics=targets.kind,
+        target_appear=targets.appear,
+        target_vanish=0.0 if targets.target_rates else targets.vanish,
         clustering=np.nan if coupling == LEARNT_COUPLING else float(coupling),
         deployments=len(ledger.deployments),
         agent=newest.agent,
@@ -239,6 +251,7 @@ def read_belief_maps(message: Any) -> Snapshot:
     # Logs of 0.3.0 have no moving hazards.
     rates = {'vanish': message.vanish, 'move': getattr(message, 'move', 0.0)}
     rates.update({name: priors.pop(name) for name in rates if name in priors})
+    targets = read_target_dynamics(message, priors.pop(TARGET_VANISH, None))
     newest = read_name('deployment', message.deployment)
     return Snapshot(
         stamp=stamp,
@@ -254,12 +267,25 @@ def read_belief_maps(message: Any) -> Snapshot:
         version=message.method_version,
         seed=message.seed,
         dynamics=Dynamics(message.dynamics, message.appear, **rates),
+        target_dynamics=targets,
         clustering=read_clustering(message.clustering, grid),
         deployments=message.deployments,
         newest=DeploymentKey(message.agent, newest) if message.deployments else None,
         belief=belief,
         prior=read_joint('prior', message.prior, grid) if len(message.prior) else belief,
     )
+
+
+def read_target_dynamics(message: Any, unknown: Beta | None) -> Dynamics:
+    """Return the dynamics of targets, with the prior of an unknown rate."""
+    # Logs of 1.x have still targets.
+    kind = getattr(message, 'target_dynamics', 'static')
+    if unknown is not None:
+        # Learnt kinds set the probability of 0 themselves.
+        zero = 0.0 if kind == 'learn' else unknown.zero
+        return Dynamics(kind, message.target_appear, replace(unknown, zero=zero))
+    rates = (getattr(message, f'target_{name}', 0.0) for name in ('appear', 'vanish'))
+    return Dynamics(kind, *rates)
 
 
 def read_joint(name: str, values: Any, grid: Grid) -> Belief:
@@ -288,14 +314,16 @@ def read_clustering(coupling: float, grid: Grid) -> Clustering | None:
 def read_unknowns(numbers: Iterable[Any]) -> dict[str, Beta]:
     """Return the priors of the learnt numbers and rates, by name."""
     priors: dict[str, Beta] = {}
-    known = [*(field.name for field in fields(Unknowns)), 'vanish', 'move']
+    known = [*(field.name for field in fields(Unknowns)), 'vanish', 'move', TARGET_VANISH]
     for number in numbers:
         if number.name not in known or number.name in priors:
             raise ValueError(
                 f'unknowns has {shown(number.name)}: it must name numbers of {", ".join(known)}, '
                 'each once'
             )
-        priors[number.name] = Beta(number.a, number.b, number.low, number.high)
+        # Logs of 1.x have no zero.
+        own = number.a, number.b, number.low, number.high, getattr(number, 'zero', 0.0)
+        priors[number.name] = Beta(*own)
     return priors
 
 

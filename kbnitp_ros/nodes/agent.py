@@ -70,8 +70,9 @@ class Simulation:
         robot_types = make_robot_types(values, self.grid)
         self._models = {agent: each.model(common) for agent, each in robot_types.items()}
         self.agents = agent_names(values, self.grid)
-        dynamics = self._dynamics = true_dynamics(values)
-        self.is_static = dynamics.effect == 'static'
+        self._dynamics, self._target_dynamics = true_dynamics(values)
+        effects = {self._dynamics.effect, self._target_dynamics.effect}
+        self.is_static = effects == {'static'}
         self._execution = make_execution(values)
         self._seeds = np.random.SeedSequence(values['seed'])
         # The current world.
@@ -200,6 +201,7 @@ class Simulation:
                 np.random.default_rng(seeds),
                 self._dynamics,
                 changing=None if is_first else self.grid.may_be_hazardous,
+                target_dynamics=self._target_dynamics,
             )
             self._left[key.agent] += 1
             self._world = made.world
@@ -415,7 +417,8 @@ class AgentNode(FieldNode):
         if agent_awaited := self._simulation.awaited:
             awaited.append(
                 f'the path of {agent_awaited} in the same round, for at most {PATIENCE} s: robots '
-                'change the field in the order of their agents (parameter hazards.dynamics)'
+                'change the field in the order of their agents (parameters hazards.dynamics and '
+                'targets.dynamics)'
             )
         for agent in self._agents:
             agent.publish_state(agent.awaited or differs)

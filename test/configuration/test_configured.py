@@ -89,6 +89,16 @@ def test_angles_in_degrees_of_maps_and_datums_are_refused(tmp_path):
         make_datum({'datum': (55.0, -3.0, 180.0)})
 
 
+@for_each('given, why', [
+    ({'targets.dynamics': 'moving', 'targets.move': 0.1}, 'targets that move are learnt as'),
+    ({'targets.vanish': 0.1}, 'parameter targets.vanish is 0.1 and targets are static'),
+    ({'targets.dynamics': 'learn', 'method': 'kappa_bnitp_sampled'}, 'does not take targets'),
+])  # fmt: skip
+def test_targets_that_an_estimator_cannot_learn_are_refused(given, why):
+    with pytest.raises(ValueError, match=why):
+        make_estimator({**DEFAULTS, **given}, GRID)
+
+
 def test_a_sensor_worse_than_chance_is_refused_unless_it_is_learnt():
     given = {**DEFAULTS, 'sensor.true_positive': 0.1, 'sensor.false_positive': 0.4}
     with pytest.raises(ValueError, match=r'true_positive is 0.1, below .*are they swapped\?'):

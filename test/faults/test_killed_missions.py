@@ -147,6 +147,13 @@ KINDS = {
         },
         lambda made, _: {*made[-1].parameters} == {'lethality', 'vanish', 'move'},
     ),
+    'targets': (
+        {
+            'targets.dynamics': 'learn', 'learn.numbers': ['true_positive', 'false_positive'],
+            'true.targets.dynamics': 'moving', 'true.targets.move': 0.1,
+        },
+        lambda made, _: 'target_vanish' in made[-1].parameters,
+    ),
     'sampled': (LEARNING, lambda made, _: {*made[-1].parameters} == {*LEARNING['learn.numbers']}),
     'clustered': ({'prior.clustering': 'learn', **LEARNING}, lambda made, _: made),
     'eight': (

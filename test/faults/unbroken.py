@@ -11,6 +11,7 @@ from kbnitp_ros.configuration.agents import (
     make_execution,
     make_robot_types,
     make_sensor_model,
+    make_target_dynamics,
     make_unknowns,
 )
 from kbnitp_ros.configuration.mission import make_stop, search_options
@@ -67,7 +68,7 @@ def true_values(parameters):
 def core_mission(parameters):
     values = with_defaults(parameters)
     grid = make_grid(values)
-    true_dynamics = make_dynamics({**values, **true_values(parameters), 'learn.numbers': ()})
+    true = {**values, **true_values(parameters), 'learn.numbers': ()}
     rng = np.random.default_rng(values['seed'])
     world = World.random(
         grid,
@@ -90,9 +91,14 @@ def core_mission(parameters):
             values['allocation'],
             tuple(make_robot_types(values, grid).values()),
         ),
-        truth=Truth(execution=make_execution(values), dynamics=true_dynamics),
+        truth=Truth(
+            execution=make_execution(values),
+            dynamics=make_dynamics(true),
+            target_dynamics=make_target_dynamics(true),
+        ),
         learning=Learning(make_unknowns(values), values['seed'], make_clustering(values, grid)),
         dynamics=make_dynamics(values),
+        target_dynamics=make_target_dynamics(values),
         goal=make_goal(values, grid),
         stop=make_stop(values),
     )

@@ -13,6 +13,7 @@ from kbnitp_ros.core import (
     Belief,
     Beta,
     DeploymentKey,
+    Dynamics,
     Estimator,
     Grid,
     HazardDraws,
@@ -49,6 +50,20 @@ def new_ledger(seed=0, grid=None, method='kappa_bnitp', model=MODEL, unknowns=KN
     joint = np.random.default_rng(seed).dirichlet(np.ones(4), grid.cells)
     estimator = Estimator(Belief(joint.reshape(-1, 2, 2)), model, method, unknowns, seed)
     return Ledger(grid, 6, estimator)
+
+
+@for_each('targets', [
+    Dynamics('learn'), Dynamics('changing', 0.02, 0.1), Dynamics('changing', vanish=(0.01, 0.2)),
+    Dynamics('changing', 0.01, Beta(2, 9, 0.0, 0.5, zero=0.3)),
+])  # fmt: skip
+def test_the_dynamics_of_targets_are_read_as_they_were(targets):
+    joint = np.random.default_rng(3).dirichlet(np.ones(4), 12).reshape(-1, 2, 2)
+    estimator = Estimator(Belief(joint), MODEL, unknowns=LEARNT, target_dynamics=targets)
+    message = over_the_wire(belief_maps(Ledger(Grid(4, 3), 6, estimator), started=1))
+    assert read_belief_maps(message).target_dynamics == targets
+    again = read_belief_maps(message).ledger()
+    assert again.belief == estimator.belief
+    assert again.estimator.target_dynamics == targets
 
 
 def test_a_prior_says_how_the_mission_starts():

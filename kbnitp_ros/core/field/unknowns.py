@@ -45,11 +45,15 @@ class Beta:
         0, `a` may be 0: with `b` = 1 the density is then log-uniform.
     low, high : float
         Interval of the number, in [0, 1].
+    zero : float
+        Probability, below 1, that the number is 0 whatever the interval; only of rates of
+        change.
 
     Raises
     ------
     ValueError
-        If the interval is empty, reversed or not within [0, 1], or `a` or `b` is out of range.
+        If the interval is empty, reversed or not within [0, 1], or `a`, `b` or `zero` is out of
+        range.
 
     """
 
@@ -57,12 +61,14 @@ class Beta:
     b: float = 1.0
     low: float = 0.0
     high: float = 1.0
+    zero: float = 0.0
 
     def __post_init__(self) -> None:
         low, high = probability('low', self.low), probability('high', self.high)
         a = number('a of a Beta', self.a, EXPONENT, lambda a: 0.0 < a < np.inf or a == 0.0 < low)
         b = number('b of a Beta', self.b, EXPONENT, lambda b: 0.0 < b < np.inf)
-        vars(self).update(a=a, b=b, low=low, high=high)
+        zero = number('zero of a Beta', self.zero, 'in [0, 1)', lambda p: 0.0 <= p < 1.0)
+        vars(self).update(a=a, b=b, low=low, high=high, zero=zero)
         if low >= high:
             raise ValueError(
                 f'interval is from {self.low} to {self.high}: it must end above its start'
@@ -147,6 +153,11 @@ class Learnt(Value):
         learnt = cls(bins, weights.mean(axis=0))
         of_mean = (weights * bins.values).sum(axis=1).var(ddof=1) / len(weights)
         return replace(learnt, effective_samples=learnt.sd**2 / of_mean if of_mean else np.inf)
+
+    @property
+    def zero(self) -> float:
+        """Return the probability that the number is 0."""
+        return float(self.weights[self.bins.values == 0.0].sum())
 
     @property
     def mean(self) -> float:
@@ -235,6 +246,14 @@ HAZARD_RATES = {'changing': ('appear', 'vanish'), 'moving': ('move',)}
 # The prior of a completely unknown rate: log-uniform.
 ANY_RATE = Beta(0.0, 1.0, 0.001, 0.1)
 
+# Kinds of targets, those that a belief may assume, and the name of their learnt rate.
+TARGET_KINDS = ('static', 'changing', 'moving', 'learn')
+TARGETS = ('static', 'changing', 'learn')
+TARGET_VANISH = 'target_vanish'
+# Prior probability of still targets where their kind is learnt. Still targets are common, and the
+# evidence of changing ones is strong: .9 costs nothing there, and nothing where targets are still.
+STILL = 0.9
+
 
 @dataclass(frozen=True)
 class Dynamics:
@@ -248,7 +267,8 @@ class Dynamics:
         but the first, each cell changes by itself. ``'used_up'``: a hazard that strikes is gone,
         whether or not the robot survives. ``'moving'``: before every deployment but the first,
         each hazard may move to a neighbouring cell that has no hazard and may have one.
-        ``'learn'``: the kind is inferred from the evidence.
+        ``'learn'``: the kind is inferred from the evidence. Targets are static, changing or of a
+        kind to learn, and in worlds also moving; what is said of hazards is said of them.
     appear : float
         Chance in [0, 1] that a hazard-free cell of a changing field has a hazard at the next
         deployment. If it is 0 and `vanish` is unknown, hazards appear at the rate that keeps their
@@ -308,11 +328,32 @@ class Dynamics:
         changing = Dynamics('changing', self.appear, self.vanish)
         return STATIC, Dynamics('used_up'), changing, Dynamics('moving', move=self.move)
 
-    def known_rates(self) -> dict[str, float]:
+    @property
+    def target_rates(self) -> dict[str, Beta]:
+        """Return the prior of the rate at which targets vanish, by its name, if it is unknown."""
+        if not isinstance(self.vanish, Beta):
+            return {}
+        still = STILL if self.kind == 'learn' else self.vanish.zero
+        return {TARGET_VANISH: replace(self.vanish, zero=still)}
+
+    def check_targets(self) -> None:
+        """Check that a belief may assume these dynamics of targets."""
+        if self.kind not in TARGETS:
+            raise ValueError(
+                f'target_dynamics is {self.kind}: a belief takes targets that are '
+                f'{", ".join(TARGETS)}; targets that move are learnt as changing ones'
+            )
+        if self.kind == 'learn' and (self.appear or not isinstance(self.vanish, Beta)):
+            raise ValueError(
+                'target_dynamics is learn with a known rate: leave appear and vanish at 0, or '
+                'give vanish a prior'
+            )
+
+    def known_rates(self, name: str = 'dynamics') -> dict[str, float]:
         """Return the rates by name; raise ValueError if one is unknown."""
         if self.kind == 'learn':
             raise ValueError(
-                "dynamics is 'learn', but the hazards of a world are of a known kind: use one of "
+                f"{name} is 'learn', but a world is of a known kind: use one of "
                 + ', '.join(HAZARDS[:-1])
             )
         for name, prior in self.unknown_rates.items():
@@ -345,6 +386,20 @@ def as_rate(name: str, given: Rate) -> float | Beta:
 def appearance(vanish: Any, density: Any) -> Any:
     """Return the rate of appearing that keeps the share of hazards (:eq:`tied-appearance`)."""
     return np.minimum(vanish * density / (1.0 - density), 1.0)
+
+
+def targets_after(
+    joint: NDArray[np.float64], ticks: NDArray[np.intp], appear: Rates, vanish: Rates
+) -> NDArray[np.float64]:
+    """Return the joints after targets of each cell changed so often (:eq:`target-change`)."""
+    there = np.asarray(appear + vanish)
+    share = np.divide(appear, there, out=np.zeros_like(there), where=there > 0.0)
+    kept = (1.0 - there) ** np.arange(ticks.max(initial=0) + 1)[:, None]
+    kept = kept[ticks][:, None, None]
+    of_hazard = joint.sum(axis=2, keepdims=True)
+    after: NDArray[np.float64] = kept * joint
+    after += (1.0 - kept) * of_hazard * np.stack(np.broadcast_arrays(1.0 - share, share))
+    return after
 
 
 def joint_after_change(

@@ -172,20 +172,8 @@ class World(Value):
     def after_change(
         self, dynamics: Dynamics, grid: Grid, possible: NDArray[np.bool_], rng: np.random.Generator
     ) -> World:
-        """Draw the field after a change or moves of its hazards (:eq:`hazard-change`)."""
-        rates = dynamics.known_rates()
-        if dynamics.kind == 'changing':
-            stays_or_comes = np.where(self.hazard, 1.0 - rates['vanish'], rates['appear'])
-            there = rng.random(self.hazard.size) < stays_or_comes
-            return replace(self, hazard=np.where(possible, there, self.hazard))
-        hazard = self.hazard.copy()
-        for cell in rng.permutation(np.flatnonzero(hazard & possible)):
-            if rng.random() < rates['move']:
-                around = grid.neighbors(cell)
-                free = around[possible[around] & ~hazard[around]]
-                if free.size:
-                    hazard[cell], hazard[rng.choice(free)] = False, True
-        return replace(self, hazard=hazard)
+        """Draw the field after a change or moves of its hazards."""
+        return replace(self, hazard=after_change(self.hazard, dynamics, grid, possible, rng))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,15 +234,18 @@ class Execution:
         rng: np.random.Generator | int,
         dynamics: Dynamics = STATIC,
         changing: NDArray[np.bool_] | None = None,
+        target_dynamics: Dynamics = STATIC,
     ) -> Traverse:
         """Simulate a deployment; `contact` reports steps (:eq:`contact-probability`)."""
         dynamics.known_rates()
+        target_dynamics.known_rates()
         world.check(grid)
         ordered = grid.check_path(path)
         if changing is not None and yes_or_no('changing', changing).shape != (grid.cells,):
             words = f'changing has shape {np.shape(changing)}: it must be ({grid.cells},)'
             raise ValueError(words)
-        return self.follow(world, grid, ordered, model, generator(rng), dynamics, changing)
+        how = dynamics, changing, target_dynamics
+        return self.follow(world, grid, ordered, model, generator(rng), *how)
 
     def follow(
         self,
@@ -265,14 +256,21 @@ class Execution:
         rng: np.random.Generator,
         dynamics: Dynamics,
         changing: NDArray[np.bool_] | None,
+        target_dynamics: Dynamics,
     ) -> Traverse:
         """Simulate a deployment along a checked path."""
         deviates = any(vars(self).values())
         changes = changing is not None and dynamics.effect in ('changing', 'moving')
-        # Deviations are drawn by the first child, changes by the second; spawning takes its time.
-        children = rng.spawn(1 + changes) if deviates or changes else []
+        targets_change = changing is not None and target_dynamics.effect != 'static'
+        # Deviations are drawn by the first child, changes of hazards by the second, of targets by
+        # the third; spawning takes its time.
+        needed = 3 if targets_change else 1 + changes
+        children = rng.spawn(needed) if deviates or needed > 1 else []
         if changing is not None and changes:
             world = world.after_change(dynamics, grid, changing, children[1])
+        if targets_change:
+            how = target_dynamics, grid, grid.free, children[2]
+            world = replace(world, target=after_change(world.target, *how))
         walk, passed = self._walk(grid, ordered, children[0]) if deviates else (ordered, ordered)
         survived, readings, after = world.steps(walk, model, rng, dynamics)
         if survived.all():
@@ -315,6 +313,28 @@ class Execution:
             walk.append(there)
             passed.append(step + 1)
         return np.array(walk), np.array(passed)
+
+
+def after_change(
+    present: NDArray[np.bool_],
+    dynamics: Dynamics,
+    grid: Grid,
+    possible: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Draw hazards or targets after a change or moves (:eq:`hazard-change`)."""
+    rates = dynamics.known_rates()
+    if dynamics.kind == 'changing':
+        stays_or_comes = np.where(present, 1.0 - rates['vanish'], rates['appear'])
+        return np.where(possible, rng.random(present.size) < stays_or_comes, present)
+    present = present.copy()
+    for cell in rng.permutation(np.flatnonzero(present & possible)):
+        if rng.random() < rates['move']:
+            around = grid.neighbors(cell)
+            free = around[possible[around] & ~present[around]]
+            if free.size:
+                present[cell], present[rng.choice(free)] = False, True
+    return present
 
 
 AS_ORDERED = Execution()

@@ -24,6 +24,10 @@ from kbnitp_ros.core.field.unknowns import (
     Bins,
     Dynamics,
     Learnt,
+    Rates,
+    STATIC,
+    TARGET_VANISH,
+    targets_after,
     Unknowns,
 )
 from kbnitp_ros.core.inference.filter import (
@@ -54,6 +58,9 @@ FEW, MANY = (192, 40), (512, 128)
 
 # Number of Metropolis steps after each resampling.
 MOVES = 3
+
+# Share of proposed steps by which a number becomes 0, or is 0 no longer.
+SWITCHES = 0.5
 
 # Factor on the number of particles if all are drawn anew, since none allows the evidence.
 MORE = 8
@@ -103,6 +110,12 @@ class Series(Sequence[T]):
         return self._items[range(self._size)[place]]
 
 
+# Numbers of all particles, their change of hazards between deployments, the rates at which targets
+# appear and vanish, and their effects by robot type.
+FiltersEffects = tuple[
+    Floats, Callable[[Floats], Floats], tuple[Rates, Rates], dict[RobotType, Effects]
+]
+
 # As `condition`.
 Condition = Callable[[Floats, Evidence, Effects], tuple[Floats, Floats]]
 
@@ -126,11 +139,17 @@ class Filters:
         dynamics: Dynamics,
         on_loss: Condition = condition,
         count: int | None = None,
+        targets: Dynamics = STATIC,
     ) -> None:
         self._prior, self._known, self._seed = belief, model, seed
-        self._dynamics, self._on_loss = dynamics, on_loss
-        priors = {**unknowns.priors, **dynamics.unknown_rates}
+        self._dynamics, self._on_loss, self._targets = dynamics, on_loss, targets
+        priors = {**unknowns.priors, **dynamics.unknown_rates, **targets.target_rates}
         self.names, self._priors = tuple(priors), tuple(priors.values())
+        self._zero = np.array([prior.zero for prior in self._priors])
+        self._log_odds = np.log1p(-self._zero) - np.log(np.where(self._zero, self._zero, 1.0))
+        # Cells whose targets may change, and the last deployment that each cell was updated by.
+        self._may_change = (belief.target > 0.0) & (targets.effect != 'static')
+        self._updated = np.zeros(belief.cells, np.intp)
         self._maps = prior_maps(belief, model, self.names)
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
@@ -155,7 +174,7 @@ class Filters:
 
     def take(self, evidence: Evidence, is_predicted: bool = False) -> Floats:
         """Weight the particles by a deployment, and resample if need be; return predictions."""
-        deployment = [evidence], bool(self._evidence), is_predicted
+        deployment = [evidence], len(self._evidence), is_predicted, self._updated
         joints, log_chances = self._fold(self._joints, self.numbers, *deployment)
         predicted = log_chances[:, 0]
         if self.names:
@@ -169,6 +188,8 @@ class Filters:
         self.log_evidence += float(predicted[0])
         self._evidence, self._joints = self._evidence.plus(evidence), joints
         self._log_likelihood = self._log_likelihood + log_chances[0]
+        self._updated = self._updated.copy()
+        self._updated[evidence.visits.cells] = len(self._evidence) - 1
         if self.names:
             self._log_weights = self._log_weights + log_chances[0]
             self.__dict__.pop('weights', None)
@@ -178,7 +199,9 @@ class Filters:
         return predicted
 
     def _drawn_anew(
-        self, deployment: tuple[list[Evidence], bool, bool], rng: np.random.Generator
+        self,
+        deployment: tuple[list[Evidence], int, bool, NDArray[np.intp]],
+        rng: np.random.Generator,
     ) -> tuple[Floats, Floats]:
         """Draw more particles from the prior, since none allows the evidence; fold it again."""
         self.numbers = stratified(self._priors, MORE * self._count, rng)
@@ -196,10 +219,16 @@ class Filters:
         return weights
 
     def joint(self) -> Floats:
-        """Return the weighted mean of the joints."""
+        """Return the weighted mean of the joints at the last deployment."""
+        joints = self._joints
+        if self._may_change.any() and self._evidence:
+            joints = joints.copy()
+            now = np.flatnonzero(self._may_change)
+            ticks = len(self._evidence) - 1 - self._updated[now]
+            joints[now] = targets_after(joints[now], ticks, *self._effects_of(self.numbers)[2])
         if self._count == 1:
-            return self._joints[..., 0]
-        joint: Floats = self._joints @ self.weights
+            return joints[..., 0]
+        joint: Floats = joints @ self.weights
         joint /= joint.sum(axis=(1, 2), keepdims=True)
         return joint
 
@@ -224,7 +253,8 @@ class Filters:
 
     def hazard(self) -> Floats:
         """Return P(hazard) of each cell by particle, shape (particles, cells)."""
-        hazard: Floats = self._joints[:, 1].sum(axis=1).T
+        # Rounding may give a certain hazard a probability above 1.
+        hazard: Floats = self._joints[:, 1].sum(axis=1).clip(max=1.0).T
         return hazard
 
     def models(self, particles: NDArray[np.intp]) -> list[SensorModel]:
@@ -285,20 +315,24 @@ class Filters:
         joints: Floats,
         numbers: Floats,
         deployments: Sequence[Evidence],
-        has_begun: bool = False,
+        start: int = 0,
         is_predicted: bool = False,
+        updated: NDArray[np.intp] | None = None,
     ) -> tuple[Floats, Floats]:
         """Fold deployments into joints; return joints, and logs of chances and predictions."""
         joints = np.array(joints)
         log_chances: Floats = np.zeros((1, len(numbers)))
-        if self._effects[0] is not numbers:
-            self._effects = self._effects_with(numbers)
-        _, change, effects = self._effects
-        for evidence in deployments:
-            if has_begun:
+        _, change, rates, effects = self._effects_of(numbers)
+        updated = np.zeros(len(joints), np.intp) if updated is None else updated.copy()
+        for number, evidence in enumerate(deployments, start):
+            if number:
                 joints = change(joints)
-            has_begun = True
             robot_type, cells = evidence.robot_type, evidence.visits.cells
+            changed = cells[self._may_change[cells]]
+            if changed.size:
+                ticks = number - updated[changed]
+                joints[changed] = targets_after(joints[changed], ticks, *rates)
+                updated[cells] = number
             if robot_type not in effects:
                 effects[robot_type] = self._step_effects(robot_type, numbers)
             joint = joints[cells]
@@ -310,16 +344,32 @@ class Filters:
             log_chances = log_chances + log_chance
         return joints, log_chances
 
-    def _effects_with(
-        self, numbers: Floats
-    ) -> tuple[Floats, Callable[[Floats], Floats], dict[RobotType, Effects]]:
-        """Return the numbers, their change of hazards between deployments, and no effects yet."""
+    def _effects_of(self, numbers: Floats) -> FiltersEffects:
+        """Return what the numbers do, from the cache if it is of these numbers."""
+        if self._effects[0] is not numbers:
+            self._effects = self._effects_with(numbers)
+        return self._effects
+
+    def _effects_with(self, numbers: Floats) -> FiltersEffects:
+        """Return the numbers, their changes of hazards and targets, and no effects yet."""
         learnt = dict(zip(self.names, numbers.T))
         rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
         if 'vanish' in rates and not self._dynamics.appear:
             density = learnt.get('hazard_density', prior_density(self._prior))
             rates['appear'] = appearance(rates['vanish'], density)
-        return numbers, hazard_change(self._prior, self._dynamics, rates), {}
+        change = hazard_change(self._prior, self._dynamics, rates)
+        return numbers, change, self._target_rates(numbers, learnt.get(TARGET_VANISH)), {}
+
+    def _target_rates(self, numbers: Floats, vanish: Floats | None) -> tuple[Rates, Rates]:
+        """Return the rates at which targets appear and vanish, shape (particles,)."""
+        known = self._targets
+        if vanish is None:
+            # Without an unknown rate, both are numbers.
+            return np.full(len(numbers), known.appear), np.full(len(numbers), known.vanish)
+        if known.appear:
+            return np.full(len(numbers), known.appear), vanish
+        density = self._first_joints(numbers)[self._may_change, :, 1].sum(axis=1).mean(axis=0)
+        return appearance(vanish, density), vanish
 
     def _step_effects(self, robot_type: RobotType, numbers: Floats) -> Effects:
         """Return the effects of a step; numbers that the robot type sets replace learnt ones."""
@@ -335,29 +385,59 @@ class Filters:
     def _resample(self, rng: np.random.Generator) -> None:
         """Resample the particles by their weights, and move them."""
         low, high = np.array([(prior.low, prior.high) for prior in self._priors]).T
-        weights = self.weights
-        logits = np.log(self.numbers - low) - np.log(high - self.numbers)
-        centred = logits - weights @ logits
+        weights, is_there = self.weights, self.numbers > 0.0
+        # Numbers that are 0 have a logit only for arithmetic.
+        inside = np.where(is_there, self.numbers, (low + high) / 2.0)
+        logits = np.log(inside - low) - np.log(high - inside)
+        mean = weights @ (is_there * logits) / np.maximum(weights @ is_there, 1e-9)
+        centred = is_there * (logits - mean)
         covariance = (centred * weights[:, None]).T @ centred + 1e-9 * np.eye(logits.shape[1])
         scale = 2.38 / np.sqrt(logits.shape[1]) * np.linalg.cholesky(covariance).T
         points = (np.arange(self._count) + rng.random()) / self._count
         chosen = np.searchsorted(weights.cumsum(), points).clip(max=weights.size - 1)
         logits, joints = logits[chosen], self._joints[..., chosen]
-        log_likelihood = self._log_likelihood[chosen]
+        is_there, log_likelihood = is_there[chosen], self._log_likelihood[chosen]
         for _ in range(MOVES):
-            proposed = logits + rng.standard_normal(logits.shape) @ scale
-            numbers = expit_within(proposed, self._priors)
+            proposed, is_then = self._propose(logits, is_there, scale, rng)
+            numbers = np.where(is_then, expit_within(proposed, self._priors), 0.0)
             folded, (log_proposed, *_) = self._fold(
                 self._first_joints(numbers), numbers, self._evidence
             )
             log_ratio = log_proposed - log_likelihood
-            log_ratio += log_prior(proposed, self._priors) - log_prior(logits, self._priors)
+            # A number that becomes or is no longer 0 is drawn by its prior: its density cancels.
+            gain = log_density(proposed, self._priors) - log_density(logits, self._priors)
+            log_ratio += (gain * (is_there & is_then)).sum(axis=1)
+            log_ratio += (is_then * 1.0 - is_there) @ self._log_odds
             is_moved = np.log(rng.random(self._count)) < log_ratio
             logits = np.where(is_moved[:, None], proposed, logits)
+            is_there = np.where(is_moved[:, None], is_then, is_there)
             log_likelihood = np.where(is_moved, log_proposed, log_likelihood)
             joints = np.where(is_moved, folded, joints)
-        self.numbers, self._joints = expit_within(logits, self._priors), joints
+        self.numbers = np.where(is_there, expit_within(logits, self._priors), 0.0)
+        self._joints = joints
         self._log_likelihood, self._log_weights = log_likelihood, np.zeros(self._count)
+
+    def _propose(
+        self,
+        logits: Floats,
+        is_there: NDArray[np.bool_],
+        scale: Floats,
+        rng: np.random.Generator,
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """Propose a step of all numbers, or of some particles a number that is 0 or no longer."""
+        proposed = logits + rng.standard_normal(logits.shape) @ scale
+        may_be_zero = np.flatnonzero(self._zero)
+        if not may_be_zero.size:
+            return proposed, is_there
+        is_then, which = is_there.copy(), rng.choice(may_be_zero, len(logits))
+        switches = rng.random(len(logits)) < SWITCHES
+        proposed[switches] = logits[switches]
+        for number in may_be_zero.tolist():
+            prior, some = self._priors[number], np.flatnonzero(switches & (which == number))
+            drawn = within(prior.quantiles(rng.random(some.size))[:, None], [prior])[:, 0]
+            proposed[some, number] = np.log(drawn - prior.low) - np.log(prior.high - drawn)
+            is_then[some, number] ^= True
+        return proposed, is_then
 
 
 class Bank:
@@ -374,6 +454,7 @@ class Bank:
         dynamics: Dynamics,
         on_loss: Condition = condition,
         count: int | None = None,
+        targets: Dynamics = STATIC,
     ) -> None:
         if dynamics.kind == 'learn' and belief.grid is None:
             raise ValueError(
@@ -382,9 +463,10 @@ class Bank:
                 'belief.on(grid)'
             )
         self._prior, self._known = belief, model
-        self._priors = {**unknowns.priors, **dynamics.unknown_rates}
+        self._priors = {**unknowns.priors, **dynamics.unknown_rates, **targets.target_rates}
+        self._targets = targets
         self._filters = {
-            each.kind: Filters(belief, model, unknowns, seed, each, on_loss, count)
+            each.kind: Filters(belief, model, unknowns, seed, each, on_loss, count, targets)
             for each in dynamics.kinds
         }
         self._ruled_out: frozenset[str] = frozenset()
@@ -454,6 +536,14 @@ class Bank:
         """Return the probability of each kind of hazards."""
         return dict(zip(self._filters, self._weights.tolist()))
 
+    @property
+    def target_kinds(self) -> dict[str, float]:
+        """Return the probability of each kind of targets."""
+        if self._targets.kind != 'learn':
+            return {self._targets.kind: 1.0}
+        still = self.parameters[TARGET_VANISH].zero
+        return {'static': still, 'changing': 1.0 - still}
+
     @cached_property
     def belief(self) -> Belief:
         """Return the weighted mean of the filters."""
@@ -488,7 +578,8 @@ class Bank:
             values = np.concatenate([each.numbers[:, each.names.index(name)] for each in having])
             order = np.argsort(values, kind='stable')
             ascending = values[order]
-            edges = [prior.low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]
+            low = 0.0 if prior.zero else prior.low
+            edges = [low, *((ascending[1:] + ascending[:-1]) / 2.0), prior.high]
             bins = Bins(np.array(edges), ascending, np.full(values.size, -np.log(values.size)))
             learnt[name] = Learnt(bins, weights[order], float(1.0 / (weights**2).sum()))
         return learnt
@@ -570,7 +661,13 @@ def stratified(priors: Sequence[Beta], count: int, rng: np.random.Generator) -> 
     columns = [
         prior.quantiles((rng.permutation(count) + rng.random(count)) / count) for prior in priors
     ]
-    return within(np.stack(columns, axis=1), priors) if priors else np.empty((count, 0))
+    if not priors:
+        return np.empty((count, 0))
+    numbers = within(np.stack(columns, axis=1), priors)
+    for column, prior in zip(numbers.T, priors):
+        if prior.zero:
+            column[(rng.permutation(count) + rng.random(count)) / count < prior.zero] = 0.0
+    return numbers
 
 
 def within(numbers: Floats, priors: Sequence[Beta]) -> Floats:
@@ -586,12 +683,11 @@ def expit_within(logits: Floats, priors: Sequence[Beta]) -> Floats:
     return within(low + (high - low) * expit(logits), priors)
 
 
-def log_prior(logits: Floats, priors: Sequence[Beta]) -> Floats:
-    """Return the log prior density of log odds up to a constant, shape (particles,)."""
+def log_density(logits: Floats, priors: Sequence[Beta]) -> Floats:
+    """Return the log prior density of log odds up to a constant, shape (particles, numbers)."""
     numbers = expit_within(logits, priors)
     a, b = np.array([(prior.a, prior.b) for prior in priors]).T
-    density = (a - 1.0) * np.log(numbers) + (b - 1.0) * np.log1p(-numbers)
+    density: Floats = (a - 1.0) * np.log(numbers) + (b - 1.0) * np.log1p(-numbers)
     share = expit(logits)
     density += np.log(share) + np.log1p(-share)
-    total: Floats = density.sum(axis=1)
-    return total
+    return density

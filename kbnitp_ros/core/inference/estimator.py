@@ -22,6 +22,7 @@ from kbnitp_ros.core.field.unknowns import (
     Dynamics,
     Learnt,
     STATIC,
+    TARGET_VANISH,
     Unknowns,
 )
 from kbnitp_ros.core.field.world import World
@@ -68,10 +69,15 @@ class Estimator:
     clustering : Clustering, optional
         Clustering of static hazards; independent by default. All cells that may have a hazard then
         need the same prior hazard.
+    target_dynamics : Dynamics
+        How targets change between deployments: 'static', 'changing' or 'learn', whatever the
+        hazards do. If the rate at which they vanish is unknown and `appear` is 0, targets appear
+        at the rate that keeps their expected number. With 'learn' they are still with the prior
+        probability .9.
 
     Attributes
     ----------
-    prior, method, unknowns, seed, dynamics, clustering
+    prior, method, unknowns, seed, dynamics, clustering, target_dynamics
         As given.
     version : int
         Version of the method's arithmetic.
@@ -95,6 +101,7 @@ class Estimator:
         *,
         dynamics: Dynamics = STATIC,
         clustering: Clustering | None = None,
+        target_dynamics: Dynamics = STATIC,
     ) -> None:
         start, name = METHODS.find(method), entry_name(method)
         if dynamics.effect != 'static':
@@ -104,7 +111,15 @@ class Estimator:
                 lambda each: dynamics.effect in supported_dynamics(each),
                 f'{name} does not take hazards that are {what}',
             )
-        if unknown := {**unknowns.priors, **dynamics.unknown_rates}:
+        target_dynamics.check_targets()
+        if target_dynamics.effect != 'static':
+            check_able(
+                method,
+                lambda each: getattr(each, 'changes_targets', False),
+                f'{name} does not take targets that change',
+            )
+        rates = {**dynamics.unknown_rates, **target_dynamics.target_rates}
+        if unknown := {**unknowns.priors, **rates}:
             check_able(
                 method,
                 lambda each: each.learns,
@@ -120,12 +135,14 @@ class Estimator:
         self.method = method
         self.unknowns = unknowns
         self.seed = whole_number('seed', seed, 0)
-        self.dynamics = dynamics
+        self.dynamics, self.target_dynamics = dynamics, target_dynamics
         self.clustering = clustering
         # Methods for independent static hazards do not accept these arguments.
         further = () if dynamics.effect == 'static' else (dynamics,)
         clusters = clustering is not None and clustering.coupling != 0.0
-        named = {'clustering': clustering} if clusters else {}
+        named: dict[str, Any] = {'clustering': clustering} if clusters else {}
+        if target_dynamics.effect != 'static':
+            named['target_dynamics'] = target_dynamics
         make: Callable[..., Inference] = start
         self.version = start.version
         self._evidence = Series[tuple[Observation, RobotType]]()
@@ -133,7 +150,7 @@ class Estimator:
         if isinstance(start, OnePass) and start.learns:
             prior = belief if start.correlated else belief.independent()
             self._checker = Checker(
-                partial(Alternatives, prior, model, unknowns, self.seed, dynamics)
+                partial(Alternatives, prior, model, unknowns, self.seed, dynamics, target_dynamics)
             )
         try:
             with METHODS.blamed(method):
@@ -170,6 +187,28 @@ class Estimator:
         """Return the probability of each kind of hazards; 1 if the kind is given."""
         kinds: Mapping[str, float] = getattr(self._inference, 'kinds', {self.dynamics.kind: 1.0})
         return kinds
+
+    @property
+    def target_kinds(self) -> Mapping[str, float]:
+        """Return the probability of each kind of targets; 1 if the kind is given."""
+        given = {self.target_dynamics.kind: 1.0}
+        kinds: Mapping[str, float] = getattr(self._inference, 'target_kinds', given)
+        return kinds
+
+    @property
+    def probable_target_dynamics(self) -> Dynamics:
+        """Return the most probable kind of targets, with its mean rates."""
+        if not self.target_dynamics.target_rates:
+            return self.target_dynamics
+        if self.target_kinds.get('static', 0.0) > 0.5:
+            return STATIC
+        learnt = self.parameters[TARGET_VANISH]
+        vanish = learnt.mean / (1.0 - learnt.zero)
+        appear = self.target_dynamics.appear
+        if not appear:
+            possible = self.prior.target > 0.0
+            appear = appearance(vanish, float(self.prior.target[possible].mean()))
+        return Dynamics('changing', float(appear), vanish)
 
     @property
     def probable_dynamics(self) -> Dynamics:
@@ -304,6 +343,7 @@ class Estimator:
             self.seed,
             dynamics=self.dynamics,
             clustering=self.clustering,
+            target_dynamics=self.target_dynamics,
         )
         for observation, robot_type in self._evidence:
             other.assimilate(observation, own(robot_type))

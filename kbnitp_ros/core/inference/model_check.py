@@ -98,14 +98,16 @@ class Alternatives:
         unknowns: Unknowns,
         seed: int,
         dynamics: Dynamics,
+        targets: Dynamics,
     ) -> None:
         count = min(PARTICLES, max(2, MAX_CELLS // belief.cells))
 
         def bank(unknowns: Unknowns, dynamics: Dynamics) -> Bank:
-            return Bank(belief, model, unknowns, seed, dynamics, count=count)
+            return Bank(belief, model, unknowns, seed, dynamics, count=count, targets=targets)
 
         self._own: Bank | None = None
-        if not (unknowns.priors or dynamics.unknown_rates or dynamics.kind == 'learn'):
+        rates = {**dynamics.unknown_rates, **targets.target_rates}
+        if not (unknowns.priors or rates or dynamics.kind == 'learn'):
             self._own = bank(unknowns, dynamics)
         self._believed = WORDS.get(dynamics.kind, 'any kind of hazards')
         self._alternatives: dict[str, Bank | None] = {}

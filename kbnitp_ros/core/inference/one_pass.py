@@ -60,6 +60,7 @@ class OnePass:
     # Whether the method can learn unknown numbers and the kind of hazards.
     learns: bool = False
     takes_lost_at: ClassVar[bool] = True
+    changes_targets: ClassVar[bool] = True
     version: ClassVar[int] = 1
 
     def __call__(
@@ -69,12 +70,13 @@ class OnePass:
         unknowns: Unknowns = ALL_KNOWN,
         seed: int = 0,
         dynamics: Dynamics = STATIC,
+        target_dynamics: Dynamics = STATIC,
     ) -> Any:
         """Return the inference before the first deployment."""
         if unknowns.kappa is not None and not self.correlated:
             raise ValueError('kappa cannot be learnt by a method without kappa: use kappa_bnitp')
         prior = belief if self.correlated else belief.independent()
-        return Bank(prior, model, unknowns, seed, dynamics, self.on_loss)
+        return Bank(prior, model, unknowns, seed, dynamics, self.on_loss, targets=target_dynamics)
 
     @property
     def on_loss(self) -> Condition:
