@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A planner and a goal that take as long as a test wants: until it makes a file beside them."""
+"""Planners and a goal as tests want them; some wait until the test makes a file beside them."""
 
 from pathlib import Path
 import time
 
 from kbnitp_ros.core import Lane
+from kbnitp_ros.core.planning.objective import Candidate
 from kbnitp_ros.core.planning.planners import beam
 
 OPEN = Path('open')
@@ -19,6 +20,11 @@ def search(finder, objective):
     """Search like `beam` once the gate is open."""
     wait()
     return beam(finder, objective)
+
+
+def stay(finder, objective):
+    """Return a path that never leaves the base."""
+    return [Candidate.along([finder.grid.base] * 4, objective)]
 
 
 class Slow(Lane):

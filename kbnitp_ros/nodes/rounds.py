@@ -13,7 +13,7 @@ from typing import Any
 from kbnitp_ros.configuration import make_goal, value_for
 from kbnitp_ros.configuration.agents import most_distance
 from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_plan
-from kbnitp_ros.core import DeploymentKey, Grid, HazardDraws, Plan, Team
+from kbnitp_ros.core import DeploymentKey, Grid, HazardDraws, Plan, SearchOptions, Team
 from kbnitp_ros.core.decision.rounds import plan_round, why_worthless
 from kbnitp_ros.core.planning.planners import count_visits
 from kbnitp_ros.core.planning.regions import keepout_cells
@@ -139,7 +139,7 @@ class Rounds:
                 DeploymentKey(agent, stamp + number): each
                 for number, (agent, each) in enumerate(zip(agents, found))
             }
-            worthless = why_worthless(found, loss_cost)
+            worthless = why_at_base(found, options) or why_worthless(found, loss_cost)
             seconds = time.monotonic() - start
             return PlannedRound(plans, stop.why_not_worth(found), worthless, seconds)
 
@@ -183,6 +183,15 @@ class Rounds:
                 f'planning took {planned.seconds:.1f} s, longer than the robots are away '
                 f'({away:.1f} s): reduce beam_width, or set planner to relaxed'
             )
+
+
+def why_at_base(plans: Sequence[Plan], options: SearchOptions) -> str:
+    """Describe a path that never leaves the base; empty if there is none."""
+    for plan in plans:
+        if (plan.path == plan.path[0]).all():
+            found = f'the planner {options.planner} found the path {plan.path.tolist()}'
+            return f'{found}, which never leaves the base'
+    return ''
 
 
 def describe_plan(grid: Grid, plan: Plan) -> str:

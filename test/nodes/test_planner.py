@@ -365,6 +365,17 @@ def test_a_pause_during_a_decision_is_answered(gate, field):
     field.until(lambda: len(paths) == 2, 'next path')
 
 
+def test_a_path_that_never_leaves_the_base_is_not_sent(gate, field):
+    base = Base(field, planner='gated:stay', recorded=False)
+    base.until_state(
+        'the planner gated:stay found the path [0, 0, 0, 0], which never leaves the base'
+    )
+    assert not base.paths['scout_1']
+    assert field.set_parameter('/planner', 'planner', 'relaxed').successful
+    base.until_sent(1)
+    assert base.sent()[0][1] != 0
+
+
 def test_plans_without_value_are_not_sent(field):
     progress = field.listen(Progress, '/progress')
     base = Base(field, loss_cost=1000.0)

@@ -84,6 +84,8 @@ def best_paths(
         more, more_steps = closed_paths(reach, count, *found)
         paths = np.concatenate([more, paths[:1]])
         steps = np.concatenate([more_steps, steps[:1]])
+    if reach.cells.size > 1:
+        paths, steps = leaving(reach, paths, steps)
     # Of paths with equal visits only the first is kept.
     is_visit = np.arange(1, paths.shape[1]) <= steps[:, None]
     marks = (problem.marks[paths[:, 1:]] * is_visit).sum(axis=1)
@@ -94,6 +96,26 @@ def best_paths(
         Candidate(float(values[row]), reach.cells[paths[row, : steps[row] + 1]])
         for row in np.lexsort((steps, -values))
     ]
+
+
+def leaving(reach: Reach, paths: Places, steps: Places) -> tuple[Places, Places]:
+    """Return the paths that leave the base, at their first step; with the shortest ones added."""
+    # The value depends only on the visits, so stays before the first step may come last.
+    stays = np.argmax(paths > 0, axis=1) - 1
+    leaves = stays >= 0
+    moved = [
+        np.append(path[wait:], path[:wait]) for path, wait in zip(paths[leaves], stays[leaves])
+    ]
+    for path, count in zip(moved, steps[leaves]):
+        path[count + 1 :] = 0
+    around = reach.neighbors[0][reach.neighbors[0] > 0]
+    # Where a loss costs much, every path that was found may stay at the base.
+    short = np.zeros((around.size if reach.within.size > 2 else 0, paths.shape[1]), dtype=np.intp)
+    short[:, 1:2] = around[: len(short), None]
+    if reach.longest:
+        short = short[2.0 * reach.home[short[:, 1]] <= reach.longest]
+    paths = np.concatenate([np.reshape(moved, (-1, paths.shape[1])).astype(np.intp), short])
+    return paths, np.append(steps[leaves], np.full(len(short), 2))
 
 
 def label_problem(

@@ -92,7 +92,7 @@ def problem(seed):
     )
     belief = Belief(brute_force.random_joint(rng, grid.cells, grid.base))
     model = SensorModel(0.6 * float(rng.random()), malfunction=float(rng.choice([0.0, 0.05, 0.3])))
-    keeps = visits[lengths <= options.max_distance + 1e-8]
+    keeps = visits[(lengths <= options.max_distance + 1e-8) & (lengths > 0.0)]
     returns = brute_force.survival_of_visits(belief.joint, model, keeps)
     information = brute_force.information_of_visits(belief.joint, model, keeps)
     best = (information - options.loss_cost * (1.0 - returns)).max()
