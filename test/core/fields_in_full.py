@@ -77,7 +77,7 @@ def posterior(joint, model, outcomes, targets=None, hazards=None, duds=0.0, arou
     if duds:
         joint = np.stack([joint[:, 0], joint[:, 1] * (1 - duds), joint[:, 1] * duds], axis=1)
     for number, outcome in enumerate(outcomes):
-        weight = product_of(joint, states)
+        weight = independent_weights(joint, states)
         if number and hazards is not None and hazards.kind == 'changing':
             weight = changed(weight, len(joint), kinds, 0, rates(hazards), may_have[0])
         if number and targets is not None:
@@ -90,7 +90,7 @@ def posterior(joint, model, outcomes, targets=None, hazards=None, duds=0.0, arou
     return joint, chance
 
 
-def product_of(joint, states):
+def independent_weights(joint, states):
     """Return the probability of each state of independent cells."""
     weight = np.ones(len(states))
     for cell, of_cell in enumerate(joint):

@@ -225,7 +225,9 @@ class Filters:
             joints = joints.copy()
             now = np.flatnonzero(self._may_change)
             ticks = len(self._evidence) - 1 - self._updated[now]
-            joints[now] = targets_after(joints[now], ticks, *self._effects_of(self.numbers)[2])
+            joints[now] = targets_after(
+                joints[now], ticks, *self._particle_effects(self.numbers)[2]
+            )
         if self._count == 1:
             return joints[..., 0]
         joint: Floats = joints @ self.weights
@@ -322,7 +324,7 @@ class Filters:
         """Fold deployments into joints; return joints, and logs of chances and predictions."""
         joints = np.array(joints)
         log_chances: Floats = np.zeros((1, len(numbers)))
-        _, change, rates, effects = self._effects_of(numbers)
+        _, change, rates, effects = self._particle_effects(numbers)
         updated = np.zeros(len(joints), np.intp) if updated is None else updated.copy()
         for number, evidence in enumerate(deployments, start):
             if number:
@@ -344,7 +346,7 @@ class Filters:
             log_chances = log_chances + log_chance
         return joints, log_chances
 
-    def _effects_of(self, numbers: Floats) -> FiltersEffects:
+    def _particle_effects(self, numbers: Floats) -> FiltersEffects:
         """Return what the numbers do, from the cache if it is of these numbers."""
         if self._effects[0] is not numbers:
             self._effects = self._effects_with(numbers)
