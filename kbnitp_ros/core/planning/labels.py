@@ -106,8 +106,6 @@ def leaving(reach: Reach, paths: Places, steps: Places) -> tuple[Places, Places]
     moved = [
         np.append(path[wait:], path[:wait]) for path, wait in zip(paths[leaves], stays[leaves])
     ]
-    for path, count in zip(moved, steps[leaves]):
-        path[count + 1 :] = 0
     around = reach.neighbors[0][reach.neighbors[0] > 0]
     # Where a loss costs much, every path that was found may stay at the base.
     short = np.zeros((around.size if reach.within.size > 2 else 0, paths.shape[1]), dtype=np.intp)
