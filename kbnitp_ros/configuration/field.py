@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite, radians, tau
+from math import ceil, isfinite, radians, tau
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,8 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
             position or None,
             unknown_blocks=values['unknown_blocks'],
             base=values['grid.base'],
+            occupied_thresh=values['occupied_thresh'],
+            robot_radius=values['robot_radius'],
             **steps,
         )
         if max(grid.width, grid.height) > MAX_SIDE:
@@ -64,6 +66,11 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
                 f'{MAX_SIDE} per side are possible; set a coarser grid.resolution'
             )
         return with_bases(grid, values)
+    if values['robot_radius']:
+        raise ValueError(
+            f'parameter robot_radius is {values["robot_radius"]}, and there is no map whose '
+            'obstacles it widens: give map or map_topic, or leave it at 0'
+        )
     origin = values['grid.origin']
     if len(origin) not in (2, 3) or not all(map(isfinite, origin)):
         raise ValueError(
@@ -80,6 +87,18 @@ def make_grid(values: Mapping[str, Any], received: Map | None = None) -> Grid:
     at = cell_at(values, 'grid.base_position', grid)
     base = values['grid.base'] if at is None else at
     return with_bases(replace(grid, base=base, blocked=values['grid.blocked'], **steps), values)
+
+
+def graded_note(values: Mapping[str, Any], received: Map | None = None) -> str:
+    """Describe the pixels of a map that are neither free nor obstacles; '' if there are none."""
+    field = read_map(values['map']) if values['map'] else received
+    if field is None or not (graded := field.graded(values['occupied_thresh'])):
+        return ''
+    return (
+        f'{graded} of {field.data.size} pixels of the map have values above 0 and below '
+        f'{ceil(100 * values["occupied_thresh"])}, and count as free: lower occupied_thresh if '
+        'they are obstacles'
+    )
 
 
 def check_angle(name: str, angle: float) -> None:

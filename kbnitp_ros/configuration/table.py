@@ -86,6 +86,12 @@ ROWS: tuple[Parameter | str, ...] = (
     'message; empty for none.',
     Parameter('unknown_blocks', True, GRID),
     'Whether robots avoid cells that are partly unknown in the map.',
+    Parameter('occupied_thresh', 0.65, GRID, limits=(0.01, 1.0)),
+    'Occupancy from which a pixel of the map is an obstacle, as in map files: 0.65 means values '
+    'of 65 and more in nav_msgs/OccupancyGrid.',
+    Parameter('robot_radius', 0.0, GRID, limits=(0.0, 1000.0)),
+    'Radius of the largest robot in metres: obstacles of the map are widened by what exceeds half '
+    'a cell.',
     Parameter('grid.width', 9, GRID, limits=(1, MAX_SIDE)),
     'Width of the field, along x, in cells.',
     Parameter('grid.height', 9, GRID, limits=(1, MAX_SIDE)),

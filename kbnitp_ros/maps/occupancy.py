@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import ceil, isfinite
+from math import ceil, isfinite, sqrt
 from typing import Any
 
 from kbnitp_ros.core import Grid
@@ -114,8 +114,35 @@ def nearest_free(grid: Grid, cell: int) -> str:
     return f'the nearest free cell is {nearest} around ({x:g}, {y:g})'
 
 
+def widened(obstacles: NDArray[np.bool_], pixels: float) -> NDArray[np.bool_]:
+    """Return the pixels nearer than `pixels` to an obstacle, shape (rows, columns)."""
+    if pixels <= ON_THE_EDGE or not obstacles.any():
+        return obstacles
+    wide, (rows, columns) = obstacles.copy(), obstacles.shape
+    before = np.zeros((rows, columns + 1), dtype=np.int64)
+    np.cumsum(obstacles, axis=1, out=before[:, 1:])
+    for up in range(-ceil(pixels), ceil(pixels) + 1):
+        # Distances are between the nearest edges of two pixels.
+        gap = max(abs(up) - 1, 0)
+        if gap >= pixels - ON_THE_EDGE or abs(up) >= rows:
+            continue
+        aside = ceil(sqrt(pixels**2 - gap**2) - ON_THE_EDGE)
+        column = np.arange(columns)
+        right = np.minimum(column + aside + 1, columns)
+        near = before[:, right] > before[:, np.maximum(column - aside, 0)]
+        # Rows moved by `up`, free where they come from beyond the map.
+        moved = np.zeros_like(wide)
+        first, last = max(0, -up), rows - max(0, up)
+        moved[first:last] = near[slice(first + up, last + up)]
+        wide |= moved
+    return wide
+
+
 UNKNOWN = -1
 OCCUPIED = 100
+
+# Occupancy from which a pixel is an obstacle, as in map_server's files by default.
+OCCUPIED_THRESH = 0.65
 
 
 class MapError(ValueError):
@@ -154,6 +181,8 @@ class Map:
         *,
         base: int = 0,
         through_corners: bool = False,
+        occupied_thresh: float = OCCUPIED_THRESH,
+        robot_radius: float = 0.0,
     ) -> Grid:
         """Return the grid over the map; cells with an occupied pixel are blocked."""
         side = self.resolution if resolution is None else resolution
@@ -164,7 +193,10 @@ class Map:
                 f'{self.resolution} m'
             )
         rows, columns = (ceil(count / pixels - ON_THE_EDGE) for count in self.data.shape)
-        blocked = self._blocked(rows, columns, pixels, unknown_blocks)
+        obstacles = self.data >= 100.0 * occupied_thresh - ON_THE_EDGE
+        # A robot in the middle of a cell is clear of obstacles half a cell away.
+        wider = widened(obstacles, robot_radius / self.resolution - 0.5 * pixels)
+        blocked = self._blocked(wider, rows, columns, pixels, unknown_blocks)
         bare = Grid(columns, rows, resolution=side, origin=self.origin, yaw=self.yaw)
         if base_position is not None:
             base = int(bare.cells_at([base_position])[0])
@@ -186,15 +218,24 @@ class Map:
             )
         return grid
 
+    def graded(self, occupied_thresh: float) -> int:
+        """Return the number of pixels above 0 that are no obstacles."""
+        return int(((self.data > 0) & (self.data < 100.0 * occupied_thresh - ON_THE_EDGE)).sum())
+
     def _blocked(
-        self, rows: int, columns: int, pixels: float, unknown_blocks: bool
+        self,
+        obstacles: NDArray[np.bool_],
+        rows: int,
+        columns: int,
+        pixels: float,
+        unknown_blocks: bool,
     ) -> NDArray[np.bool_]:
         """Return the cells with a blocking pixel, shape (rows, columns)."""
         row_start, row_stop = pixels_under(rows, pixels)
         column_start, column_stop = pixels_under(columns, pixels)
         blocking = np.full((row_stop[-1], column_stop[-1]), unknown_blocks)
         height, width = self.data.shape
-        blocking[:height, :width] = self.data == OCCUPIED
+        blocking[:height, :width] = obstacles
         if unknown_blocks:
             blocking[:height, :width] |= self.data == UNKNOWN
         # Number of blocking pixels below and left of each corner: four corners give the number in

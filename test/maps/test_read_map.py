@@ -264,10 +264,58 @@ def test_a_cell_is_blocked_by_any_of_its_pixels():
     assert field.grid(base_position=(1.1, 2.1)).blocked == {7, 12}
 
 
-@for_each('value', [-1, 0, 50, 99, 100])
-def test_other_pixels_are_free(value):
+@for_each('value, thresh', product([-1, 0, 50, 64, 65, 86, 99, 100], [0.5, 0.65, 0.86, 1.0]))
+def test_a_pixel_is_an_obstacle_from_the_threshold(value, thresh):
     data = np.array([[0, value]], dtype=np.int8)
-    assert bool(Map(data, 1.0, (0.0, 0.0)).grid().blocked) == (value in (-1, 100))
+    field = Map(data, 1.0, (0.0, 0.0))
+    is_obstacle = value >= 100 * thresh
+    assert bool(field.grid(occupied_thresh=thresh).blocked) == (is_obstacle or value == -1)
+    assert field.graded(thresh) == (value > 0 and not is_obstacle)
+
+
+@for_each('seed', range(60))
+def test_obstacles_are_widened_by_what_exceeds_half_a_cell(seed):
+    """By the distance of every pixel to every cell."""
+    rng = np.random.default_rng(seed)
+    rows, columns = rng.integers(1, 25, 2)
+    data = np.where(rng.random((rows, columns)) < 0.02, 100, 0).astype(np.int8)
+    side, radius = float(rng.choice([0.1, 0.2, 0.5])), float(rng.uniform(0.0, 0.9))
+    field = Map(data, 0.1, (0.0, 0.0))
+    height, width = (int(np.ceil(count * 0.1 / side - 1e-6)) for count in data.shape)
+    wanted = np.zeros((height, width), dtype=bool)
+    for row, column in np.argwhere(data == 100):
+        for y, x in np.ndindex(height, width):
+            # Of each pixel under the cell, since pixels are widened.
+            under = [
+                (up, aside)
+                for up in range(round(y * side / 0.1), round((y + 1) * side / 0.1))
+                for aside in range(round(x * side / 0.1), round((x + 1) * side / 0.1))
+                if up < rows and aside < columns
+            ]
+            gaps = [
+                np.hypot(max(abs(up - row) - 1, 0), max(abs(aside - column) - 1, 0))
+                for up, aside in under
+            ]
+            is_under = (row, column) in under
+            widths = (radius - side / 2) / 0.1
+            wanted[y, x] |= is_under or any(gap < widths - 1e-6 for gap in gaps)
+    wanted.flat[0] = False
+    try:
+        grid = field.grid(side, robot_radius=radius, unknown_blocks=False)
+    except MapError:
+        return
+    assert grid.blocked == set(np.flatnonzero(wanted).tolist())
+
+
+def test_widening_opens_no_wall_and_leaves_the_base():
+    data = np.zeros((20, 20), dtype=np.int8)
+    data[:, 9:11] = 86
+    field = Map(data, 0.5, (0.0, 0.0))
+    assert len(field.grid(0.5).blocked) == 40
+    assert len(field.grid(0.5, occupied_thresh=0.9).blocked) == 0
+    # Half a cell is 0.25 m; a robot of 0.5 m in radius keeps a further cell away.
+    assert len(field.grid(0.5, robot_radius=0.5).blocked) == 80
+    assert len(field.grid(0.5, robot_radius=0.25).blocked) == 40
 
 
 def test_cells_that_extend_beyond_the_map_are_unknown_there():

@@ -145,6 +145,23 @@ def test_a_mission_waits_for_a_map_that_can_be_and_may_be_turned(field, file):
     assert replay(log).reproduced
 
 
+def test_walls_below_100_block_cells_and_grey_pixels_are_named(field, file):
+    """As a SLAM publishes them, which states probabilities."""
+    graded = served(file)
+    graded.data = array(
+        'b', [86 if value == 100 else 40 if value == 0 else -1 for value in graded.data]
+    )
+    given = {**PARAMETERS, 'map_topic': '/map', 'minimum_reach': 0.0, 'await_nodes': ['test']}
+    server = field.node.create_publisher(OccupancyGrid, '/map', qos.LATCHED)
+    server.publish(graded)
+    field.start('planner', given)
+    field.until(lambda: 'occupied_thresh' in field.said('/planner'), 'warning')
+    assert '78 of 96 pixels of the map have values above 0 and below 65, and count' in (
+        field.said('/planner')
+    )
+    assert '5 of them blocked' in field.said('/planner')
+
+
 def test_a_map_that_changes_changes_no_mission(field, file):
     field.start('estimator', {**PARAMETERS, 'map_topic': '/map', 'await_nodes': ['test']})
     beliefs = field.listen(BeliefMaps, '/belief')

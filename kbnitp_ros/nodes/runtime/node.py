@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import make_grid, value_for
 from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.configuration.field import graded_note
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import Roles
@@ -381,6 +382,7 @@ class FieldNode(MissionNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._grid: Grid | None = None
+        self._map: Map | None = None
         if self.values['map_topic']:
             topic = self._topic = self.resolve_topic_name(self.values['map_topic'])
             self.subscribe(OccupancyGrid, topic, self._on_map, qos.LATCHED)
@@ -396,6 +398,12 @@ class FieldNode(MissionNode):
                 executor.shutdown()
         else:
             self._grid = make_grid(self.values)
+        self._warn_of_graded(name)
+
+    def _warn_of_graded(self, name: str) -> None:
+        """Warn of pixels that are neither free nor occupied, in one node of the mission."""
+        if name == 'planner' and (note := graded_note(self.values, self._map)):
+            self.get_logger().warning(note)
 
     @property
     def grid(self) -> Grid:
@@ -419,7 +427,8 @@ class FieldNode(MissionNode):
 
     def _on_map(self, message: OccupancyGrid) -> None:
         try:
-            grid = make_grid(self.values, Map(*read_map_message(message)))
+            read = Map(*read_map_message(message))
+            grid = make_grid(self.values, read)
             if self._grid not in (None, grid):
                 raise ValueError(
                     'the map has changed: this mission continues with its first map; begin '
@@ -428,7 +437,7 @@ class FieldNode(MissionNode):
         except ValueError as error:
             self.diagnostics.refuse(self._topic, error)
         else:
-            self._grid = grid
+            self._grid, self._map = grid, read
 
 
 class PendingMessages:
