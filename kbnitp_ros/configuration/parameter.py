@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 import json
+import os
 import re
 from typing import Any
 
@@ -50,6 +51,8 @@ class Parameter:
     word: str = ''
     # A regular expression that a text must match; empty for any text.
     pattern: str = ''
+    # Whether a text names a file or folder, so that ~/ stands for the home folder.
+    is_file: bool = False
     # Whether the value is fixed once the node runs.
     read_only: bool = True
     # Whether an agent may have its own value, in ``team.AGENT.NAME`` with NAME as in `of_agent`.
@@ -156,4 +159,7 @@ class Parameter:
             raise ValueError(
                 f'parameter {self.name} is {value!r}: {meant}it must be {self.allowed}'
             )
+        if self.is_file and value.startswith('~/'):
+            # Path.expanduser raises where there is no home folder.
+            return os.path.expanduser(value)  # noqa: PTH111
         return value

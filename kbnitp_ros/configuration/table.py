@@ -78,7 +78,7 @@ ROWS: tuple[Parameter | str, ...] = (
     Parameter('defaults', 'auto', FIELD, choices=('auto', 'paper', 'field')),
     "Set of defaults: paper, of the paper's study; field, for maps and real robots; auto means "
     'field with a map, and paper without a map. Parameters that are given keep their values.',
-    Parameter('map', '', GRID),
+    Parameter('map', '', GRID, is_file=True),
     'YAML file of a map in the format of map_server, in place of grid.width, grid.height, '
     'grid.origin and grid.blocked; empty for none.',
     Parameter('map_topic', '', GRID),
@@ -176,6 +176,7 @@ ROWS: tuple[Parameter | str, ...] = (
             description=f'File with prior.{name} of each cell: a map of map_server in mode scale, '
             f'or a .npy array of rows and columns. Cells without a value have prior.{name}; '
             f'empty for prior.{name} in all cells.',
+            is_file=True,
         )
         for name in ('hazard', 'target', 'kappa')
     ),
@@ -248,7 +249,7 @@ ROWS: tuple[Parameter | str, ...] = (
     for_goal('goal.position', (), element=float),
     'Position of the goal: x and y of a point in its only cell, metres in the frame map, in '
     'place of goal.cells; empty for none.',
-    for_goal('goal.mask', ''),
+    for_goal('goal.mask', '', is_file=True),
     'YAML file of a map in the format of map_server, with a pixel for each cell of the field: '
     'occupied pixels are the cells of the goal, in place of goal.cells; empty for none.',
     for_goal('stop.confidence', 0.0, limits=(0.0, 1.0 - 1e-6), read_only=False),
@@ -306,7 +307,7 @@ ROWS: tuple[Parameter | str, ...] = (
     'Seed of the random numbers that the method draws.',
     for_agent('seed', 0, limits=(0, 2**63 - 1)),
     'Seed of the hidden world and of the outcomes of robots.',
-    for_agent('world.file', ''),
+    for_agent('world.file', '', is_file=True),
     'YAML file with the hidden world; empty to draw one from the seed.',
     for_agent('world.hazard_density', 0.15, limits=PROBABILITY),
     'Probability of a hazard in each cell of a drawn world except the bases.',
@@ -321,7 +322,7 @@ ROWS: tuple[Parameter | str, ...] = (
     'estimator accepts recorded paths only.',
     for_robot('recorded', True),
     'Whether the robot leaves only when its path and its departure are on record.',
-    for_robot('journal', ''),
+    for_robot('journal', '', is_file=True),
     'Journal of the robot: a file on its own disk with its orders, its way and its readings. '
     'When a mission begins, the journal of the last mission is moved to a folder beside it. '
     'Empty for .ros/kbnitp_ros/AGENT.journal in the home folder.',
@@ -367,9 +368,9 @@ ROWS: tuple[Parameter | str, ...] = (
     'Class of the detections that are targets, for detection2d_array; empty for any.',
     for_robot('detection_score', 0.5, limits=PROBABILITY),
     'Minimum score of the detections that count, for detection2d_array.',
-    Parameter('resume', '', ('planner', 'agent', 'estimator', 'recorder')),
+    Parameter('resume', '', ('planner', 'agent', 'estimator', 'recorder'), is_file=True),
     'Log of the mission to resume, its first file or its folder; empty for a new mission.',
-    for_recorder('file', ''),
+    for_recorder('file', '', is_file=True),
     'The log to write, which must not exist yet; empty for runs/TIME/mission.mcap. Not used with '
     'resume.',
 )

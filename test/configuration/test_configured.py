@@ -5,7 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from kbnitp_ros.configuration import make_goal, make_grid, node_parameters, TABLE
+from kbnitp_ros.configuration import (
+    find_parameter,
+    make_goal,
+    make_grid,
+    node_parameters,
+    TABLE,
+    with_defaults,
+)
 from kbnitp_ros.configuration.field import make_datum, read_world
 from kbnitp_ros.configuration.mission import (
     check_goal,
@@ -292,6 +299,27 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 STARTED_NODES = ('recorder', 'estimator', 'planner', 'agent')
+
+
+FILES = {'map', 'goal.mask', 'world.file', 'journal', 'resume', 'file'}
+FILES |= {f'prior.{name}_map' for name in ('hazard', 'target', 'kappa')}
+
+
+def test_a_tilde_is_the_home_folder_in_every_parameter_that_names_a_file(tmp_path, monkeypatch):
+    monkeypatch.setenv('HOME', str(tmp_path))
+    for parameter in TABLE:
+        if isinstance(parameter.default, str) and not (parameter.choices or parameter.pattern):
+            wanted = str(tmp_path / 'a.yaml') if parameter.name in FILES else '~/a.yaml'
+            assert parameter.check('~/a.yaml') == parameter.read('~/a.yaml') == wanted
+            FILES.discard(parameter.name)
+    assert not FILES
+    Image.fromarray(np.array([[254, 0]], np.uint8)).save(tmp_path / 'a.png')
+    (tmp_path / 'a.yaml').write_text(
+        'image: a.png\nresolution: 1.0\norigin: [0, 0, 0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.2\n'
+    )
+    given = find_parameter('planner', 'map').check('~/a.yaml')
+    assert make_grid(with_defaults('planner', {'map': given})).blocked == {1}
 
 
 def test_options_and_defaults_of_starts_are_of_the_table():

@@ -325,7 +325,36 @@ class Grid:
         in_reach = (2 * steps <= whole_number('max_steps', max_steps, 0)) & (steps < self.cells)
         if cost('max_distance', max_distance):
             in_reach &= 2.0 * self.distance_to_base <= longest(max_distance)
+            in_reach[in_reach] = self._within_both(in_reach, max_steps, longest(max_distance))
         return in_reach
+
+    def _within_both(
+        self, cells: NDArray[np.bool_], max_steps: int, most: float
+    ) -> NDArray[np.bool_]:
+        """Return which of some cells a closed path of both limits can visit, (cells.sum(),)."""
+        # Shortest ways of at most k steps to each cell; one entry stands for cells off the grid.
+        metres = np.full(self.cells + 1, np.inf)
+        metres[self.base] = 0.0
+        place = np.flatnonzero(cells)
+        table = self.neighbor_table[place]
+        by_steps = [metres[place]]
+        for _ in range(max_steps):
+            nearer = metres.copy()
+            nearer[place] = (metres[table] + self.step_lengths).min(axis=1)
+            if (nearer == metres).all():
+                break
+            metres = nearer
+            by_steps.append(metres[place])
+        # Longer ways are no shorter, so that the last entry is that of all further steps.
+        last = len(by_steps) - 1
+        within: NDArray[np.bool_] = np.any(
+            [
+                by_steps[min(there, last)] + by_steps[min(max_steps - there, last)] <= most
+                for there in range(min(last, max_steps) + 1)
+            ],
+            axis=0,
+        )
+        return within
 
     def path_length(self, path: NDArray[np.intp]) -> float:
         """Return the length of a path, shape (steps + 1,), in metres."""
