@@ -19,7 +19,7 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.core.field.unknowns import HAZARD_RATES
+from kbnitp_ros.core.field.unknowns import HAZARD_RATES, ZERO
 
 
 def make_sensor_model(values: Mapping[str, Any]) -> SensorModel:
@@ -42,7 +42,8 @@ def make_priors(values: Mapping[str, Any]) -> dict[str, Beta]:
         try:
             if len(believed) not in (2, 4):
                 raise ValueError('it must be low and high, or low, high, a and b')
-            priors[name] = Beta(**dict(zip(('low', 'high', 'a', 'b'), believed)))
+            own = dict(zip(('low', 'high', 'a', 'b'), believed))
+            priors[name] = Beta(**own, zero=ZERO.get(name, 0.0))
         except ValueError as error:
             raise ValueError(f'parameter learn.{name} is {list(believed)}: {error}') from error
     return priors

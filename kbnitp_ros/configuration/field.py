@@ -147,7 +147,8 @@ def read_world(path: str | Path, grid: Grid) -> World:
         content = read_yaml(path)
         if not isinstance(content, dict) or set(content) != {'hazard', 'target'}:
             raise ValueError('it must have hazard and target and nothing else')
-        world = World(*(_cells(name, content[name], grid) for name in ('hazard', 'target')))
+        hazard, target = (_cells(name, content[name], grid) for name in ('hazard', 'target'))
+        world = World(hazard, target, grid)
         world.check(grid)
     except ValueError as error:
         raise ValueError(f'world file {path}: {error}') from error

@@ -32,11 +32,11 @@ from kbnitp_ros.core import (
     PathFinder,
     RobotType,
     SearchOptions,
-    SensorModel,
     Stop,
 )
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.decision.rounds import check_sought
+from kbnitp_ros.core.field.sensor import SENSORS
 from kbnitp_ros.core.planning.plans import check_team
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.roles import MissionLog
@@ -129,7 +129,7 @@ def type_to_plan(
 ) -> RobotType:
     """Return the robot type of an agent, with the believed sensors."""
     sensors = believed.get(agent, ORDINARY)
-    as_believed = {each.name: getattr(sensors, each.name) for each in fields(SensorModel)}
+    as_believed = {name: getattr(sensors, name) for name in SENSORS}
     return replace(make_robot_type(values, agent, grid), **as_believed)
 
 

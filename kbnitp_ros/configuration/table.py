@@ -10,7 +10,7 @@ from kbnitp_ros.configuration.parameter import NAME, Parameter
 from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
 from kbnitp_ros.core.decision.goals import GOALS
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING, STRONGEST
-from kbnitp_ros.core.field.unknowns import HAZARDS, TARGET_KINDS
+from kbnitp_ros.core.field.unknowns import HAZARDS, TARGET_KINDS, ZERO
 
 NODES = ('planner', 'agent', 'robot', 'estimator', 'recorder')
 FIELD = ('planner', 'agent', 'estimator')
@@ -41,6 +41,7 @@ LEARN = {
     ),
     'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
     'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
+    'reach': (f'sensor.reach, which is 0 with probability {ZERO["reach"]},', (0.0, 0.6)),
     # A Beta distribution with a = 0 and b = 1 is log-uniform.
     'vanish': ('hazards.vanish', (0.001, 0.1, 0.0, 1.0)),
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
@@ -137,6 +138,9 @@ ROWS: tuple[Parameter | str, ...] = (
     'Probability that a target in the cell is reported.',
     sensor('sensor.false_positive', 0.05),
     'Probability that a target is reported in a cell without a target.',
+    Parameter('sensor.reach', 0.0, SENSING, limits=PROBABILITY),
+    'Lethality of a hazard in each of the eight cells around it, as a share of its lethality in '
+    'its own cell; 0 if hazards do not reach.',
     Parameter('hazards.dynamics', 'static', SENSING, choices=HAZARDS),
     'Dynamics of hazards: static, changing from one deployment to the next, moving to '
     'neighbouring cells, or used up when they strike; learn to infer the kind from the evidence. '

@@ -104,7 +104,7 @@ NAMESPACE = 'namespace'
 MAX_SHOWN = 500
 
 # Fields of beliefs that 0.3.0 lacks.
-ADDED = {'move', 'target_dynamics', 'target_appear', 'target_vanish'}
+ADDED = {'move', 'target_dynamics', 'target_appear', 'target_vanish', 'reach'}
 
 
 class Role(NamedTuple):

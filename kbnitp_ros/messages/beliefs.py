@@ -259,7 +259,8 @@ def read_belief_maps(message: Any) -> Snapshot:
         grid=grid,
         max_steps=message.max_steps,
         model=SensorModel(
-            **{field.name: getattr(message, field.name) for field in fields(SensorModel)}
+            # Logs of 1.x have no reach.
+            **{each.name: getattr(message, each.name, 0.0) for each in fields(SensorModel)}
         ),
         robot_types=robot_types,
         unknowns=Unknowns(**priors),

@@ -35,6 +35,7 @@ from kbnitp_ros.messages.headers import (
     stamp_fields,
 )
 import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from kbnitp_msgs import msg
@@ -314,8 +315,8 @@ def fill_draws(response: Any, draws: HazardDraws) -> None:
     response.weight = array('d', draws.weight.tobytes())
 
 
-def read_draws(response: Any, cells: int) -> HazardDraws:
-    """Return the draws of a response, on a field of so many cells."""
+def read_draws(response: Any, cells: int, around: NDArray[np.intp] | None = None) -> HazardDraws:
+    """Return the draws of a response, on a field of so many cells, given `Grid.around`."""
     count, weight = int(response.count), np.asarray(response.weight)
     sizes = {'hazardous': -(-count * cells // 8), 'weight': count}
     for name, size in sizes.items():
@@ -330,4 +331,4 @@ def read_draws(response: Any, cells: int) -> HazardDraws:
         raise ValueError(f'independent_draws is {response.independent_draws}: it must be above 0')
     bits = np.unpackbits(np.asarray(response.hazardous, np.uint8), count=count * cells)
     hazardous = bits.astype(bool).reshape(count, cells)
-    return HazardDraws(hazardous, response.independent_draws, weight)
+    return HazardDraws(hazardous, response.independent_draws, weight, around)

@@ -126,7 +126,8 @@ class GoalState:
         if not answer.success:
             return
         try:
-            self._drawn = newest, read_draws(answer, self._state.grid.cells)
+            grid = self._state.grid
+            self._drawn = newest, read_draws(answer, grid.cells, grid.around)
         except ValueError as error:
             self._node.diagnostics.refuse('draws', error)
         else:

@@ -170,7 +170,9 @@ class Views:
                 publisher.publish(occupancy_grid(ledger.grid, values, stamp))
             if self._mask:
                 self._mask.publish(mask_grid(ledger.grid, ledger.belief.hazard, stamp))
-            world = World(**self._truth) if len(self._truth) == 2 else None
+            world = None
+            if len(self._truth) == 2:
+                world = World(self._truth['hazard'], self._truth['target'])
             self._message = progress_message(ledger, before, world, stamp, self.out, self._status)
         if self._pending or self._is_progress_pending:
             self._progress.publish(self._message)

@@ -235,6 +235,7 @@ class Sensor:
     false_negative: Probability
     true_positive: Probability | None
     false_positive: Probability | None
+    reach: Probability = 0.0
 
 
 @dataclass(frozen=True)

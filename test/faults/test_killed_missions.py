@@ -147,6 +147,13 @@ KINDS = {
         },
         lambda made, _: {*made[-1].parameters} == {'lethality', 'vanish', 'move'},
     ),
+    'reach': (
+        {
+            'sensor.reach': 0.3, 'learn.numbers': ['lethality', 'reach'],
+            'goal.kind': 'lane', 'goal.cells': [19],
+        },
+        lambda made, _: {*made[-1].parameters} == {'lethality', 'reach'},
+    ),
     'targets': (
         {
             'targets.dynamics': 'learn', 'learn.numbers': ['true_positive', 'false_positive'],

@@ -66,6 +66,20 @@ def test_the_dynamics_of_targets_are_read_as_they_were(targets):
     assert again.estimator.target_dynamics == targets
 
 
+@for_each('model, unknowns', [
+    (SensorModel(0.3, reach=0.2), KNOWN),
+    (SensorModel(0.3), Unknowns(reach=Beta(2, 3, 0.1, 0.7, zero=0.8))),
+])  # fmt: skip
+def test_the_reach_is_read_as_it_was(model, unknowns):
+    grid = Grid(4, 3)
+    prior = Belief.prior(grid, 0.2, 0.3, 0.8)
+    estimator = Estimator(prior, model, unknowns=unknowns)
+    message = over_the_wire(belief_maps(Ledger(grid, 6, estimator), started=1))
+    read = read_belief_maps(message)
+    assert (read.model, read.unknowns) == (estimator.model, unknowns)
+    assert read.ledger().belief == estimator.belief
+
+
 def test_a_prior_says_how_the_mission_starts():
     ledger = new_ledger()
     message = belief_maps(ledger, started=3_000_000_001)

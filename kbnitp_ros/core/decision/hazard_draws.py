@@ -23,7 +23,12 @@ from kbnitp_ros.core.field.check import (
     whole_number,
 )
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.field.observation import as_observations, as_path, Observation
+from kbnitp_ros.core.field.observation import (
+    as_observations,
+    as_path,
+    Exposures,
+    Observation,
+)
 from kbnitp_ros.core.field.sensor import SensorModel, times_log
 from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
@@ -56,6 +61,8 @@ class JointHazards:
     # Weights, shape (members,), and P(hazard) of each cell in each member, (members, cells).
     weight: Any
     hazard: Any
+    # `Grid.around` of hazards that reach; None if they cannot.
+    around: Any
 
     @property
     def cells(self) -> int:
@@ -110,12 +117,15 @@ class HazardDraws(JointHazards):
         Effective number of independent draws, positive; infinity if `hazardous` lists all states.
     weight : ndarray, shape (draws,), optional
         Weight of each draw, at least 0, with sum 1; equal by default.
+    around : ndarray of int, shape (cells, 8), optional
+        `Grid.around`, if hazards may reach.
 
     """
 
     hazardous: Bools
     independent: float
     weight: Floats = field(default_factory=lambda: np.empty(0))
+    around: Path | None = None
 
     def __post_init__(self) -> None:
         hazardous, weight = self.hazardous, as_floats('weight', self.weight)
@@ -144,7 +154,8 @@ class HazardDraws(JointHazards):
                 'take a smaller field, or the goal map'
             )
         rng = np.random.default_rng([OWN_KEY, estimator.seed, deployments])
-        return cls(*estimator.draws(count, rng))
+        grid = estimator.prior.grid
+        return cls(*estimator.draws(count, rng), around=None if grid is None else grid.around)
 
     @property
     def hazard(self) -> Bools:
@@ -161,7 +172,9 @@ class HazardDraws(JointHazards):
         """Return the chance to survive each path, (steps + 1,), in each draw, (paths, draws)."""
         entered = [np.asarray(path)[1:] for path in paths]
         safe, strike = model.log_survival
-        exposure = self._hazards_entered(entered)
+        # A hazard beside a step counts as a part of one in the cell.
+        beside = np.log1p(-model.strikes[1]) / (strike - safe) if model.strikes[1] else 0.0
+        exposure = self._hazards_entered(entered, beside)
         steps = np.array([len(each) for each in entered])[:, None]
         return np.exp(times_log(steps - exposure, safe) + times_log(exposure, strike))
 
@@ -176,13 +189,22 @@ class HazardDraws(JointHazards):
         p = (self.p_free(cells) * self.independent + 1.0) / (self.independent + 2.0)
         return sqrt(p * (1.0 - p) / self.independent)
 
-    def _hazards_entered(self, entered: Sequence[Path]) -> Floats:
-        """Return the number of steps of each path into hazards, shape (paths, draws)."""
-        cells, place = np.unique(np.concatenate(entered), return_inverse=True)
+    def _hazards_entered(self, entered: Sequence[Path], beside: float = 0.0) -> Floats:
+        """Return the steps into hazards, and `beside` times those beside them, (paths, draws)."""
+        of_paths = np.concatenate(entered)
+        cells, place = np.unique(of_paths, return_inverse=True)
         on_field('path', cells, self.cells)
-        visits = np.zeros((len(entered), cells.size), dtype=np.float32)
         path = np.repeat(np.arange(len(entered)), [len(each) for each in entered])
+        if beside:
+            assert self.around is not None
+            near = self.around[of_paths]
+            cells = np.unique(np.append(of_paths, near[near >= 0]))
+            place = cells.searchsorted(of_paths)
+        visits = np.zeros((len(entered), cells.size), dtype=np.float32)
         np.add.at(visits, (path, place), 1.0)
+        if beside:
+            step, _ = np.nonzero(near >= 0)
+            np.add.at(visits, (path[step], cells.searchsorted(near[near >= 0])), beside)
         return np.asarray(visits @ self.hazardous[:, cells].T.astype(np.float32), np.float64)
 
 
@@ -203,6 +225,8 @@ class Mixture(JointHazards):
         Numbers of the sensor model that differ between hypotheses, by name.
     is_sampled : bool
         Whether the hypotheses are drawn at random, so that `error` is not 0.
+    around : ndarray of int, shape (cells, 8), optional
+        `Grid.around`, if hazards may reach.
 
     Raises
     ------
@@ -215,8 +239,9 @@ class Mixture(JointHazards):
     weights: Floats
     rates: Mapping[str, Floats] = field(default_factory=lambda: MappingProxyType({}))
     is_sampled: bool = True
+    around: Path | None = None
     # Numbers of the sensor model that count for survival.
-    strikes: ClassVar[tuple[str, ...]] = ('lethality', 'malfunction')
+    strikes: ClassVar[tuple[str, ...]] = ('lethality', 'malfunction', 'reach')
 
     def __post_init__(self) -> None:
         hazard = probabilities('hazard', self.hazard)
@@ -242,16 +267,22 @@ class Mixture(JointHazards):
 
     def survivals(self, paths: Sequence[ArrayLike], model: SensorModel) -> Floats:
         """Return P(survive a path) under each hypothesis, shape (paths, hypotheses)."""
-        lethality, malfunction = (
+        lethality, malfunction, reach = (
             np.asarray(self.rates.get(name, getattr(model, name)))[..., None]
             for name in self.strikes
         )
-        spared = 1.0 - lethality * (1.0 - model.false_negative)
+        strike = lethality * (1.0 - model.false_negative)
         chances = []
         for path in paths:
             entered = on_field('path', path, self.cells)[1:]
             cells, counts = np.unique(entered, return_counts=True)
-            each = 1.0 - self.hazard[:, cells] * (1.0 - spared**counts)
+            spared = (1.0 - strike) ** counts
+            if np.any(reach) and self.around is not None:
+                found = Exposures.of(np.asarray(path), self.around)
+                cells = found.cells
+                spared = (1.0 - strike) ** found.inside.sum(axis=0)
+                spared = spared * (1.0 - reach * strike) ** found.beside.sum(axis=0)
+            each = 1.0 - self.hazard[:, cells] * (1.0 - spared)
             chances.append(each.prod(axis=1) * (1.0 - malfunction[..., 0]) ** entered.size)
         return np.stack(chances)
 
@@ -293,7 +324,9 @@ def joint_hazards(estimator: Estimator, deployments: int) -> Hazards:
     hypotheses = estimator.hypotheses
     if hypotheses is None:
         return HazardDraws.of(estimator, deployments)
-    return Mixture(*hypotheses, estimator.particles < np.inf)
+    grid = estimator.prior.grid
+    around = None if grid is None else grid.around
+    return Mixture(*hypotheses, estimator.particles < np.inf, around)
 
 
 def highest_confidence(estimator: Estimator) -> float:

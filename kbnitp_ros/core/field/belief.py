@@ -186,6 +186,24 @@ class Belief(Value):
         joint[~grid.free] = [[1.0, 0.0], [0.0, 0.0]]
         return Belief(joint, grid)
 
+    def neighbors_in_reach(self) -> NDArray[np.intp]:
+        """Return `Grid.around`; raise ValueError without a grid."""
+        if self.grid is None:
+            raise ValueError(
+                'reach is not 0, and the belief has no grid to reach on: make it with '
+                'Belief.prior(grid, ...) or belief.on(grid)'
+            )
+        return self.grid.around
+
+    def with_reach(self, reach: float) -> Belief:
+        """Return the belief with the hazards that act in each cell (:eq:`effective-hazard`)."""
+        near = self.neighbors_in_reach()
+        spared = np.append(1.0 - reach * self.hazard, 1.0)[near].prod(axis=1)[:, None]
+        joint = self.joint.copy()
+        joint[:, 1] += joint[:, 0] * (1.0 - spared)
+        joint[:, 0] *= spared
+        return Belief.computed(joint, self.grid)
+
     @property
     def cells(self) -> int:
         """Return the number of cells."""

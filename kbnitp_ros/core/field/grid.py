@@ -225,6 +225,14 @@ class Grid:
         return {}
 
     @cached_property
+    def around(self) -> NDArray[np.intp]:
+        """Return the eight cells around every cell, whatever may be entered; -1 for none."""
+        row, col = np.divmod(np.arange(self.cells)[:, None], self.width)
+        row, col = (each + np.delete(step, 4) for each, step in zip((row, col), STEPS))
+        inside = (row >= 0) & (row < self.height) & (col >= 0) & (col < self.width)
+        return read_only(np.where(inside, row * self.width + col, -1))
+
+    @cached_property
     def neighbor_table(self) -> NDArray[np.intp]:
         """Return the neighbours of every cell, ascending, -1 for none. Shape (cells, 9)."""
         row, col = np.divmod(np.arange(self.cells), self.width)

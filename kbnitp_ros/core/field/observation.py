@@ -235,3 +235,29 @@ class Visits:
         cells = np.array(sorted({*path[1:].tolist()}), dtype=np.intp)
         of_step = cells.searchsorted(path[1:])
         return cls(cells, np.bincount(of_step), of_step)
+
+
+@dataclass(frozen=True, eq=False)
+class Exposures:
+    """The cells whose hazards act on a path: those of its steps, and those around them."""
+
+    # These cells, ascending, shape (n,).
+    cells: NDArray[np.intp]
+    # Index into `cells` of each step's cell, shape (steps,).
+    of_step: NDArray[np.intp]
+    # Whether each step leads into a cell, or into one beside it, shape (steps, n).
+    inside: NDArray[np.bool_]
+    beside: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, path: NDArray[np.intp], around: NDArray[np.intp]) -> Exposures:
+        """Find the exposures of `path`, shape (steps + 1,), given `Grid.around`."""
+        entered, near = path[1:], around[path[1:]]
+        cells = np.unique(np.concatenate([entered, near[near >= 0]]))
+        of_step = cells.searchsorted(entered)
+        inside = of_step[:, None] == np.arange(cells.size)
+        beside = np.zeros((entered.size, cells.size + 1), np.bool_)
+        # The last column is of no cell.
+        place = np.where(near >= 0, cells.searchsorted(near), cells.size)
+        np.put_along_axis(beside, place, values=True, axis=1)
+        return cls(cells, of_step, inside, beside[:, :-1])

@@ -39,6 +39,9 @@ class SensorModel:
     true_positive, false_positive : float
         Chances in [0, 1] that the target sensor reads a target where there is one, and where
         there is none.
+    reach : float
+        Lethality of a hazard in each of the eight cells around it, as a share in [0, 1] of the
+        lethality in its own cell. It reaches over obstacles, whatever the grid's connectivity.
 
     Raises
     ------
@@ -52,6 +55,7 @@ class SensorModel:
     false_negative: float = 0.05
     true_positive: float = 0.95
     false_positive: float = 0.05
+    reach: float = 0.0
 
     def __post_init__(self) -> None:
         vars(self).update({name: probability(name, value) for name, value in vars(self).items()})
@@ -66,6 +70,12 @@ class SensorModel:
         """Return P(step survived | Z), per step (:eq:`step-survival`)."""
         strike = self.lethality * (1.0 - self.false_negative)
         return (1.0 - self.malfunction) * (1.0 - probabilities('hazard', hazard) * strike)
+
+    @property
+    def strikes(self) -> tuple[float, float]:
+        """Return P(destroyed by a hazard in a step) into its cell and into a cell beside it."""
+        strike = self.lethality * (1.0 - self.false_negative)
+        return strike, strike * self.reach
 
     def reading(self, target: ArrayLike) -> NDArray[np.float64]:
         """Return P(Y = 1 | X), per step (:eq:`reading`)."""
@@ -119,7 +129,8 @@ def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], 
     return log_power, 0.0 - np.expm1(log_power), np.exp(log_power)
 
 
-SENSORS = tuple(field.name for field in fields(SensorModel))
+# Numbers of the sensor model that robot types may have of their own.
+SENSORS = tuple(field.name for field in fields(SensorModel) if field.name != 'reach')
 
 # Minima of the fields of `RobotType` that are whole numbers.
 LEAST = {'max_steps': 1, 'base': 0}

@@ -46,8 +46,8 @@ class Beta:
     low, high : float
         Interval of the number, in [0, 1].
     zero : float
-        Probability, below 1, that the number is 0 whatever the interval; only of rates of
-        change.
+        Probability, below 1, that the number is 0 whatever the interval; only of the reach and
+        of rates of change.
 
     Raises
     ------
@@ -175,6 +175,9 @@ class Learnt(Value):
         return float(np.interp(probability('q', q) * below[-1], below, self.bins.edges))
 
 
+# Prior probability of 0 of numbers that are rarely not 0.
+ZERO = {'reach': 0.95}
+
 Interval: TypeAlias = 'Beta | Sequence[float]'
 
 
@@ -198,11 +201,15 @@ class Unknowns:
         P(X = 1 | Z = 1), likewise.
     target_background : (float, float) or Beta, optional
         P(X = 1 | Z = 0), likewise.
+    reach : (float, float) or Beta, optional
+        Reach of the hazards. Of an interval only a twentieth is believed: the reach is 0 with the
+        prior probability .95. A `Beta` has its own `zero`.
 
     Raises
     ------
     ValueError
-        If an interval is empty, reversed or not within [0, 1].
+        If an interval is empty, reversed or not within [0, 1], or a number other than the reach
+        may be 0.
 
     """
 
@@ -213,15 +220,21 @@ class Unknowns:
     target_background: Interval | None = None
     true_positive: Interval | None = None
     false_positive: Interval | None = None
+    reach: Interval | None = None
 
     def __post_init__(self) -> None:
         for name, given in [*vars(self).items()]:
+            if isinstance(given, Beta) and given.zero and name not in ZERO:
+                raise ValueError(
+                    f'{name} has a prior with zero = {given.zero}: only {", ".join(ZERO)} may be 0'
+                )
             if given is None or isinstance(given, Beta):
                 continue
             try:
                 if np.ndim(given) != 1 or len(given) != 2:
                     raise ValueError('it must be two numbers, low and high')
-                vars(self)[name] = Beta(low=given[0], high=given[1])
+                zero = ZERO.get(name, 0.0)
+                vars(self)[name] = Beta(low=given[0], high=given[1], zero=zero)
             except (TypeError, ValueError) as error:
                 words = f'{name} is unknown within {in_short(given)}: {error}'
                 raise ValueError(words) from error

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from kbnitp_ros.core.field.check import generator, probability, read_only, typed, Value, yes_or_no
 from kbnitp_ros.core.field.grid import Grid
@@ -23,6 +24,8 @@ class World(Value):
     ----------
     hazard, target : array_like of bool, shape (cells,)
         Z and X.
+    grid : Grid, optional
+        Grid of the cells, if known; hazards that reach need it.
 
     Raises
     ------
@@ -33,6 +36,7 @@ class World(Value):
 
     hazard: NDArray[np.bool_]
     target: NDArray[np.bool_]
+    grid: Grid | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         for name in ('hazard', 'target'):
@@ -91,7 +95,7 @@ class World(Value):
             probability('kappa', kappa),
             probability('target_background', target_background),
         )
-        return cls(hazard, (drawn[1] < chance) & grid.free)
+        return cls(hazard, (drawn[1] < chance) & grid.free, grid)
 
     @typed
     def check(self, grid: Grid) -> None:
@@ -156,6 +160,10 @@ class World(Value):
         drawn = rng.random((2, entered.size))
         chance = np.where(self.target[entered], model.true_positive, model.false_positive)
         readings = drawn[1] < chance
+        if model.reach:
+            if dynamics.effect == 'used_up':
+                raise ValueError('reach is not 0, and hazards are used up: only one can be so')
+            return drawn[0] < self._survival_in_reach(entered, model), readings, self
         safe, deadly = model.step_survival
         if dynamics.effect != 'used_up':
             return drawn[0] < np.where(self.hazard[entered], deadly, safe), readings, self
@@ -168,6 +176,18 @@ class World(Value):
             if not survived[step]:
                 break
         return survived, readings, replace(self, hazard=hazard)
+
+    def _survival_in_reach(self, entered: NDArray[np.intp], model: SensorModel) -> Any:
+        """Return the chance to survive each step beside hazards that reach (:eq:`reach`)."""
+        if self.grid is None:
+            raise ValueError(
+                'reach is not 0, and the world has no grid to reach on: make it with '
+                'World(hazard, target, grid) or World.random(grid, ...)'
+            )
+        near = np.append(self.hazard, False)[self.grid.around[entered]].sum(axis=1)
+        strike, beside = model.strikes
+        survives = (1.0 - model.malfunction) * (1.0 - beside) ** near
+        return np.where(self.hazard[entered], 1.0 - strike, 1.0) * survives
 
     def after_change(
         self, dynamics: Dynamics, grid: Grid, possible: NDArray[np.bool_], rng: np.random.Generator
@@ -260,6 +280,8 @@ class Execution:
     ) -> Traverse:
         """Simulate a deployment along a checked path."""
         deviates = any(vars(self).values())
+        if world.grid is None:
+            world = replace(world, grid=grid)
         changes = changing is not None and dynamics.effect in ('changing', 'moving')
         targets_change = changing is not None and target_dynamics.effect != 'static'
         # Deviations are drawn by the first child, changes of hazards by the second, of targets by

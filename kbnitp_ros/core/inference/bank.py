@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import overload, TypeVar
+from typing import NamedTuple, overload, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import shallow_copy
@@ -24,7 +24,6 @@ from kbnitp_ros.core.field.unknowns import (
     Bins,
     Dynamics,
     Learnt,
-    Rates,
     STATIC,
     TARGET_VANISH,
     targets_after,
@@ -60,7 +59,7 @@ FEW, MANY = (192, 40), (512, 128)
 MOVES = 3
 
 # Share of proposed steps by which a number becomes 0, or is 0 no longer.
-SWITCHES = 0.5
+SWITCHES = 0.2
 
 # Factor on the number of particles if all are drawn anew, since none allows the evidence.
 MORE = 8
@@ -110,11 +109,20 @@ class Series(Sequence[T]):
         return self._items[range(self._size)[place]]
 
 
-# Numbers of all particles, their change of hazards between deployments, the rates at which targets
-# appear and vanish, and their effects by robot type.
-FiltersEffects = tuple[
-    Floats, Callable[[Floats], Floats], tuple[Rates, Rates], dict[RobotType, Effects]
-]
+class ParticleGroup(NamedTuple):
+    """Particles that are folded together, and what follows from their numbers."""
+
+    # Their places.
+    particles: NDArray[np.intp]
+    # Whether their hazards may reach.
+    reaches: bool
+    # The change of hazards between deployments.
+    change: Callable[[Floats], Floats]
+    # Rates at which targets appear and vanish; None if targets are still.
+    rates: tuple[Floats, Floats] | None
+    # Effects of a step by robot type.
+    effects: dict[RobotType, Effects]
+
 
 # As `condition`.
 Condition = Callable[[Floats, Evidence, Effects], tuple[Floats, Floats]]
@@ -151,6 +159,8 @@ class Filters:
         self._may_change = (belief.target > 0.0) & (targets.effect != 'static')
         self._updated = np.zeros(belief.cells, np.intp)
         self._maps = prior_maps(belief, model, self.names)
+        reaches = 'reach' in priors or model.reach > 0.0
+        self._around = belief.neighbors_in_reach() if reaches else None
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
         self._evidence = Series[Evidence]()
@@ -165,8 +175,8 @@ class Filters:
         self._count = (count or min(enough, MAX_MEMORY // of_each)) if priors else 1
         # The numbers of each particle, shape (particles, numbers).
         self.numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
-        # Cache for the latest numbers: these, their change between deployments, `Effects` by type.
-        self._effects = self._effects_with(self.numbers)
+        # Cache of the groups of the latest numbers.
+        self._groups = self.numbers, self._grouped(self.numbers)
         self._joints = self._first_joints(self.numbers)
         # By particle: log likelihood of all outcomes, and of outcomes since the last resampling.
         self._log_likelihood: Floats = np.zeros(self._count)
@@ -174,6 +184,8 @@ class Filters:
 
     def take(self, evidence: Evidence, is_predicted: bool = False) -> Floats:
         """Weight the particles by a deployment, and resample if need be; return predictions."""
+        if self._around is not None:
+            evidence = evidence.with_reach(self._around)
         deployment = [evidence], len(self._evidence), is_predicted, self._updated
         joints, log_chances = self._fold(self._joints, self.numbers, *deployment)
         predicted = log_chances[:, 0]
@@ -225,9 +237,11 @@ class Filters:
             joints = joints.copy()
             now = np.flatnonzero(self._may_change)
             ticks = len(self._evidence) - 1 - self._updated[now]
-            joints[now] = targets_after(
-                joints[now], ticks, *self._particle_effects(self.numbers)[2]
-            )
+            for group in self._groups_of_particles(self.numbers):
+                if group.rates is not None:
+                    some = joints[..., group.particles]
+                    some[now] = targets_after(some[now], ticks, *group.rates)
+                    joints[..., group.particles] = some
         if self._count == 1:
             return joints[..., 0]
         joint: Floats = joints @ self.weights
@@ -285,8 +299,8 @@ class Filters:
         other = shallow_copy(self)
         other._prior, other._known = belief, model
         other._maps = prior_maps(belief, model, self.names)
-        other._effects = other._effects_with(self.numbers)
-        evidence = [replace(each, robot_type=own(each.robot_type)) for each in self._evidence]
+        other._groups = self.numbers, other._grouped(self.numbers)
+        evidence = [each.with_type(own(each.robot_type)) for each in self._evidence]
         other._joints, (log_likelihood, *_) = other._fold(
             other._first_joints(self.numbers), self.numbers, evidence
         )
@@ -322,56 +336,103 @@ class Filters:
         updated: NDArray[np.intp] | None = None,
     ) -> tuple[Floats, Floats]:
         """Fold deployments into joints; return joints, and logs of chances and predictions."""
-        joints = np.array(joints)
+        groups = self._groups_of_particles(numbers)
+        rest = deployments, start, is_predicted, updated
+        if len(groups) == 1:
+            return self._fold_group(np.array(joints), numbers, groups[0], *rest)
+        joints, log_chances = np.array(joints), np.zeros((1, len(numbers)))
+        for group in groups:
+            some = group.particles
+            joints[..., some], of_group = self._fold_group(
+                joints[..., some], numbers[some], group, *rest
+            )
+            if len(of_group) > len(log_chances):
+                log_chances = np.zeros((len(of_group), len(numbers)))
+            log_chances[:, some] = of_group
+        return joints, log_chances
+
+    def _fold_group(
+        self,
+        joints: Floats,
+        numbers: Floats,
+        group: ParticleGroup,
+        deployments: Sequence[Evidence],
+        start: int,
+        is_predicted: bool,
+        updated: NDArray[np.intp] | None,
+    ) -> tuple[Floats, Floats]:
+        """Fold deployments into the joints of a group of particles."""
         log_chances: Floats = np.zeros((1, len(numbers)))
-        _, change, rates, effects = self._particle_effects(numbers)
         updated = np.zeros(len(joints), np.intp) if updated is None else updated.copy()
         for number, evidence in enumerate(deployments, start):
             if number:
-                joints = change(joints)
-            robot_type, cells = evidence.robot_type, evidence.visits.cells
-            changed = cells[self._may_change[cells]]
-            if changed.size:
+                joints = group.change(joints)
+            if group.rates is not None:
+                entered = evidence.visits.cells
+                changed = entered[self._may_change[entered]]
                 ticks = number - updated[changed]
-                joints[changed] = targets_after(joints[changed], ticks, *rates)
-                updated[cells] = number
-            if robot_type not in effects:
-                effects[robot_type] = self._step_effects(robot_type, numbers)
-            joint = joints[cells]
-            how = self._on_loss if evidence.is_lost else condition
-            joints[cells], log_chance = how(joint, evidence, effects[robot_type])
+                joints[changed] = targets_after(joints[changed], ticks, *group.rates)
+                updated[changed] = number
+            seen = evidence
+            if group.reaches:
+                assert evidence.in_reach is not None
+                seen = evidence.in_reach
+            robot_type, cells = seen.robot_type, seen.visits.cells
+            if robot_type not in group.effects:
+                group.effects[robot_type] = self._step_effects(robot_type, numbers)
+            joint, effects = joints[cells], group.effects[robot_type]
+            how = self._on_loss if seen.is_lost else condition
+            joints[cells], log_chance = how(joint, seen, effects)
             if is_predicted:
-                foreseen = predict_outcome(joint, evidence, effects[robot_type])
+                foreseen = predict_outcome(joint, seen, effects)
                 log_chance = np.concatenate([log_chance[None], foreseen])
             log_chances = log_chances + log_chance
         return joints, log_chances
 
-    def _particle_effects(self, numbers: Floats) -> FiltersEffects:
-        """Return what the numbers do, from the cache if it is of these numbers."""
-        if self._effects[0] is not numbers:
-            self._effects = self._effects_with(numbers)
-        return self._effects
+    def _groups_of_particles(self, numbers: Floats) -> list[ParticleGroup]:
+        """Return the particles by what their hazards and targets do, from the cache if known."""
+        if self._groups[0] is not numbers:
+            self._groups = numbers, self._grouped(numbers)
+        return self._groups[1]
 
-    def _effects_with(self, numbers: Floats) -> FiltersEffects:
-        """Return the numbers, their changes of hazards and targets, and no effects yet."""
+    def _grouped(self, numbers: Floats) -> list[ParticleGroup]:
+        """Group particles: those with reach and those whose targets change cost more."""
+        learnt = dict(zip(self.names, numbers.T))
+        reaches = np.full(len(numbers), self._around is not None)
+        if 'reach' in learnt:
+            reaches = learnt['reach'] > 0.0
+        may_change = np.full(len(numbers), bool(self._may_change.any()))
+        if TARGET_VANISH in learnt and self._targets.kind == 'learn':
+            may_change = learnt[TARGET_VANISH] > 0.0
+        kinds = np.where(reaches, 2, 0) + may_change
+        groups = []
+        for kind in np.unique(kinds).tolist():
+            some = np.flatnonzero(kinds == kind)
+            own = numbers if some.size == len(numbers) else numbers[some]
+            rates = self._target_rates(own) if kind % 2 else None
+            groups.append(ParticleGroup(some, kind >= 2, self._change(own), rates, {}))
+        return groups
+
+    def _change(self, numbers: Floats) -> Callable[[Floats], Floats]:
+        """Return the change of hazards between deployments."""
         learnt = dict(zip(self.names, numbers.T))
         rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
         if 'vanish' in rates and not self._dynamics.appear:
             density = learnt.get('hazard_density', prior_density(self._prior))
             rates['appear'] = appearance(rates['vanish'], density)
-        change = hazard_change(self._prior, self._dynamics, rates)
-        return numbers, change, self._target_rates(numbers, learnt.get(TARGET_VANISH)), {}
+        return hazard_change(self._prior, self._dynamics, rates)
 
-    def _target_rates(self, numbers: Floats, vanish: Floats | None) -> tuple[Rates, Rates]:
+    def _target_rates(self, numbers: Floats) -> tuple[Floats, Floats]:
         """Return the rates at which targets appear and vanish, shape (particles,)."""
-        known = self._targets
+        known, vanish = self._targets, dict(zip(self.names, numbers.T)).get(TARGET_VANISH)
         if vanish is None:
             # Without an unknown rate, both are numbers.
             return np.full(len(numbers), known.appear), np.full(len(numbers), known.vanish)
         if known.appear:
             return np.full(len(numbers), known.appear), vanish
         density = self._first_joints(numbers)[self._may_change, :, 1].sum(axis=1).mean(axis=0)
-        return appearance(vanish, density), vanish
+        rates: Floats = appearance(vanish, density)
+        return rates, vanish
 
     def _step_effects(self, robot_type: RobotType, numbers: Floats) -> Effects:
         """Return the effects of a step; numbers that the robot type sets replace learnt ones."""

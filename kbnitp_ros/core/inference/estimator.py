@@ -118,6 +118,15 @@ class Estimator:
                 lambda each: getattr(each, 'changes_targets', False),
                 f'{name} does not take targets that change',
             )
+        if model.reach or unknowns.reach is not None:
+            check_able(
+                method, lambda each: getattr(each, 'reaches', False), f'{name} takes no reach'
+            )
+            if dynamics.kind in ('used_up', 'learn'):
+                raise ValueError(
+                    f'reach is not 0, and hazards are {dynamics.kind}: hazards that reach are '
+                    'static, changing or moving'
+                )
         rates = {**dynamics.unknown_rates, **target_dynamics.target_rates}
         if unknown := {**unknowns.priors, **rates}:
             check_able(

@@ -9,13 +9,13 @@ A hypothesis is a guess of all numbers. Joints have the shape (cells, 2, 2, hypo
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.observation import Observation, Visits
+from kbnitp_ros.core.field.observation import Exposures, Observation, Visits
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import (
     Dynamics,
@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 # Numbers of a sensor model that can be unknown.
-RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive')
+RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive', 'reach')
 
 # Text of the exception for impossible evidence.
 IMPOSSIBLE = (
@@ -116,6 +116,10 @@ class Evidence:
     first: int = 0
     lost_at: Floats | None = None
     robot_type: RobotType = ORDINARY
+    # Where hazards reach: exposures of all cells of `visits`, inside and beside.
+    exposures: Exposures | None = None
+    # The same evidence with the cells around those of the path, where hazards may reach.
+    in_reach: Evidence | None = None
 
     @classmethod
     def of(cls, observation: Observation, robot_type: RobotType = ORDINARY) -> Evidence:
@@ -128,6 +132,23 @@ class Evidence:
             positive, negative = (np.bincount(e, minlength=positive.size) for e in (seen, unseen))
         lost = not observation.survived, observation.steps_survived, observation.lost_at
         return cls(visits, positive, negative, *lost, robot_type)
+
+    def with_type(self, robot_type: RobotType) -> Evidence:
+        """Return the evidence of a robot of another type."""
+        wide = self.in_reach and self.in_reach.with_type(robot_type)
+        return replace(self, robot_type=robot_type, in_reach=wide)
+
+    def with_reach(self, around: NDArray[np.intp]) -> Evidence:
+        """Return the evidence with its `in_reach`, given `Grid.around`."""
+        steps = self.visits.cells[self.visits.of_step]
+        found = Exposures.of(np.append(steps[:1], steps), around)
+        place = found.cells.searchsorted(self.visits.cells)
+        counts, positive, negative = np.zeros((3, found.cells.size), np.intp)
+        counts[place], positive[place] = self.visits.counts, self.positive
+        negative[place] = self.negative
+        visits = Visits(found.cells, counts, found.of_step)
+        wide = replace(self, visits=visits, positive=positive, negative=negative, exposures=found)
+        return replace(self, in_reach=wide)
 
     @cached_property
     def lost_in(self) -> Floats:
@@ -179,6 +200,8 @@ class Effects:
     spared: float | None
     # Log P(reading y | X = x), indexed [y, x, hypothesis], shape (2, 2, hypotheses).
     log_read: Floats
+    # Log probability that a hazard beside the cell does not strike; None if no hazard reaches.
+    log_spared_beside: Floats | None = None
     # Powers for visits and for readings, by their maximum.
     _powers: dict[int, Powers] = field(default_factory=dict)
     _read: dict[int, Floats] = field(default_factory=dict)
@@ -188,15 +211,18 @@ class Effects:
         cls, rates: Mapping[str, Any], false_negative: float, are_used_up: bool = False
     ) -> Effects:
         """Return the effects of a step, given the `RATES`, each of shape (hypotheses,)."""
-        lethality, malfunction, *chances = (np.atleast_1d(rates[name]) * 1.0 for name in RATES)
+        lethality, malfunction, *chances, reach = (
+            np.atleast_1d(rates[name]) * 1.0 for name in RATES
+        )
         strike = lethality * (1.0 - false_negative)
         positive = np.stack(chances[::-1])
         with np.errstate(divide='ignore'):
             endured = np.log1p(-malfunction)
             kept = np.log1p(-(lethality if are_used_up else strike))
             read = np.log(np.stack([1.0 - positive, positive]))
+            beside = np.log1p(-strike * reach) if reach.any() else None
         spared = false_negative if are_used_up else None
-        return cls(malfunction, strike, endured, kept, spared, read)
+        return cls(malfunction, strike, endured, kept, spared, read, beside)
 
     def powers(self, most: int) -> Powers:
         """Return the effects of up to `most` visits (:eq:`used-up-survival`)."""
@@ -295,6 +321,8 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
 
 def outcome_likelihood(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
     """Return P(outcome, Z after | Z before) of each cell, given P(Z) of all, (n, 2, h)."""
+    if evidence.exposures is not None:
+        return likelihood_in_reach(hazard, evidence, effects)
     if evidence.is_lost:
         return lost(hazard, evidence, effects)
     counts = evidence.visits.counts
@@ -338,7 +366,9 @@ def predict_outcome(joint: Floats, evidence: Evidence, effects: Effects) -> Floa
     counts = evidence.visits.counts
     powers = effects.powers(int(counts.max(initial=0)))
     survived = powers.same[counts]
-    if powers.spared is not None:
+    if evidence.exposures is not None:
+        survived = survived_in_reach(evidence.exposures, effects)
+    elif powers.spared is not None:
         survived[:, 1] += powers.spared[counts]
     alive = joint[:, 0] * survived[:, :1] + joint[:, 1] * survived[:, 1:]
     looks = (evidence.negative + evidence.positive)[:, None, None]
@@ -348,6 +378,52 @@ def predict_outcome(joint: Floats, evidence: Evidence, effects: Effects) -> Floa
     ]
     log_chances: Floats = safe_log(np.stack(chances).sum(axis=2)).sum(axis=1)
     return log_chances
+
+
+def log_kept_in_reach(exposures: Exposures, effects: Effects, steps: slice) -> Floats:
+    """Return ln P(steps survived | hazard, no malfunction) of each cell, (n, hypotheses)."""
+    kept = times_log(exposures.inside[steps].sum(axis=0)[:, None], effects.log_kept)
+    if effects.log_spared_beside is not None:
+        beside = exposures.beside[steps].sum(axis=0)[:, None]
+        kept = kept + times_log(beside, effects.log_spared_beside)
+    return kept
+
+
+def survived_in_reach(exposures: Exposures, effects: Effects) -> Floats:
+    """Return P(path survived | Z) of each cell, (n, 2, hypotheses) (:eq:`reach`)."""
+    inside = exposures.inside.sum(axis=0)[:, None]
+    endured = np.exp(times_log(inside, effects.log_endured))
+    kept = np.exp(log_kept_in_reach(exposures, effects, slice(None)))
+    return np.stack([endured, endured * kept], axis=1)
+
+
+def likelihood_in_reach(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
+    """Return the likelihood of an outcome where hazards reach (:eq:`reach`)."""
+    exposures, steps = evidence.exposures, evidence.visits.of_step.size
+    assert exposures is not None
+    if not evidence.is_lost:
+        return Likelihood(survived_in_reach(exposures, effects), None)
+    # A sum over the stretches of steps in which the weight of a loss is the same.
+    weights = evidence.lost_in
+    ends = np.append(np.flatnonzero(np.diff(weights)) + 1, steps).tolist()
+    # ln P(steps before the stretch survived | Z), and P(Z) given that they were.
+    start, terms, reached = 0, [], np.zeros_like(hazard)
+    for end in ends:
+        log_kept = log_kept_in_reach(exposures, effects, slice(start, end))
+        kept, loss = np.exp(log_kept), hazard[:, 1] * -np.expm1(log_kept)
+        mean = hazard[:, 0] + hazard[:, 1] * kept
+        # 1 - loss is inaccurate for losses near 1, the sum of survivals for losses near 0.
+        log_mean = np.where(loss < 0.5, np.log1p(-np.minimum(loss, 0.5)), safe_log(mean))
+        rest = others(log_mean) + times_log(end - start, effects.log_endured)
+        survived = np.stack([rest, rest + log_kept], axis=1)
+        if weights[start] > 0.0:
+            terms.append(reached + safe_log(-weights[start] * np.expm1(survived)))
+        hazard = np.stack([ratio(hazard[:, 0], mean), ratio(hazard[:, 1] * kept, mean)], axis=1)
+        start, reached = end, reached + survived
+    stacked = np.stack(terms)
+    scale = stacked.max(axis=(0, 1, 2))
+    scale[scale == -np.inf] = 0.0
+    return Likelihood(np.exp(stacked - scale).sum(axis=0), None, scale[None])
 
 
 def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:

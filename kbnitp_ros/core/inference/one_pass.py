@@ -79,6 +79,11 @@ class OnePass:
         return Bank(prior, model, unknowns, seed, dynamics, self.on_loss, targets=target_dynamics)
 
     @property
+    def reaches(self) -> bool:
+        """Return whether the method takes hazards that reach."""
+        return not self.is_published
+
+    @property
     def on_loss(self) -> Condition:
         """Return the update of a loss."""
         return condition_published if self.is_published else condition
@@ -91,6 +96,12 @@ class OnePass:
         """
         check_cells(belief, observation)
         evidence = Evidence.of(observation)
+        if model.reach:
+            if self.is_published:
+                raise ValueError('reach is not 0: the published update takes none')
+            evidence = evidence.with_reach(belief.neighbors_in_reach())
+            assert evidence.in_reach is not None
+            evidence = evidence.in_reach
         cells, joint = evidence.visits.cells, belief.joint.copy()
         before = joint[cells, ..., None]
         if not self.correlated:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, surprisal
 from kbnitp_ros.core.field.check import read_only, typed
-from kbnitp_ros.core.field.observation import as_path, Visits
+from kbnitp_ros.core.field.observation import as_path, Exposures, Visits
 from kbnitp_ros.core.field.sensor import (
     log_predicted_survival,
     of_each,
@@ -193,6 +193,10 @@ def after_deployment(
     outcomes: JointOutcomes, model: SensorModel, path: ArrayLike
 ) -> JointOutcomes:
     """Return the joint outcomes after one more robot is sent (:eq:`joint-outcomes`)."""
+    if model.reach:
+        if not outcomes.cells.size:
+            outcomes = nobody_deployed(outcomes.belief.with_reach(model.reach))
+        model = replace(model, reach=0.0)
     visits = Visits.of(as_path(path))
     cells = np.union1d(outcomes.cells, visits.cells)
     at = np.searchsorted(cells, visits.cells)
@@ -292,12 +296,59 @@ class Objective:
             return self
         return Objective.of(self.belief, self.model)
 
+    def effective(self) -> Objective:
+        """Return the objective without reach, on the hazards that act in each cell."""
+        belief = self.belief.with_reach(self.model.reach)
+        outcomes = self.outcomes if self.outcomes.cells.size else nobody_deployed(belief)
+        return Objective(
+            belief, replace(self.model, reach=0.0), outcomes, self.interest, self.loss_cost
+        )
+
+    def _in_reach(self, path: Places) -> tuple[float, float]:
+        """Return a path's information and survival where hazards reach (:eq:`reach-left-open`)."""
+        model, found = self.model, Exposures.of(path, self.belief.neighbors_in_reach())
+        inside, beside = found.inside.sum(axis=0), found.beside.sum(axis=0)
+        log_spared, log_beside = (
+            np.log1p(-strike) if strike < 1.0 else -np.inf for strike in model.strikes
+        )
+        joint, steps = self.belief.joint[found.cells], path.size - 1
+        kept = np.exp(times_log(inside, log_spared) + times_log(beside, log_beside))
+        endured = (1.0 - model.malfunction) ** steps
+        hazard = joint[:, 1].sum(axis=1)
+        survival = float(endured * (1.0 - hazard * (1.0 - kept)).prod())
+        # P(so many steps into hazards, and so many beside them).
+        exposed = np.zeros((steps + 1, int(beside.sum()) + 1))
+        exposed[0, 0] = 1.0
+        most_in = most_by = 0
+        for chance, entered, near in zip(hazard.tolist(), inside.tolist(), beside.tolist()):
+            if chance == 0.0:
+                continue
+            block = exposed[: most_in + 1, : most_by + 1] * chance
+            exposed[: most_in + 1, : most_by + 1] -= block
+            most_in, most_by = most_in + entered, most_by + near
+            exposed[slice(entered, most_in + 1), slice(near, most_by + 1)] += block
+        a, b = np.ogrid[: most_in + 1, : most_by + 1]
+        survives = endured * np.exp(times_log(a, log_spared) + times_log(b, log_beside))
+        left = (exposed[: most_in + 1, : most_by + 1] * binary_entropy(survives)).sum()
+        brought = 0.0
+        for cell in np.flatnonzero(inside).tolist():
+            likelihood = positives(camera_rates(model), int(inside[cell]))[inside[cell]]
+            target = joint[cell, 0] + kept[cell] * joint[cell, 1]
+            if (total := target.sum()) > 0.0:
+                target = target / total
+                of_readings = surprisal(likelihood @ target).sum()
+                of_readings -= surprisal(likelihood).sum(axis=0) @ target
+                brought += self.interest[found.cells[cell]] * of_readings
+        return float(binary_entropy(survival) - left + survival * brought), survival
+
     def after(self, path: ArrayLike) -> JointOutcomes:
         """Return the joint outcomes after this robot is sent along `path`."""
         return after_deployment(self.outcomes, self.model, path)
 
     def survival(self, path: ArrayLike) -> float:
         """Return the chance of a return under the belief (:eq:`path-survival`)."""
+        if self.model.reach:
+            return self._in_reach(as_path(path))[1]
         visits = Visits.of(as_path(path))
         hazard = self.belief.hazard[visits.cells]
         log_survival = log_predicted_survival(hazard, visits.counts, self.model.log_survival)
@@ -319,6 +370,10 @@ class Objective:
 
     def of_paths(self, cells: Places, start: Places) -> tuple[Floats, Floats]:
         """Return information and survival of paths that stand one after another in `cells`."""
+        if self.model.reach:
+            found = [self._in_reach(path) for path in np.split(cells, start[1:-1])]
+            values: Floats = np.array(found)
+            return values[:, 0], values[:, 1]
         information, model = np.empty(start.size - 1), self.model
         survival = evaluate_paths(
             cells,
@@ -353,6 +408,8 @@ class Objective:
                 information, survival = self.of_paths(cells, np.array([0, cells.size]))
                 self._evaluated[key] = float(information[0]), survival
             return self._evaluated[key]
+        if model.reach:
+            return self.effective().evaluate(path)
         visits = Visits.of(cells)
         log_survival, read = (
             each[:, np.arange(visits.cells.size), visits.counts]

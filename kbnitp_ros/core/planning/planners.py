@@ -266,11 +266,17 @@ class PathFinder(Value):
         """Return closed paths, the best first; raise NoPathError if none has enough survival."""
         planner = self.options.planner
         search = PLANNERS.find(planner)
+        # The search plans on the hazards that act in each cell.
+        sought = objective.effective() if objective.model.reach else objective
         if planner in PLANNERS.own:
-            candidates = search(self, objective)
+            candidates = search(self, sought)
         else:
             with PLANNERS.blamed(planner):
-                candidates = self._checked(search(self, objective))
+                candidates = self._checked(search(self, sought))
+        if sought is not objective:
+            some = candidates[: 2 * self.options.width]
+            exact = [Candidate.along(each.path, objective) for each in some]
+            candidates = sorted(exact, key=lambda candidate: -candidate.value)
         if least := self.options.minimum_survival:
             candidates = [each for each in candidates if objective.survival(each.path) >= least]
         if not candidates:

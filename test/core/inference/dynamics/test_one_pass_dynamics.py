@@ -17,6 +17,7 @@ from kbnitp_ros.core import (
     SensorModel,
     World,
 )
+from kbnitp_ros.core.field.sensor import SENSORS
 from kbnitp_ros.core.field.unknowns import joint_after_moves, neighbors_to_move_to
 from kbnitp_ros.core.inference.methods import supported_dynamics
 from laws import for_each
@@ -80,7 +81,7 @@ def test_each_deployment_is_taken_in_exactly(method, kind, seed):
         before = estimator.belief.joint
         changes = [UNEVENTFUL] if done else []
         expected = hazards_in_time.posterior(before, dynamics, *changes, flown, possible=possible)
-        outcome = seen(*ended), RobotType(**vars(model))
+        outcome = seen(*ended), RobotType(**{name: getattr(model, name) for name in SENSORS})
         if not is_taken_in(estimator, *outcome):
             assert estimator.belief.joint.tobytes() == before.tobytes()
             assert hazards_in_time.posterior(joint, dynamics, *done, flown) is None

@@ -78,7 +78,7 @@ def test_particles_are_weighed_by_the_evidence_of_their_rates(monkeypatch, seed)
     joint, outcomes = drawn(seed, 3)
     unknowns = Unknowns(lethality=(0.1, 1.0))
     bank = Filters(Belief(joint), MODEL, unknowns, 0, Dynamics(), count=6, targets=LEARN)
-    bank.numbers[:2, 1] = 0.0
+    bank.numbers = bank.numbers * (np.arange(6) > 1)[:, None] ** [0, 1]
     weights, joints = [], []
     density = joint[:, :, 1].sum(axis=1).mean()
     for lethality, vanish in bank.numbers.tolist():
