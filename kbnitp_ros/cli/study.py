@@ -80,6 +80,11 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         help='folder for the results; trials whose results it holds are not run again',
     )
     number = partial(parser.add_argument, metavar='N', type=count)
+    parser.add_argument(
+        '--anew',
+        action='store_true',
+        help='run all trials again, such as those of another version of the package',
+    )
     number('--trials', help='number of worlds, at least 1; default that of the scenario')
     parser.add_argument(
         '--set',
@@ -140,7 +145,7 @@ def run_trials(options: argparse.Namespace) -> list[Path]:
         try:
             scenario = read_study(scenario_file(options.scenario), changes(options))
             check_memory(scenario)
-            folder = Folder(options.out, scenario)
+            folder = Folder(options.out, scenario, anew=options.anew)
             pool = stack.enter_context(
                 workers(options.backend, options.workers, options.scheduler)
             )

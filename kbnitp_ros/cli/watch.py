@@ -215,7 +215,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer a request, unless its Host is foreign: other sites must not read the page."""
-        name = self.headers.get('Host', '').rpartition(':')[0]
+        # A browser leaves out the port 80.
+        name = self.headers.get('Host', '').partition(':')[0]
         if self.client_address[0] == HOST and name not in (HOST, 'localhost'):
             self.send_error(403)
         elif self.path == '/':

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Annotated
 
@@ -301,7 +301,17 @@ class Scenario:
 
     def check_teams(self) -> None:
         """Check that each team fits the grid, and has a robot for each base."""
+        known = set()
         for team in self.teams:
+            whole = replace(
+                team,
+                planner=team.planner or self.planning.planner,
+                dynamics=team.dynamics or self.hazards.dynamics,
+                trusted=team.trusted or team.survey,
+            )
+            if whole in known:
+                raise ValueError(f'two teams are the same with the defaults of the study: {whole}')
+            known.add(whole)
             team_size(self.field(), team.agents)
             if team.second_base >= 0 and team.agents < 2:
                 raise ValueError(

@@ -7,19 +7,22 @@ from asyncio import TimeoutError as AsyncTimeoutError
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 import fcntl
-from functools import partial
+from functools import cache, partial
 import gc
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 import logging
 from operator import methodcaller
 import os
 from pathlib import Path
+import platform
 import signal
 from typing import Any, BinaryIO, TypeVar
 
 from joblib import cpu_count, delayed, Parallel
 from kbnitp_ros.core.field.check import number
-from kbnitp_ros.files import in_words, naming, yaml_text
+from kbnitp_ros.files import in_words, naming, read_yaml, yaml_text
 from kbnitp_ros.plugins import REGISTRIES
 from kbnitp_ros.study.scenario import ALONE
 from kbnitp_ros.study.scenario_file import read_study, Study
@@ -29,10 +32,31 @@ from pandas import DataFrame
 from threadpoolctl import threadpool_limits
 
 
+@cache
+def made_with() -> dict[str, str]:
+    """Return the versions of what computes a trial, and the platform."""
+    versions = {}
+    for name in ('kbnitp_ros', 'numpy', 'numba'):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = 'none'
+    return {**versions, 'platform': f'{platform.system()} {platform.machine()}'}
+
+
+def differences(ours: Mapping[str, str], others: Mapping[str, str]) -> str:
+    """Describe how the versions of others differ from ours; empty if they are the same."""
+    return ', '.join(
+        f'{name} {others.get(name, "unknown")} and not {own}'
+        for name, own in ours.items()
+        if others.get(name) != own
+    )
+
+
 class Folder:
     """The saved outcomes of a study's trials."""
 
-    def __init__(self, path: Path, study: Study) -> None:
+    def __init__(self, path: Path, study: Study, *, anew: bool = False) -> None:
         self._study = study
         self._trials = path / 'trials'
         kept = path / 'scenario.yaml'
@@ -54,9 +78,29 @@ class Folder:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise ValueError(f'{path} is in use by another study: name another folder') from error
+        try:
+            self._check_versions(path / 'made_with.yaml', anew=anew)
+        except ValueError:
+            os.close(self._lock)
+            raise
         text = yaml_text(study.content)
         _write(kept, lambda file: file.write(text.encode()))
         self._trials.mkdir(exist_ok=True)
+
+    def _check_versions(self, file: Path, *, anew: bool) -> None:
+        """Check that the trials were made with the versions that are installed."""
+        own, has_trials = made_with(), any(self._trials.glob('*.npz'))
+        known = read_yaml(file) if file.exists() else {}
+        differs = differences(own, known if isinstance(known, Mapping) else {})
+        if has_trials and differs and not anew:
+            raise ValueError(
+                f'{file.parent} holds trials made with {differs}: results would mix; go on with '
+                'these versions, name another folder, or give --anew to compute them anew'
+            )
+        if anew:
+            for trial in self._trials.glob('*.npz'):
+                trial.unlink()
+        _write(file, lambda written: written.write(yaml_text(own).encode()))
 
     def save(self, trial: Trial, outcome: DataFrame) -> None:
         """Save the outcome of a trial; returns once it is on disk."""
@@ -85,7 +129,11 @@ class Folder:
         }
         named = (f'{name}={value}' for name, value in own.items())
         name = ','.join([f'{trial.number},{trial.lethality},{trial.method}', *named])
-        return self._trials / f'{name.replace("/", "_")}.npz'
+        name = name.replace('/', '_')
+        if len(name.encode()) > MAX_NAME:
+            # File systems take names of at most 255 bytes.
+            name = f'{name[: MAX_NAME // 4]},{sha256(name.encode()).hexdigest()[:32]}'
+        return self._trials / f'{name}.npz'
 
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
@@ -96,6 +144,9 @@ def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
         os.fsync(file.fileno())
     part.replace(path)
 
+
+# Maximum bytes of a trial's name in its file's.
+MAX_NAME = 240
 
 # Backends of joblib, with the package that each needs.
 BACKENDS = {'loky': 'joblib', 'dask': 'distributed'}
@@ -121,7 +172,7 @@ class Workers:
     ) -> Iterator[tuple[Item, Result]]:
         """Yield each item with its result; a RuntimeError names an item that fails."""
         names = {kind: each.loaded for kind, each in REGISTRIES.items()}
-        yield from self._spread(partial(_run, function, names), items)
+        yield from self._spread(partial(_run, function, names, made_with()), items)
 
 
 def _here(count: int, run: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
@@ -153,8 +204,13 @@ def _on_cluster(client: Any, run: Callable[..., Any], items: Sequence[Any]) -> I
 
 
 def _run(
-    function: Callable[[Item], Result], loaded: Mapping[str, Sequence[str]], item: Item
+    function: Callable[[Item], Result],
+    loaded: Mapping[str, Sequence[str]],
+    versions: Mapping[str, str],
+    item: Item,
 ) -> tuple[Item, Result]:
+    if differs := differences(versions, made_with()):
+        raise RuntimeError(f'a worker has {differs}: install the same versions there')
     # One thread: sums split among threads may round differently, and other items keep all cores
     # busy.
     threadpool_limits(1, 'blas')

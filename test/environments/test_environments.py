@@ -150,6 +150,7 @@ def test_the_mask_has_the_moves_that_leave_a_way_home(grid):
     ({'hazard_density': 1.5}, r'hazard_density is 1.5: .*\[0, 1\]'),
     ({'loss_cost': -1}, 'loss_cost is -1: .*at least 0'),
     ({'grid': (9, 9)}, r'grid is \(9, 9\): it must be Grid'),
+    ({'render_mode': 'rgb_array'}, "render_mode is 'rgb_array': it must be None"),
 ])  # fmt: skip
 def test_wrong_parameters_are_refused(given, words):
     with pytest.raises((TypeError, ValueError), match=words):

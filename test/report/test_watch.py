@@ -165,12 +165,16 @@ def test_another_site_cannot_read_it(tmp_path):
     with serving(path, None, watch.HOST, 0) as address:
         port = int(re.search(r':(\d+)/', address)[1])
         for host, path, status in (
+            (f'localhost:{port}', '/', 200),
+            # As browsers name the port 80.
             ('localhost', '/', 200),
+            (watch.HOST, '/', 200),
+            (f'evil.example:{port}', '/', 403),
             ('evil.example', '/', 403),
-            ('localhost', '/../mission.mcap', 404),
+            (f'localhost:{port}', '/../mission.mcap', 404),
         ):
             connection = http.client.HTTPConnection(watch.HOST, port)
-            connection.request('GET', path, headers={'Host': f'{host}:{port}'})
+            connection.request('GET', path, headers={'Host': host})
             assert connection.getresponse().status == status
             connection.close()
 

@@ -46,6 +46,7 @@ def test_a_scenario_equals_its_file(tmp_path):
     ('methods', ['magic'], 'methods is .magic.*kappa_bnitp_sampled'),
     ('world.kappa', -0.1, r'world.kappa is -0\.1.*from 0\.0 to 1\.0'),
     ('teams', [{'agents': 0}], 'teams.agents is 0.*from 1'),
+    ('teams', [{}, {'planner': 'relaxed'}], 'teams: two teams are the same with the defaults'),
     ('teams', [{'robots': 2}], 'teams.robots is unknown: teams has agents'),
     ('teams', [{'agents': 13}], 'teams: agents is 13.*from 1 to 12'),
     ('teams', [{'agents': 2}, {'agents': 2}], 'teams.*each entry may occur only once'),

@@ -15,12 +15,14 @@ from disk import mounted, room_for
 from extent import FULL
 from hypothesis import given, HealthCheck, settings
 from hypothesis import strategies as st
+from kbnitp_ros.files import read_yaml, yaml_text
 from kbnitp_ros.study import workers as module
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.scenario_file import parse_study
 from kbnitp_ros.study.trial import list_trials, run_trial, Trial
-from kbnitp_ros.study.workers import Folder, workers
+from kbnitp_ros.study.workers import Folder, made_with, workers
 from laws import for_each, spoilt
+import numpy as np
 import pytest
 from small_study import CONTENT, single
 
@@ -198,7 +200,7 @@ def test_a_trial_is_named_with_any_error(study, error, told):
 
     trial = list_trials(study)[0]
     with pytest.raises(RuntimeError, match=rf'^Trial\(lethality=0\.2.*\) {told}'):
-        module._run(fail, {}, trial)
+        module._run(fail, {}, made_with(), trial)
 
 
 @pytest.mark.processes
@@ -300,6 +302,43 @@ def test_more_trials_are_added_to_those_that_are_done(folder, tmp_path, outcomes
     fourth = Trial(0.2, 'kappa_bnitp', 3)
     more.save(fourth, outcomes[TRIAL])
     assert more.outcomes().keys() == {*done, fourth}
+
+
+def test_trials_of_other_versions_are_refused_or_computed_anew(folder, tmp_path, study, outcomes):
+    folder.save(TRIAL, outcomes[TRIAL])
+    os.close(folder._lock)
+    path = tmp_path / 'made' / 'here'
+    file = path / 'made_with.yaml'
+    ours = read_yaml(file)
+    assert ours == made_with()
+    assert ours['numpy'] == np.__version__
+    for name in ours:
+        file.write_text(yaml_text({**ours, name: '0.0'}))
+        with pytest.raises(ValueError, match=f'trials made with {name} 0.0 and not {ours[name]}'):
+            Folder(path, study)
+    # Trials of before versions were kept.
+    file.unlink()
+    with pytest.raises(ValueError, match='kbnitp_ros unknown and not .*--anew'):
+        Folder(path, study)
+    assert not Folder(path, study, anew=True).outcomes()
+    assert read_yaml(file) == ours
+
+
+def test_a_worker_of_another_version_is_refused():
+    other = {**made_with(), 'numpy': '1.0'}
+    with pytest.raises(RuntimeError, match='a worker has numpy .* and not 1.0: install the same'):
+        module._run(str, {}, other, 1)
+
+
+def test_long_names_of_trials_fit_a_file_system(tmp_path, outcomes):
+    own = {'loss_cost': 0.1234567890123456, 'survey': 0.6543210987654321, 'trusted': 0.75}
+    own |= {'allocation': 'independent', 'objective': 'information_per_loss', 'paths': 'static'}
+    own |= {'dynamics': 'used_up', 'clustering': 'learn', 'last_contact': 0.1234567890123456}
+    folder = Folder(tmp_path, parse_study(CONTENT, {}))
+    trials = [TRIAL._replace(team=Strategy(agents, **own)) for agents in (2, 3)]
+    assert len({folder._file(trial) for trial in trials}) == 2
+    for trial in trials:
+        folder.save(trial, outcomes[TRIAL])
 
 
 def test_trials_of_an_unknown_scenario_are_refused(tmp_path, study):

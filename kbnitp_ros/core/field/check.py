@@ -86,6 +86,7 @@ def typed(call: Callable[P, R]) -> Callable[P, R]:
             if isinstance(value, type) or not isinstance(value, known):
                 kinds = [each.__name__ for each in known if each is not NoneType]
                 wanted = ' or '.join(MADE_BY.get(kind, f'{kind}(...)') for kind in kinds)
+                wanted = wanted or 'None'
                 raise TypeError(f'{name} is {in_short(value)}: it must be {wanted}')
         return call(*arguments, **options)
 

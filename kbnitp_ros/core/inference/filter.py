@@ -345,6 +345,8 @@ def hazards_used_up(
     """Return P(used up) of each cell's hazard (:eq:`used-up-returned`, :eq:`used-up-lost`)."""
     evidence, effects = Evidence.of(observation), known_effects(model, are_used_up=True)
     used_up, cells = np.zeros(belief.cells), evidence.visits.cells
+    if not cells.size:
+        return used_up
     joint = belief.joint[cells, ..., None]
     same, spared, _ = outcome_likelihood(joint.sum(axis=2), evidence, effects)
     if evidence.has_readings:

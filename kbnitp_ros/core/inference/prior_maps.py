@@ -103,6 +103,6 @@ def with_number(
 
 def expit(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the probability at log odds x."""
-    with np.errstate(over='ignore'):
+    with np.errstate(over='ignore', under='ignore'):
         probability: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-log_odds))
     return probability

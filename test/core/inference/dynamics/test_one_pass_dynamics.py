@@ -19,6 +19,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.field.sensor import SENSORS
 from kbnitp_ros.core.field.unknowns import joint_after_moves, neighbors_to_move_to
+from kbnitp_ros.core.inference.filter import hazards_used_up
 from kbnitp_ros.core.inference.methods import supported_dynamics
 from laws import for_each
 import numpy as np
@@ -199,3 +200,9 @@ def test_a_prediction_keeps_targets_and_the_number_of_hazards(seed):
     assert after[:, 1].sum() == pytest.approx(joint[:, 1].sum(), abs=1e-12)
     np.testing.assert_allclose(after.sum(axis=1), joint.sum(axis=1), atol=1e-12)
     assert after[[GRID.base, 5], 1].sum() == 0.0
+
+
+def test_a_return_without_a_vouched_step_uses_up_no_hazard():
+    belief, model = Belief.prior(Grid(3, 3), 0.3, 0.4, 0.8), SensorModel(0.5)
+    outcome = Observation([0, 1, 0], True, [-1, -1], entered=[False, False])
+    assert not hazards_used_up(belief, model, outcome).any()
