@@ -157,12 +157,16 @@ class Launch:
         """Return the nodes of the base, and RViz."""
         said, log = self._values('estimator') | self._values('planner'), self._log
         added = DEFAULTS[self._kind]
-        # As many numbers as the method learns.
-        learnt = with_defaults('estimator', said | self._options, added)['learn.numbers']
+        # As many numbers as the method learns. In the field the estimator has defaults of its own.
+        values = with_defaults('estimator', said | self._options, added)
+        learnt = (
+            {} if values['defaults'] == 'field' else {'learn.numbers': values['learn.numbers']}
+        )
+        added = {name: value for name, value in added.items() if name != 'learn.numbers'} | learnt
         # The shipped file has all defaults, which its users need not mean.
         self._options = {
             name: value
-            for name, value in (added | {'learn.numbers': learnt}).items()
+            for name, value in added.items()
             if said.get(name) in (None, PARAMETERS[name].default)
         } | self._options
         view = share('config/rviz') / ('team.rviz' if len(self.agents) > 1 else 'mission.rviz')

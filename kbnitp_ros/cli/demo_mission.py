@@ -70,7 +70,7 @@ OPERATOR_WAIT = 3.0
 END_WAIT = 30.0
 
 # Parameters that may differ between nodes: true and believed sensors and hazards, awaited nodes.
-MAY_DIFFER = ('sensor.', 'hazards.', 'await_nodes')
+MAY_DIFFER = ('sensor.', 'hazards.', 'targets.', 'await_nodes')
 
 
 def prepare(options: argparse.Namespace) -> tuple[Path, dict[str, dict[str, Any]]]:

@@ -21,7 +21,7 @@ from kbnitp_ros.configuration.agents import (
     make_unknowns,
 )
 from kbnitp_ros.configuration.known import node_parameters
-from kbnitp_ros.configuration.table import LEARNT
+from kbnitp_ros.configuration.table import FIELD_LEARNT, LEARNT
 from kbnitp_ros.core import (
     Belief,
     Estimator,
@@ -143,6 +143,9 @@ def check_search(values: Mapping[str, Any], grid: Grid, believed: Mapping[str, R
 
 MAPS = ('hazard', 'target', 'kappa')
 
+# Maximum number of cells of a field in which all of `FIELD_LEARNT` are learnt.
+MAX_LEARNT = 30_000
+
 # Properties that a field must share with the field of the mission that gives its prior.
 SAME = ('width', 'height', 'resolution', 'origin', 'yaw', 'blocked')
 
@@ -197,13 +200,38 @@ def with_defaults(
         for name, each in table.items()
     } | {name: value for name, value in own.items() if name in table}
     if values.get('learn.numbers'):
-        method = METHODS.find(given.get('method', values['method']))
-        values['learn.numbers'] = LEARNT if getattr(method, 'learns', False) else ()
+        learnt = learnt_by_default({**values, **given, 'defaults': kind})
+        values |= {'learn.numbers': ()} if 'learn.numbers' in given else learnt
     return {**values, **given, **({'defaults': kind} if 'defaults' in table else {})}
+
+
+def learnt_by_default(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers that are learnt by default, and the dynamics of targets."""
+    method = METHODS.find(values['method'])
+    if not getattr(method, 'learns', False):
+        return {'learn.numbers': ()}
+    if values['defaults'] != 'field' or not getattr(method, 'reaches', False):
+        return {'learn.numbers': LEARNT}
+    # Numbers that every agent has of its own cannot be learnt.
+    own = {
+        name
+        for name in FIELD_LEARNT
+        if all(f'team.{agent}.sensor.{name}' in values for agent in values['agents'])
+    }
+    if values['hazards.dynamics'] in ('used_up', 'learn'):
+        own.add('reach')
+    learnt = tuple(name for name in FIELD_LEARNT if name not in own)
+    # The rates of the detector are learnt with the targets.
+    if {'true_positive', 'false_positive'} <= {*learnt}:
+        return {'learn.numbers': learnt, 'targets.dynamics': 'learn'}
+    return {'learn.numbers': learnt}
 
 
 def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
     """Return the estimator before the first deployment."""
+    if grid.cells > MAX_LEARNT and tuple(values['learn.numbers']) == FIELD_LEARNT:
+        # The particles of more than three numbers would be too few.
+        values = {**values, 'learn.numbers': LEARNT, 'targets.dynamics': 'static'}
     unknowns = make_unknowns(values)
     rates = values['sensor.true_positive'], values['sensor.false_positive']
     if rates[0] < rates[1] and not {'true_positive', 'false_positive'} & unknowns.priors.keys():

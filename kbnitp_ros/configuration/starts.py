@@ -35,7 +35,6 @@ DEFAULTS: dict[str, dict[str, Any]] = {
     'mission': {'learn.numbers': LEARNT},
     # A real robot at 0.4 m/s needs 3.5 s for the diagonal of a cell of 1 m.
     'base': {
-        'learn.numbers': LEARNT,
         'defaults': 'field',
         'step_period': 5.0,
         'return_deadline': 60.0,

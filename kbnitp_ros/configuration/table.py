@@ -52,10 +52,14 @@ LEARN = {
 # destroy as many robots.
 LEARNT = ('lethality', 'hazard_density')
 
+# Numbers that are learnt by default in the field, where also targets may change: without the two
+# rates of the detector, a poor detector is taken for targets that move.
+FIELD_LEARNT = (*LEARNT, 'true_positive', 'false_positive', 'reach')
+
 # Defaults in the field that differ; RViz shows robots at this pace.
 IN_FIELD = {
     'sensor.malfunction': 0.001,
-    'learn.numbers': LEARNT,
+    'learn.numbers': FIELD_LEARNT,
     # Log-uniform around the malfunction above.
     'learn.malfunction': (0.0002, 0.2, 0.0, 1.0),
     'silent_loss': True,
@@ -159,7 +163,8 @@ ROWS: tuple[Parameter | str, ...] = (
     'Dynamics of targets: static, changing from one deployment to the next, or moving to '
     'neighbouring cells; learn, for the estimator, to infer from the evidence if and how fast '
     'they change. Targets that move are learnt as changing ones. The value of the agent is the '
-    'truth, the value of the estimator is the belief.',
+    'truth, the value of the estimator is the belief, in the field learn if learn.numbers is not '
+    'given.',
     Parameter('targets.appear', 0.0, SENSING, limits=PROBABILITY),
     'Probability per deployment that a cell without a target gets one, for changing targets.',
     Parameter('targets.vanish', 0.0, SENSING, limits=PROBABILITY),

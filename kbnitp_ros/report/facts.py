@@ -90,7 +90,7 @@ def mission_facts(
         'lane': [] if mission.decision is None else mission.decision.path.tolist(),
         'assumed': mission.assumed,
         'truth': world
-        and {name: values.astype(int).tolist() for name, values in vars(world).items()},
+        and {name: getattr(world, name).astype(int).tolist() for name in ('hazard', 'target')},
         'exact': {name: np.round(getattr(last.belief, name), 6).tolist() for name in NAMES}
         if is_exact
         else None,

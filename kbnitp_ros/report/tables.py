@@ -223,7 +223,7 @@ def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:
     arrays['held'] = np.array([each.held for each in moments])
     arrays['shape'] = np.array([mission.grid.height, mission.grid.width])
     if mission.world:
-        arrays |= {f'true_{name}': values for name, values in vars(mission.world).items()}
+        arrays |= {f'true_{name}': getattr(mission.world, name) for name in ('hazard', 'target')}
     np.savez_compressed(folder / 'belief.npz', **arrays, **vars(curves))
     for name, levels in quantise_belief(moments[-1].belief).items():
         write_probabilities(folder / f'{name}.yaml', mission.grid, levels)

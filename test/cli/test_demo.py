@@ -27,7 +27,7 @@ from kbnitp_ros.cli.demo_mission import (
 )
 from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
-from kbnitp_ros.configuration.table import IN_FIELD
+from kbnitp_ros.configuration.table import FIELD_LEARNT, IN_FIELD
 from kbnitp_ros.core import (
     log_loss,
     RobotType,
@@ -320,7 +320,9 @@ def test_a_mission_on_a_map_has_the_defaults_of_the_field(on_a_map):
     assert {name: field['agent'][name] for name in IN_FIELD if name in field['agent']} == {
         name: value for name, value in IN_FIELD.items() if name in field['agent']
     }
-    assert field['estimator']['learn.numbers'] == ('lethality', 'hazard_density')
+    assert field['estimator']['learn.numbers'] == FIELD_LEARNT
+    assert field['estimator']['targets.dynamics'] == 'learn'
+    assert field['agent']['targets.dynamics'] == 'static'
     assert {field[node]['defaults'] for node in ('agent', 'estimator', 'planner')} == {'field'}
     assert given['estimator']['sensor.malfunction'] == 0.02
     assert (given['planner']['silent_loss'], given['planner']['step_period']) == (False, 0.2)
@@ -476,7 +478,7 @@ def test_a_base_that_a_map_blocks_and_a_map_from_a_topic_are_refused(on_a_map, t
     (['--set', 'team.scout_2.max_steps=3'], 'of agent scout_2, .* did you mean scout_1'),
     (['--set', 'agent:team.scout_1.max_steps=3'], 'max_steps is 18 in .* and 3 in agent'),
     (['--set', 'publish_truth=false'], 'the demo sets publish_truth itself'),
-    (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', but the hazards of"),
+    (['--set', 'hazards.dynamics=learn'], "hazards.dynamics is 'learn', but a world is of"),
     (['--set', 'planner:grid.width=5'], 'grid.width is 9 in .* and 5 in planner: .* must agree'),
     (['--set', 'grid.blocked=[1, 9, 10]'], 'scout_1 cannot leave .*cell 0: no other cell can be'),
     (['--max-steps', '1'], 'scout_1 cannot leave their base, cell 0: max_steps is 1: a way'),

@@ -30,6 +30,7 @@ from kbnitp_ros.configuration.starts import (
 from kbnitp_ros.configuration.starts import (
     DEFAULTS as STARTED,
 )
+from kbnitp_ros.configuration.table import FIELD_LEARNT, LEARNT
 from kbnitp_ros.core import Area, Belief, Grid, Lane, Stop
 from laws import for_each
 from mission_log import GRID, Mission, mission, record
@@ -104,6 +105,29 @@ def test_angles_in_degrees_of_maps_and_datums_are_refused(tmp_path):
 def test_targets_that_an_estimator_cannot_learn_are_refused(given, why):
     with pytest.raises(ValueError, match=why):
         make_estimator({**DEFAULTS, **given}, GRID)
+
+
+@for_each('given, learnt, targets', [
+    ({}, FIELD_LEARNT, 'learn'),
+    ({'learn.numbers': ('kappa',)}, ('kappa',), 'static'),
+    ({'targets.dynamics': 'static'}, FIELD_LEARNT, 'static'),
+    ({'hazards.dynamics': 'used_up'}, FIELD_LEARNT[:-1], 'learn'),
+    ({'method': 'kappa_bnitp_sampled'}, LEARNT, 'static'),
+    ({'method': 'relaxed_bnitp'}, (), 'static'),
+    ({'team.a.sensor.false_positive': 0.1}, (*FIELD_LEARNT[:3], 'reach'), 'static'),
+    ({'defaults': 'paper'}, (), 'static'),
+])  # fmt: skip
+def test_in_the_field_reach_detector_and_changing_targets_are_learnt(given, learnt, targets):
+    values = with_defaults('estimator', {'defaults': 'field', 'agents': ('a',), **given})
+    assert (values['learn.numbers'], values['targets.dynamics']) == (learnt, targets)
+    estimator = make_estimator({**values, 'grid.width': 5}, GRID)
+    named = {*learnt, *(['target_vanish'] if targets == 'learn' else [])}
+    assert {*estimator.parameters} == named
+
+
+def test_a_large_field_learns_fewer_numbers():
+    values = with_defaults('estimator', {'defaults': 'field'})
+    assert {*make_estimator(values, Grid(200, 160)).parameters} == {*LEARNT}
 
 
 def test_a_sensor_worse_than_chance_is_refused_unless_it_is_learnt():

@@ -337,15 +337,18 @@ class Filters:
     ) -> tuple[Floats, Floats]:
         """Fold deployments into joints; return joints, and logs of chances and predictions."""
         groups = self._groups_of_particles(numbers)
-        rest = deployments, start, is_predicted, updated
-        if len(groups) == 1:
-            return self._fold_group(np.array(joints), numbers, groups[0], *rest)
         joints, log_chances = np.array(joints), np.zeros((1, len(numbers)))
+        cells, pair = np.arange(len(joints)), np.arange(2)
+        if self._dynamics.effect in ('static', 'used_up') and deployments:
+            # Others keep their joints; copies of large fields take time.
+            seen = [each.in_reach or each for each in deployments]
+            cells = np.unique(np.concatenate([each.visits.cells for each in seen]))
+        rest = cells, deployments, start, is_predicted, updated
         for group in groups:
             some = group.particles
-            joints[..., some], of_group = self._fold_group(
-                joints[..., some], numbers[some], group, *rest
-            )
+            where = np.ix_(cells, pair, pair, some) if len(groups) > 1 else cells
+            own = numbers[some] if len(groups) > 1 else numbers
+            joints[where], of_group = self._fold_group(joints[where], own, group, *rest)
             if len(of_group) > len(log_chances):
                 log_chances = np.zeros((len(of_group), len(numbers)))
             log_chances[:, some] = of_group
@@ -356,28 +359,29 @@ class Filters:
         joints: Floats,
         numbers: Floats,
         group: ParticleGroup,
+        known: NDArray[np.intp],
         deployments: Sequence[Evidence],
         start: int,
         is_predicted: bool,
         updated: NDArray[np.intp] | None,
     ) -> tuple[Floats, Floats]:
-        """Fold deployments into the joints of a group of particles."""
+        """Fold deployments into the joints of a group of particles, of the cells `known`."""
         log_chances: Floats = np.zeros((1, len(numbers)))
-        updated = np.zeros(len(joints), np.intp) if updated is None else updated.copy()
+        updated = np.zeros(self._prior.cells, np.intp) if updated is None else updated.copy()
         for number, evidence in enumerate(deployments, start):
             if number:
                 joints = group.change(joints)
             if group.rates is not None:
                 entered = evidence.visits.cells
                 changed = entered[self._may_change[entered]]
-                ticks = number - updated[changed]
-                joints[changed] = targets_after(joints[changed], ticks, *group.rates)
+                ticks, place = number - updated[changed], known.searchsorted(changed)
+                joints[place] = targets_after(joints[place], ticks, *group.rates)
                 updated[changed] = number
             seen = evidence
             if group.reaches:
                 assert evidence.in_reach is not None
                 seen = evidence.in_reach
-            robot_type, cells = seen.robot_type, seen.visits.cells
+            robot_type, cells = seen.robot_type, known.searchsorted(seen.visits.cells)
             if robot_type not in group.effects:
                 group.effects[robot_type] = self._step_effects(robot_type, numbers)
             joint, effects = joints[cells], group.effects[robot_type]
