@@ -44,6 +44,10 @@ LARGE, MAX_LARGE, MAX_LARGE_SHARE = 0.3, 3, 1 / 3
 # no turn of the robot.
 MAX_SIGMA, MAX_OFF_COURSE, MAX_BEYOND, MAX_TURN = 0.25, 0.55, 0.4, 0.1
 
+# Share of poses that may be off alone, and distance by which the jump that takes another back may
+# differ from it.
+MAX_OUTLIERS, MAX_MATCH = 0.1, 0.2
+
 # Smallest time between two detections of a step with the same result, nanoseconds.
 DETECTION_PERIOD = SECOND // 20
 
@@ -110,8 +114,7 @@ class Track:
         poses = np.array(self._poses).reshape(-1, NUMBERS)[: self._goal_end]
         if not len(poses):
             return
-        times = poses[:, 0]
-        frames, limits = self._frames(poses)
+        times, frames, limits = self._frames(poses)
         ends = np.array([number for number, _ in self._entries])
         width = self._grid.width
         for number, (end, is_own) in enumerate(self._entries):
@@ -137,21 +140,40 @@ class Track:
             if max(np.abs(off.real).max(), np.abs(off.imag).max()) <= 0.5 - limits.read_depth:
                 step.reading = max(step.reading, int(seen))
 
-    def _frames(self, poses: NDArray[np.float64]) -> tuple[list[Positions], Limits]:
-        """Return the positions in both frames, and the limits of their source."""
+    def _frames(
+        self, poses: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], list[Positions], Limits]:
+        """Return the times and positions in both frames, and the limits of their source."""
         grid, times, sigma = self._grid, poses[:, 0], poses[:, 9] / self._grid.resolution
+        farthest = self._max_speed * np.diff(times) + MAX_BEYOND
         if not self._has_odometry:
-            at = _as_complex(grid.in_cells(poses[:, 1:3]))
-            self.doubt = self._why_off_course(times, at, sigma)
+            at, outliers = _without_outliers(
+                times, _as_complex(grid.in_cells(poses[:, 1:3])), farthest
+            )
+            self.doubt = self._why_scattered(outliers, len(times))
+            self.doubt = self.doubt or self._why_off_course(times, at, sigma)
             course = _by_course(times, at)
             frames = _both(course, at - course, np.ones_like(course), BY_POSES.error)
             depth = max(BY_POSES.depth, 2 * sigma.max())
-            return frames, BY_POSES._replace(depth=depth)
+            return times, frames, BY_POSES._replace(depth=depth)
         moved = _as_complex(poses[:, 3:5] / grid.resolution)
         shift = _as_complex(grid.in_cells(poses[:, 5:7]))
         turn = _as_complex(poses[:, 7:9]) * np.exp(-1j * grid.yaw)
-        self.doubt = self._why_wild(times, moved, shift, turn)
-        return _both(moved, shift, turn, BY_ODOMETRY.error), BY_ODOMETRY
+        moved, outliers = _without_outliers(times, moved, farthest)
+        self.doubt = self._why_scattered(outliers, len(times))
+        self.doubt = self.doubt or self._why_wild(times, moved, shift, turn)
+        moved, shift, end = _without_slips(moved, shift, turn, farthest)
+        frames = _both(moved[:end], shift[:end], turn[:end], BY_ODOMETRY.error)
+        return times[:end], frames, BY_ODOMETRY
+
+    def _why_scattered(self, outliers: int, poses: int) -> str:
+        """Explain why poses that are off alone are too many; empty if they are not."""
+        if outliers <= max(MAX_LARGE, MAX_OUTLIERS * poses):
+            return ''
+        return (
+            f'{outliers} of {poses} poses are off by more than the maximum speed allows '
+            '(parameter max_speed; do two nodes publish them?)'
+        )
 
     def _why_wild(
         self, times: NDArray[np.float64], moved: Positions, shift: Positions, turn: Positions
@@ -195,6 +217,57 @@ class Track:
                 f'{MAX_OFF_COURSE}'
             )
         return ''
+
+
+def _without_outliers(
+    times: NDArray[np.float64], at: Positions, farthest: NDArray[np.float64]
+) -> tuple[Positions, int]:
+    """Return positions with those that the next one takes back on its way, and their number."""
+    at, count = at.copy(), 0
+    for number in range(1, len(at) - 1):
+        before, here, after = at[number - 1 : number + 2].tolist()
+        is_away = (
+            abs(here - before) > farthest[number - 1] and abs(after - here) > farthest[number]
+        )
+        if is_away and abs(after - before) <= farthest[number - 1 : number + 1].sum() - MAX_BEYOND:
+            seconds = times[number + 1] - times[number - 1]
+            share = (times[number] - times[number - 1]) / seconds if seconds else 0.5
+            at[number] = before + (after - before) * share
+            count += 1
+    return at, count
+
+
+def _without_slips(
+    moved: Positions, shift: Positions, turn: Positions, farthest: NDArray[np.float64]
+) -> tuple[Positions, Positions, int]:
+    """
+    Return odometry and its shift without jumps of odometry that were taken back.
+
+    Also returns the number of poses before the first jump that was not.
+    """
+    moved, shift = moved.copy(), shift.copy()
+    moves = np.diff(moved)
+    # Moves of the localization's frame, at each pose after the first.
+    corrections = np.diff(shift) + np.diff(turn) * moved[1:]
+    slips = np.flatnonzero(np.abs(moves) > farthest)
+    taken_back = set()
+    for slip in slips.tolist():
+        if slip in taken_back:
+            continue
+        # Both jumps hold a move of the robot itself.
+        jump, most = moves[slip], 2.0 * (farthest[slip] - MAX_BEYOND) + MAX_MATCH
+        back = [each for each in slips[slips > slip].tolist() if abs(moves[each] + jump) <= most]
+        fixed = slip + np.flatnonzero(np.abs(corrections[slip:] + turn[1 + slip :] * jump) <= most)
+        if back and not (fixed.size and fixed[0] < back[0]):
+            # Between the two only the move of the robot itself counts.
+            moved[slip + 1 : back[0] + 1] -= jump
+            taken_back.add(back[0])
+        elif fixed.size:
+            moved[slip + 1 :] -= jump
+            shift[fixed[0] + 1 :] += turn[fixed[0] + 1 :] * jump
+        else:
+            return moved, shift, slip + 1
+    return moved, shift, len(moved)
 
 
 def _both(moved: Positions, shift: Positions, turn: Positions, error: float) -> list[Positions]:

@@ -84,6 +84,8 @@ class Trip:
         self._whereabouts = Whereabouts(round(kept * SECOND), round(gap * SECOND))
         speed = max_speed or USUAL_SPEED * grid.resolution
         self._track = Track(grid, speed, len(deployment.steps))
+        # Least time that a robot takes for a cell, nanoseconds.
+        self._in_cell = round(grid.resolution / speed * SECOND)
         # Detections not assigned to a step yet: first and last possible time, and the result.
         self._unread: list[tuple[int, int, bool]] = []
         self._itinerary = Itinerary(grid, path, values['attempts'])
@@ -131,6 +133,17 @@ class Trip:
                 f'the position is dated {self._ahead / SECOND:.1f} s ahead of this clock, so a '
                 'detection without a stamp is of no known cell: set the clocks alike'
             )
+        if not is_stamped:
+            # The poses may arrive late, or their clock may be behind: the robot has to be in the
+            # cell either way.
+            since -= (lag := max(0, -self._ahead))
+            if lag > self._in_cell:
+                raise ValueError(
+                    f'the position is dated {lag / SECOND:.1f} s behind this clock, longer than '
+                    f'the robot may be in a cell ({self._in_cell / SECOND:.1f} s by max_speed), so '
+                    'a detection without a stamp is of no known cell: set the clocks alike, give '
+                    'poses sooner, or stamp the detections'
+                )
         self._unread = [*self._unread[-MAX_UNREAD:], (since, until, seen)]
         self._count_readings()
 

@@ -49,6 +49,11 @@ class Scenario:
     correction: float = 0.02
     # Jumps of the localization: size, and time until it is back (never if None).
     jumps: tuple[tuple[float, float | None], ...] = ()
+    # Jumps of odometry, which the localization repeats: size, and seconds until it is back by
+    # itself (never if None), and until the localization corrects it (never if None).
+    slips: tuple[tuple[float, float | None, float | None], ...] = ()
+    # Share of poses that are off by some cells, alone.
+    outliers: float = 0.0
     # Error of the localization at the departure, put right once.
     wrong: float = 0.0
     # Error that grows by this each second.
@@ -239,6 +244,13 @@ class Robot:
             at(begin, 'jump', jump, scenario.turn)
             if back is not None:
                 at(begin + back / length, 'jump', -jump, -scenario.turn)
+        for size, back, corrected in scenario.slips:
+            begin, slip = rng.uniform(0.1, 0.8), size * self._direction()
+            at(begin, 'slip', slip)
+            if back is not None:
+                at(begin + back / length, 'slip', -slip)
+            if corrected is not None:
+                at(begin + corrected / length, 'jump', -slip, 0.0)
         if scenario.wrong:
             at(rng.uniform(0.2, 0.8), 'jump', -self.error, 0.0)
         if scenario.silence:
@@ -263,6 +275,10 @@ class Robot:
             self.error += told[0]
             self.turned *= np.exp(1j * told[1])
             self._update()
+        elif what == 'slip':
+            # In the map; the localization adds the move of odometry to its place.
+            self.odometry += told[0] / self.map_turn
+            self.error += told[0]
         elif what == 'silent':
             self.is_silent = told[0]
         elif what == 'carry':
@@ -341,14 +357,17 @@ class Robot:
         self._next_pose += 1 / scenario.rate
         stamp = self.now + round(scenario.ahead * SECOND)
         noise = scenario.noise * complex(*self.rng.normal(size=2))
+        slip = 0j
+        if scenario.outliers and self.rng.random() < scenario.outliers:
+            slip = self.rng.uniform(1.0, 4.0) * self._direction()
 
         def in_map(at: complex) -> complex:
             return complex(*grid.in_metres([at.real, at.imag]))
 
         if not scenario.odometry:
-            return [transform('map', self.name, in_map(self.seen + noise), 1 + 0j, stamp)]
+            return [transform('map', self.name, in_map(self.seen + noise + slip), 1 + 0j, stamp)]
         turn, odom = self.map_turn * np.exp(1j * grid.yaw), f'{self.name}/odom'
-        at = self.odometry * grid.resolution
+        at = (self.odometry + slip / self.map_turn) * grid.resolution
         return [
             transform('map', odom, in_map(self.map_shift + noise), turn, stamp),
             transform(odom, self.name, at, 1 + 0j, stamp),

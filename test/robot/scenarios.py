@@ -4,7 +4,7 @@
 from dataclasses import dataclass, replace
 from itertools import product
 
-from ground import run, Scenario
+from ground import NEAR, run, Scenario
 
 # Seconds until a jump is back; None for never.
 BACK = (1.0, 3.0, 6.0, None)
@@ -39,6 +39,26 @@ JUMPS = {
     'wrong by 1 from the start, put right': Scenario(wrong=1.0),
     'wrong by 3 from the start, put right': Scenario(wrong=3.0),
 }
+# Jumps of odometry that the localization repeats: they last, are back by themselves, or are
+# corrected by the localization.
+SLIPS = {
+    f'odometry jumps by {size:g}, {how}{on}': Scenario(
+        slips=((size, back, corrected),), **({'driver': driver} if driver else {})
+    )
+    for size in (1.0, 2.0, 5.0)
+    for how, back, corrected in (
+        ('lasting', None, None), ('back after 4 s', 4.0, None), ('corrected after 4 s', None, 4.0),
+    )
+    for on, driver in (
+        ('', ''),
+        *((f', {name}', name) for name in NEAR if size == 2.0),
+    )
+} | {
+    'odometry jumps by 2, then by 1': Scenario(slips=((2.0, None, None), (1.0, None, None))),
+    'odometry jumps by 2 and back, twice': Scenario(slips=((2.0, 3.0, None), (2.0, 3.0, None))),
+    'odometry jumps by 2, 20 Hz': Scenario(slips=((2.0, None, None),), rate=20.0),
+}  # fmt: skip
+OUTLIERS = {f'{share:.1%} of poses are off': Scenario(outliers=share) for share in (0.005, 0.02)}
 SILENCE = {
     f'no poses for {seconds:g} s{" at the departure" if is_early else ""}': Scenario(
         silence=seconds, is_early=is_early
@@ -53,17 +73,22 @@ NAV2 = {f'Nav2: {wrong}': Scenario(nav2=wrong) for wrong in (
     'carried home while the wheels turn': Scenario(carried='wheels'),
     'node killed for 2 s': Scenario(killed=2.0),
     'node killed for 20 s': Scenario(killed=20.0),
+    'clock behind by .3 s': Scenario(ahead=-0.3),
+    'clock behind by .8 s': Scenario(ahead=-0.8),
+    'clock behind by 1.5 s': Scenario(ahead=-1.5),
     'clock ahead by 1 s': Scenario(ahead=1.0),
     'clock ahead by 30 s': Scenario(ahead=30.0),
     'clock ahead by 300 s': Scenario(ahead=300.0),
 }  # fmt: skip
 
-SCENARIOS = CLEAN | CORRECTIONS | JUMPS | SILENCE | NAV2
+SCENARIOS = CLEAN | CORRECTIONS | JUMPS | SLIPS | OUTLIERS | SILENCE | NAV2
 
 # Beyond any rule: docs/robots.md names them.
 BEYOND = {
     'jump of .6 with corrections of .2': Scenario(jumps=((0.6, None),), correction=0.2),
     'drift of .05 a second, never corrected': Scenario(drift=0.05),
+    'odometry jumps by 2, lasting, 1 Hz': Scenario(slips=((2.0, None, None),), rate=1.0),
+    'odometry jumps by .5, lasting': Scenario(slips=((0.5, None, None),)),
 }
 
 

@@ -9,8 +9,10 @@ from scenarios import (
     count,
     JUMPS,
     NAV2,
+    OUTLIERS,
     SCENARIOS,
     SILENCE,
+    SLIPS,
     without_odometry,
 )
 
@@ -37,7 +39,7 @@ def counted(name, odometry, walks):
 @pytest.mark.slow
 @pytest.mark.parametrize('walks', WALKS)
 @pytest.mark.parametrize('odometry', [True, False])
-@pytest.mark.parametrize('names', [CLEAN, CORRECTIONS, JUMPS, SILENCE, NAV2])
+@pytest.mark.parametrize('names', [CLEAN, CORRECTIONS, JUMPS, SLIPS, OUTLIERS, SILENCE, NAV2])
 def test_no_step_is_vouched_for_in_a_cell_that_was_not_entered(names, odometry, walks):
     for name in names:
         most = LIMITS.get((name, odometry), MAX_FALSE)
@@ -59,6 +61,20 @@ def test_most_steps_are_vouched_for():
         for name, least in (('clean', clean), ('corrections of 0.2 a second', corrected)):
             counts = counted(name, odometry, 25)
             assert counts.vouched >= least * counts.reported
+
+
+@pytest.mark.slow
+def test_a_jump_of_odometry_voids_what_comes_after_it_until_it_is_taken_back():
+    """A quarter of a walk is lost to a jump of four seconds, and single poses cost nothing."""
+    for name, least in (
+        ('odometry jumps by 2, lasting', 0.3),
+        ('odometry jumps by 2, back after 4 s', 0.65),
+        ('odometry jumps by 2, corrected after 4 s', 0.65),
+        ('0.5% of poses are off', 0.97),
+    ):
+        counts = counted(name, True, 25)
+        assert counts.vouched >= least * counts.reported, name
+        assert counts.false == counts.misread == 0, name
 
 
 @pytest.mark.slow
