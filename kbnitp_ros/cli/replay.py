@@ -12,7 +12,7 @@ from pathlib import Path
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record
 from kbnitp_ros.log.configuration import numerical_environment
-from kbnitp_ros.log.files import LogError
+from kbnitp_ros.log.files import LogError, part_note
 from kbnitp_ros.log.read import log_size, LoggedMessage, read_metadata, RUN
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade, ReplayReport, TOLERANCE
@@ -45,6 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = command_parser('replay', DESCRIPTION, *EXAMPLES)
     add_log(parser)
     options = parser.parse_args(argv)
+    if note := part_note(options.log):
+        complain('warning', note)
     try:
         report = replayed(options.log, options.namespace)
     except (LogError, OSError) as error:

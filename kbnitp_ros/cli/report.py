@@ -9,6 +9,7 @@ from pathlib import Path
 
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.replay import with_progress
+from kbnitp_ros.log.files import part_note
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report.folder import check_is_free, write_report
@@ -43,6 +44,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         help='folder for the report, new or empty',
     )
     options = parser.parse_args(argv)
+    if note := part_note(options.log):
+        complain('warning', note)
     try:
         check_is_free(options.out)
         mission = report(options.log, options.out, namespace=options.namespace)

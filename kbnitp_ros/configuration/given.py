@@ -16,7 +16,8 @@ from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, NODES
 from kbnitp_ros.configuration.known import check_known, CLOCK, foreign_note
-from kbnitp_ros.files import nearest, parse_yaml, read_yaml
+from kbnitp_ros.configuration.ros_yaml import parse_parameters, read_parameter_file
+from kbnitp_ros.files import nearest
 
 # Sections of a file for several nodes at once.
 WILDCARDS = ('*', '**')
@@ -31,7 +32,7 @@ Sections = dict[str, dict[str, Any]]
 def read_sections(path: str | Path, names: Mapping[str, str] | None = None) -> Sections:
     """Read and check a parameter file."""
     try:
-        return check_sections(read_yaml(path), names or {})
+        return check_sections(read_parameter_file(path), names or {})
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise ValueError(f'parameter file {path}: {reason}') from error
@@ -128,7 +129,7 @@ def check_given(name: str, arguments: Sequence[str]) -> None:
             check_known(parameter, nodes)
         elif parameter == CLOCK or find_parameter(name, parameter):
             # ROS treats the rule like a line of section /**.
-            check_counts(sections, '/**', full_name, {parameter: parse_yaml(text)}, '-p ')
+            check_counts(sections, '/**', full_name, {parameter: parse_parameters(text)}, '-p ')
         else:
             # Launch gives each node the parameters of all nodes.
             foreign_note(parameter, [name])

@@ -11,7 +11,8 @@ import os
 import re
 from typing import Any
 
-from kbnitp_ros.files import nearest, parse_yaml
+from kbnitp_ros.configuration.ros_yaml import parse_parameters
+from kbnitp_ros.files import nearest
 from kbnitp_ros.plugins import Registry
 
 NAME = '[A-Za-z][A-Za-z0-9_]*'
@@ -106,7 +107,7 @@ class Parameter:
         if self.element is None and isinstance(self.default, str):
             return self.check(text)
         try:
-            value = parse_yaml(text)
+            value = parse_parameters(text)
         except ValueError:
             value = text
         if isinstance(value, str) and isinstance(self.default, float):

@@ -28,6 +28,10 @@ INFORMATION = 'rosbag2_bagfile_information'
 NUMBER = r'_([1-9]\d{0,4})'
 
 
+# Names of the parts of a log by rosbag2 from 0.33 on: number, name of the log, and date.
+SPLIT = re.compile(r'(\d{1,5})_(.+)_\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d')
+
+
 def log_parts(path: str | Path) -> list[Path]:
     """Return the files of a log in order, from its first file or its folder."""
     path = Path(path)
@@ -58,6 +62,8 @@ def log_parts(path: str | Path) -> list[Path]:
 def with_later_parts(first: Path) -> list[Path]:
     """Return the first file of a log and its later parts."""
     listed = listed_parts(first.parent)
+    if not listed and (split := SPLIT.fullmatch(first.stem)):
+        return with_later_splits(first, split)
     names = listed if first.name in listed[:1] else [first.name]
     numbers = [number for number, file in numbered(first).items() if file.name not in names]
     names += [part_path(first, number).name for number in range(1, max(numbers, default=0) + 1)]
@@ -67,6 +73,35 @@ def with_later_parts(first: Path) -> list[Path]:
             f'{missing[0]} of the log {first} is missing: restore it, or name each part'
         )
     return parts
+
+
+def with_later_splits(first: Path, split: re.Match[str]) -> list[Path]:
+    """Return the parts of a log that rosbag2 split, from a file of it on."""
+    parts: dict[int, Path] = {}
+    for file in first.parent.iterdir():
+        other = SPLIT.fullmatch(file.stem)
+        if other and other[2] == split[2] and file.suffix == first.suffix:
+            if int(other[1]) in parts:
+                raise LogError(
+                    f'{file.parent} holds {parts[int(other[1])].name} and {file.name}, which '
+                    'belong to different logs: move one of them to another folder'
+                )
+            parts[int(other[1])] = file
+    if int(split[1]) > 0:
+        return [first]
+    if missing := sorted({*range(max(parts))} - parts.keys()):
+        raise LogError(
+            f'part {missing[0]} of the log {first} is missing: restore it, or name each part'
+        )
+    return [parts[number] for number in sorted(parts)]
+
+
+def part_note(path: str | Path) -> str:
+    """Return a note if a file is a later part of a log, which is read alone; else ''."""
+    path = Path(path)
+    if path.is_dir() or not is_later_part(path):
+        return ''
+    return f'{path} is one file of several of a log: name the folder {path.parent} to read all'
 
 
 def numbered(first: Path) -> dict[int, Path]:
@@ -88,6 +123,11 @@ def base(first: Path) -> str:
 
 def is_later_part(path: Path) -> bool:
     """Return whether the file is a later part of a log beside it."""
+    if (split := SPLIT.fullmatch(path.stem)) and int(split[1]) > 0:
+        return any(
+            (first := SPLIT.fullmatch(file.stem)) and int(first[1]) == 0 and first[2] == split[2]
+            for file in path.parent.iterdir()
+        )
     match = re.fullmatch(f'(.+){NUMBER}', path.stem)
     return match is not None and any(
         path.with_name(f'{match[1]}{zero}{path.suffix}').exists() for zero in ('', '_0')

@@ -140,8 +140,8 @@ class Trip:
             if lag > self._in_cell:
                 raise ValueError(
                     f'the position is dated {lag / SECOND:.1f} s behind this clock, longer than '
-                    f'the robot may be in a cell ({self._in_cell / SECOND:.1f} s by max_speed), so '
-                    'a detection without a stamp is of no known cell: set the clocks alike, give '
+                    f'the robot may be in a cell ({self._in_cell / SECOND:.1f} s by max_speed): a '
+                    'detection without a stamp is of no known cell: set the clocks alike, give '
                     'poses sooner, or stamp the detections'
                 )
         self._unread = [*self._unread[-MAX_UNREAD:], (since, until, seen)]

@@ -223,3 +223,28 @@ def test_commands_show_messages_before_an_error_and_fail(sent, tmp_path, damaged
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f'demo: {path} is corrupt after byte')
     assert path.read_bytes() == content
+
+
+def test_parts_named_by_rosbag2_from_033_on_are_read_without_metadata(tmp_path, sent, capsys):
+    """The recording computer lost its power before it wrote metadata.yaml."""
+    folder, third = tmp_path / 'bag', len(sent) // 3
+    folder.mkdir()
+    parts = (sent[:third], sent[third : 2 * third], sent[2 * third :])
+    for number, part in enumerate(parts):
+        (file,) = write_bag(tmp_path / f'part_{number}', part).glob('*.mcap')
+        file.rename(folder / f'{number}_mission_2026_03_01-10_0{number}_00.mcap')
+    first, second, _ = sorted(folder.iterdir())
+    for path in (folder, first):
+        check(path, sent)
+    assert replay_command([str(folder)]) == 0
+    capsys.readouterr()
+    assert len(list(read_log(second))) == third
+    replay_command([str(second)])
+    assert f'{second} is one file of several of a log: name the folder' in capsys.readouterr().err
+    second.rename(tmp_path / second.name)
+    with pytest.raises(LogError, match='part 1 of the log .*0_mission.* is missing: restore it'):
+        list(read_log(folder))
+    shutil.copy(tmp_path / second.name, folder)
+    shutil.copy(first, folder / '0_mission_2026_03_02-10_00_00.mcap')
+    with pytest.raises(LogError, match='which belong to different logs'):
+        list(read_log(folder))

@@ -17,6 +17,7 @@ from kbnitp_ros.configuration.given import (
     values_for,
 )
 from kbnitp_ros.configuration.known import foreign_note
+from kbnitp_ros.configuration.ros_yaml import read_parameter_file
 from kbnitp_ros.nodes.runtime.declared import declare, state
 from laws import for_each, spoilt
 import pytest
@@ -203,6 +204,53 @@ ORDERS = [
     {**section('/*/planner', max_steps=1), **section('/north/planner', max_steps=2)},
     section('planner', grid={'width': 4, 'height': 3}, await_nodes=['agent']),
 ]
+
+
+SCALARS = [
+    '1', '-3', '+4', '0x1F', '010', '1_0', '1:30', '1e-3', '1.', '.5', '-.5e2', '1.5',
+    '.nan', '.inf', '-.inf', 'true', 'Yes', 'off', 'N', 'text', '"3"', "'true'", '!!int "3"',
+    '!!str 3', '1e', '0x',
+    '[1, 2]', '[1.0, 2.5]', '[a, b]', '[true, false]', '2026-11-28',
+]  # fmt: skip
+
+
+@for_each('text', SCALARS)
+def test_values_have_the_types_of_ros(tmp_path, text):
+    path = tmp_path / 'given.yaml'
+    path.write_text(f'planner:\n  ros__parameters:\n    x: {text}\n')
+    (theirs,) = given_by_ros(['--ros-args', '--params-file', str(path)], '/').values()
+    ours = read_parameter_file(path)['planner']['ros__parameters']['x']
+    ours = tuple(ours) if isinstance(ours, list) else ours
+    theirs = (
+        tuple(theirs) if not isinstance(theirs, str) and hasattr(theirs, '__iter__') else theirs
+    )
+    assert type(ours) is type(theirs)
+    assert str(ours) == str(theirs)
+
+
+@for_each(
+    'lines, told',
+    [
+        (
+            ['a: &x {b: 0.3}', 'c: *x'],
+            'line 4 has the alias \\*x, which ROS does not take: write the',
+        ),
+        (
+            ['grid: {base_position: [1, 2.5]}'],
+            r'line 3: base_position is \[1, 2.5\], a whole number and',
+        ),
+        ([''], 'line 2: ros__parameters is empty, which ROS does not take: leave the section out'),
+    ],
+)
+def test_what_the_parser_of_ros_refuses_is_told_with_line_key_and_remedy(tmp_path, lines, told):
+    path = tmp_path / 'given.yaml'
+    path.write_text(
+        '\n'.join(['planner:', '  ros__parameters:', *(f'    {each}' for each in lines)])
+    )
+    with pytest.raises(ValueError, match=f'parameter file {path}: {told}'):
+        read_sections(path)
+    with pytest.raises(RuntimeError, match="Couldn't parse params file"):
+        given_by_ros(['--ros-args', '--params-file', str(path)], '/')
 
 
 @for_each('config, namespace', product(ORDERS, ['/', '/north']))
