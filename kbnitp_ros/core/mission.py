@@ -10,7 +10,7 @@ from typing import Any, overload, TYPE_CHECKING
 
 from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
-from kbnitp_ros.core.decision.hazard_draws import HazardDraws, joint_hazards
+from kbnitp_ros.core.decision.hazard_draws import HazardDraws, joint_hazards, Mixture
 from kbnitp_ros.core.decision.rounds import plan_round, Stop
 from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, log_loss
@@ -49,7 +49,8 @@ class Deployment(Value):
     Attributes
     ----------
     plan : Plan
-        Its path and the expected results.
+        Its path and the expected results; with learnt numbers its survival is the mean over their
+        particles.
     observation : Observation
         Its outcome.
     belief : Belief
@@ -320,6 +321,13 @@ class Mission(Sequence[Deployment]):
 
     def _send(self, plan: Plan, robot_type: RobotType) -> Observation:
         """Send a robot along a checked path."""
+        if self.estimator.particles < np.inf:
+            # A product of means is below the mean of products over particles.
+            hazards = joint_hazards(self.estimator, self.sent)
+            assert isinstance(hazards, Mixture)
+            model = robot_type.model(self.model)
+            survival = hazards.of_type(robot_type).survival(plan.path, model)
+            plan = replace(plan, survival=survival)
         made = self._execution.follow(
             self.world,
             self.grid.at(robot_type.base),

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import sqrt
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, TypeAlias
@@ -29,7 +29,7 @@ from kbnitp_ros.core.field.observation import (
     Exposures,
     Observation,
 )
-from kbnitp_ros.core.field.sensor import SensorModel, times_log
+from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.inference.estimator import Estimator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -259,6 +259,13 @@ class Mixture(JointHazards):
     def weight(self) -> Floats:
         """Return the probability of each hypothesis, shape (hypotheses,)."""
         return self.weights
+
+    def of_type(self, robot_type: RobotType) -> Mixture:
+        """Return the mixture for a robot type, whose own numbers are known."""
+        own = robot_type.sensors
+        return replace(
+            self, rates={name: each for name, each in self.rates.items() if name not in own}
+        )
 
     def are_free(self, paths: Sequence[ArrayLike]) -> Floats:
         """Return P(no hazard on a path), (paths, hypotheses) (:eq:`mixture-free`)."""

@@ -14,12 +14,15 @@ from kbnitp_ros.core import (
     Grid,
     KnownModel,
     Lane,
+    Learning,
+    Mission,
     Mixture,
     Observation,
     RobotType,
     run_mission,
     SearchOptions,
     SensorModel,
+    Truth,
     Unknowns,
     World,
 )
@@ -83,6 +86,7 @@ def test_hazards_of_many_cells_are_counted_under_representative_hypotheses(monke
 GRID = Grid(5, 5)
 PRIOR = Belief.prior(GRID, 0.15, 0.205, 0.8)
 NEAR = SearchOptions('relaxed', 12)
+MODEL = SensorModel(0.5)
 WORLD = World.random(GRID, 5, 0.15, 0.8, 0.1)
 SAFE = np.flatnonzero(~WORLD.hazard)[1:4].tolist()
 
@@ -206,3 +210,21 @@ def test_a_decision_names_the_told_numbers_that_it_trusts():
     assert not lane.told
     trusted = with_told(lane, learning, 40).told['malfunction']
     assert abs(trusted.survival - lane.survival) > 0.01
+
+
+def test_plans_of_a_mission_state_the_survival_over_all_particles():
+    own = RobotType(lethality=0.9)
+    mission = Mission(
+        GRID, PRIOR, SensorModel(0.5), WORLD, 1, learning=Learning(TWO), truth=Truth(MODEL)
+    )
+    paths, types = [[0, 1, 2, 1, 0], [0, 6, 12, 6, 0]] * 2, [RobotType(), RobotType(), own, own]
+    for path, robot_type in zip(paths, types):
+        hazard, weights, rates = mission.estimator.hypotheses
+        lethality = np.full(len(weights), 0.9) if robot_type is own else rates['lethality']
+        survival = 0.0
+        for p, weight, strikes in zip(hazard, weights, lethality):
+            counts = np.bincount(path[1:], minlength=25)
+            each = 1.0 - p + p * (1.0 - strikes * 0.95) ** counts
+            survival += weight * each.prod() * 0.95**4
+        mission.send(path, robot_type)
+        assert mission[-1].plan.survival == pytest.approx(survival, abs=1e-12)
