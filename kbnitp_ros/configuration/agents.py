@@ -19,14 +19,13 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
+from kbnitp_ros.core.field.sensor import SENSORS
 from kbnitp_ros.core.field.unknowns import HAZARD_RATES, ZERO
 
 
 def make_sensor_model(values: Mapping[str, Any]) -> SensorModel:
     """Return the sensor model that these parameters describe."""
-    return SensorModel(
-        **{each.name: values[f'sensor.{each.name}'] for each in fields(SensorModel)}
-    )
+    return SensorModel(**{name: values[f'sensor.{name}'] for name in (*SENSORS, 'reach')})
 
 
 def make_priors(values: Mapping[str, Any]) -> dict[str, Beta]:

@@ -270,6 +270,7 @@ class Mission(Sequence[Deployment]):
                 f'{sorted(grid.bases)}; make it with Belief.prior(grid, ...), or belief.on(grid)'
             )
         self._model = truth.model or estimator.model
+        world.check_duds(self._model)
         self._execution = truth.execution
         self._dynamics = truth.dynamics or estimator.probable_dynamics
         self._dynamics.known_rates()

@@ -29,6 +29,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING
+from kbnitp_ros.core.field.sensor import SENSORS
 from kbnitp_ros.core.field.unknowns import TARGET_VANISH
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
@@ -157,7 +158,7 @@ def belief_fields(
         max_steps=ledger.max_steps,
         method=estimator.method,
         method_version=estimator.version,
-        **asdict(estimator.model),
+        **{name: getattr(estimator.model, name) for name in (*SENSORS, 'reach')},
         unknowns=[Fields(name=name, **asdict(prior)) for name, prior in learnt.items()],
         seed=estimator.seed,
         own=[
@@ -260,7 +261,7 @@ def read_belief_maps(message: Any) -> Snapshot:
         max_steps=message.max_steps,
         model=SensorModel(
             # Logs of 1.x have no reach.
-            **{each.name: getattr(message, each.name, 0.0) for each in fields(SensorModel)}
+            **{name: getattr(message, name, 0.0) for name in (*SENSORS, 'reach')}
         ),
         robot_types=robot_types,
         unknowns=Unknowns(**priors),

@@ -34,6 +34,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.decision.decision import there_and_back
 from kbnitp_ros.core.decision.goals import FlightState, GOALS
+from kbnitp_ros.core.field.sensor import SENSORS
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
 from kbnitp_ros.core.planning.plans import check_team, team_size
 import numpy as np
@@ -424,4 +425,4 @@ class Scenario:
     @staticmethod
     def model(truth: Mapping[str, float]) -> SensorModel:
         """Return the sensor model with these numbers."""
-        return SensorModel(**{field.name: truth[field.name] for field in fields(SensorModel)})
+        return SensorModel(**{name: truth[name] for name in (*SENSORS, 'reach')})

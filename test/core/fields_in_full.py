@@ -84,6 +84,8 @@ def posterior(joint, model, outcomes, targets=None, hazards=None, duds=0.0, arou
             weight = changed(weight, len(joint), kinds, 1, rates(targets), may_have[1])
         weight = weight * likelihood(model, states, outcome, around)
         joint, total = np.empty_like(joint), weight.sum()
+        if total == 0.0:
+            return joint, 0.0
         for cell, z, x in product(range(len(joint)), range(kinds), range(2)):
             joint[cell, z, x] = weight[(states[:, cell] == [z, x]).all(axis=1)].sum() / total
         chance *= total

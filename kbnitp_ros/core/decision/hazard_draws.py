@@ -119,6 +119,8 @@ class HazardDraws(JointHazards):
         Weight of each draw, at least 0, with sum 1; equal by default.
     around : ndarray of int, shape (cells, 8), optional
         `Grid.around`, if hazards may reach.
+    live : ndarray of bool, shape (draws, cells), optional
+        Those of the hazards that can strike; all by default.
 
     """
 
@@ -126,6 +128,7 @@ class HazardDraws(JointHazards):
     independent: float
     weight: Floats = field(default_factory=lambda: np.empty(0))
     around: Path | None = None
+    live: Bools | None = None
 
     def __post_init__(self) -> None:
         hazardous, weight = self.hazardous, as_floats('weight', self.weight)
@@ -154,8 +157,14 @@ class HazardDraws(JointHazards):
                 'take a smaller field, or the goal map'
             )
         rng = np.random.default_rng([OWN_KEY, estimator.seed, deployments])
-        grid = estimator.prior.grid
-        return cls(*estimator.draws(count, rng), around=None if grid is None else grid.around)
+        grid, belief = estimator.prior.grid, estimator.belief
+        around, live = None if grid is None else grid.around, None
+        hazardous, independent = estimator.draws(count, rng)
+        if belief.duds is not None or estimator.model.duds:
+            # By the marginals: the share of live hazards hardly depends on other cells.
+            share = belief.live(estimator.model.duds).hazard / np.maximum(belief.hazard, 1e-300)
+            live = hazardous & (rng.random(hazardous.shape) < share)
+        return cls(hazardous, independent, around=around, live=live)
 
     @property
     def hazard(self) -> Bools:
@@ -174,7 +183,7 @@ class HazardDraws(JointHazards):
         safe, strike = model.log_survival
         # A hazard beside a step counts as a part of one in the cell.
         beside = np.log1p(-model.strikes[1]) / (strike - safe) if model.strikes[1] else 0.0
-        exposure = self._hazards_entered(entered, beside)
+        exposure = self._hazards_entered(entered, beside, self.live)
         steps = np.array([len(each) for each in entered])[:, None]
         return np.exp(times_log(steps - exposure, safe) + times_log(exposure, strike))
 
@@ -189,7 +198,9 @@ class HazardDraws(JointHazards):
         p = (self.p_free(cells) * self.independent + 1.0) / (self.independent + 2.0)
         return sqrt(p * (1.0 - p) / self.independent)
 
-    def _hazards_entered(self, entered: Sequence[Path], beside: float = 0.0) -> Floats:
+    def _hazards_entered(
+        self, entered: Sequence[Path], beside: float = 0.0, live: Bools | None = None
+    ) -> Floats:
         """Return the steps into hazards, and `beside` times those beside them, (paths, draws)."""
         of_paths = np.concatenate(entered)
         cells, place = np.unique(of_paths, return_inverse=True)
@@ -205,7 +216,8 @@ class HazardDraws(JointHazards):
         if beside:
             step, _ = np.nonzero(near >= 0)
             np.add.at(visits, (path[step], cells.searchsorted(near[near >= 0])), beside)
-        return np.asarray(visits @ self.hazardous[:, cells].T.astype(np.float32), np.float64)
+        hazardous = self.hazardous if live is None else live
+        return np.asarray(visits @ hazardous[:, cells].T.astype(np.float32), np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +234,8 @@ class Mixture(JointHazards):
     weights : array_like, shape (hypotheses,)
         Probability of each hypothesis, at least 0, with sum 1.
     rates : mapping of str to ndarray, shape (hypotheses,)
-        Numbers of the sensor model that differ between hypotheses, by name.
+        Numbers of the sensor model that differ between hypotheses, by name; and `live`, where some
+        hazards are duds, P(hazard that can strike) of each cell, shape (hypotheses, cells).
     is_sampled : bool
         Whether the hypotheses are drawn at random, so that `error` is not 0.
     around : ndarray of int, shape (cells, 8), optional
@@ -252,7 +265,8 @@ class Mixture(JointHazards):
             raise ValueError(f'weights has shape {weights.shape}: it must be ({len(hazard)},)')
         if not (weights.min() >= 0.0 and abs(weights.sum() - 1.0) <= 1e-9):
             raise ValueError(f'weights has the sum {weights.sum()}: it must be 1, each at least 0')
-        rates = {name: self.rates[name] for name in self.strikes if name in self.rates}
+        known = (*self.strikes, 'live')
+        rates = {name: self.rates[name] for name in known if name in self.rates}
         vars(self).update(hazard=read_only(hazard), weights=read_only(weights), rates=rates)
 
     @property
@@ -279,7 +293,7 @@ class Mixture(JointHazards):
             for name in self.strikes
         )
         strike = lethality * (1.0 - model.false_negative)
-        chances = []
+        chances, live = [], self.rates.get('live', self.hazard)
         for path in paths:
             entered = on_field('path', path, self.cells)[1:]
             cells, counts = np.unique(entered, return_counts=True)
@@ -289,7 +303,7 @@ class Mixture(JointHazards):
                 cells = found.cells
                 spared = (1.0 - strike) ** found.inside.sum(axis=0)
                 spared = spared * (1.0 - reach * strike) ** found.beside.sum(axis=0)
-            each = 1.0 - self.hazard[:, cells] * (1.0 - spared)
+            each = 1.0 - live[:, cells] * (1.0 - spared)
             chances.append(each.prod(axis=1) * (1.0 - malfunction[..., 0]) ** entered.size)
         return np.stack(chances)
 

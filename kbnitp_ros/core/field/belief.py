@@ -49,6 +49,8 @@ class Belief(Value):
         P(Z = z, X = x), indexed [cell, z, x].
     grid : Grid, optional
         Grid of the cells, if known; moving hazards need it.
+    duds : ndarray, shape (cells, 2), optional
+        P(X = x, the hazard is a dud), a part of the joint of Z = 1, if some may be duds.
 
     Raises
     ------
@@ -59,6 +61,7 @@ class Belief(Value):
 
     joint: NDArray[np.float64]
     grid: Grid | None = field(default=None, compare=False)
+    duds: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         joint = as_floats('joint', self.joint)
@@ -85,11 +88,34 @@ class Belief(Value):
         return f'Belief({self.cells} cells, {self.entropy():.4g} nats)'
 
     @classmethod
-    def computed(cls, joint: NDArray[np.float64], grid: Grid | None) -> Belief:
+    def computed(
+        cls,
+        joint: NDArray[np.float64],
+        grid: Grid | None,
+        duds: NDArray[np.float64] | None = None,
+    ) -> Belief:
         """Return the belief of computed joints, which need no check and are not changed."""
         belief = object.__new__(cls)
-        vars(belief).update(joint=read_only(joint), grid=grid)
+        duds = None if duds is None else read_only(duds)
+        vars(belief).update(joint=read_only(joint), grid=grid, duds=duds)
         return belief
+
+    def live(self, duds: float = 0.0) -> Belief:
+        """Return the belief on hazards that can strike; `duds` is their share in a prior."""
+        if self.duds is None and not duds:
+            return self
+        never = self.joint[:, 1] * duds if self.duds is None else self.duds
+        joint = self.joint.copy()
+        joint[:, 0] += never
+        joint[:, 1] = (joint[:, 1] - never).clip(min=0.0)
+        return Belief.computed(joint, self.grid)
+
+    def with_duds(self, share: NDArray[np.float64]) -> Belief:
+        """Return the belief on all hazards, given P(dud | no live hazard, X), shape (cells, 2)."""
+        duds, joint = self.joint[:, 0] * share, self.joint.copy()
+        joint[:, 0] -= duds
+        joint[:, 1] += duds
+        return Belief.computed(joint, self.grid, duds)
 
     @classmethod
     def from_maps(cls, hazard: ArrayLike, target: ArrayLike, kappa: ArrayLike) -> Belief:

@@ -42,6 +42,8 @@ class SensorModel:
     reach : float
         Lethality of a hazard in each of the eight cells around it, as a share in [0, 1] of the
         lethality in its own cell. It reaches over obstacles, whatever the grid's connectivity.
+    duds : float
+        Share in [0, 1] of the hazards that never strike, each for the whole mission.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class SensorModel:
     true_positive: float = 0.95
     false_positive: float = 0.05
     reach: float = 0.0
+    duds: float = 0.0
 
     def __post_init__(self) -> None:
         vars(self).update({name: probability(name, value) for name, value in vars(self).items()})
@@ -130,7 +133,7 @@ def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], 
 
 
 # Numbers of the sensor model that robot types may have of their own.
-SENSORS = tuple(field.name for field in fields(SensorModel) if field.name != 'reach')
+SENSORS = tuple(f.name for f in fields(SensorModel) if f.name not in ('reach', 'duds'))
 
 # Minima of the fields of `RobotType` that are whole numbers.
 LEAST = {'max_steps': 1, 'base': 0}

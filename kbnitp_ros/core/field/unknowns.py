@@ -46,8 +46,8 @@ class Beta:
     low, high : float
         Interval of the number, in [0, 1].
     zero : float
-        Probability, below 1, that the number is 0 whatever the interval; only of the reach and
-        of rates of change.
+        Probability, below 1, that the number is 0 whatever the interval; only of reach, duds
+        and rates of change.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class Learnt(Value):
 
 
 # Prior probability of 0 of numbers that are rarely not 0.
-ZERO = {'reach': 0.95}
+ZERO = {'reach': 0.95, 'duds': 0.75}
 
 Interval: TypeAlias = 'Beta | Sequence[float]'
 
@@ -205,11 +205,15 @@ class Unknowns:
         Reach of the hazards. Of an interval only a twentieth is believed: the reach is 0 with the
         prior probability .95. A `Beta` has its own `zero`.
 
+    duds : (float, float) or Beta, optional
+        Share of the hazards that never strike. Of an interval only a quarter is believed: there
+        are no duds with the prior probability .75. Learn kappa and the target background as well.
+
     Raises
     ------
     ValueError
         If an interval is empty, reversed or not within [0, 1], or a number other than the reach
-        may be 0.
+        and the duds may be 0.
 
     """
 
@@ -221,6 +225,7 @@ class Unknowns:
     true_positive: Interval | None = None
     false_positive: Interval | None = None
     reach: Interval | None = None
+    duds: Interval | None = None
 
     def __post_init__(self) -> None:
         for name, given in [*vars(self).items()]:

@@ -26,6 +26,8 @@ class World(Value):
         Z and X.
     grid : Grid, optional
         Grid of the cells, if known; hazards that reach need it.
+    duds : array_like of bool, shape (cells,), optional
+        Hazards that never strike, if they are known; see `with_duds`.
 
     Raises
     ------
@@ -37,6 +39,7 @@ class World(Value):
     hazard: NDArray[np.bool_]
     target: NDArray[np.bool_]
     grid: Grid | None = field(default=None, compare=False)
+    duds: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         for name in ('hazard', 'target'):
@@ -49,6 +52,19 @@ class World(Value):
         if self.hazard.size != self.target.size:
             raise ValueError(
                 f'target of a world has {self.target.size} cells, its hazard {self.hazard.size}'
+            )
+
+    def with_duds(self, share: float, rng: np.random.Generator | int) -> World:
+        """Return the world where this share of the hazards never strikes, each by chance."""
+        drawn = generator(rng).random(self.hazard.size)
+        return replace(self, duds=read_only(self.hazard & (drawn < probability('share', share))))
+
+    def check_duds(self, model: SensorModel) -> None:
+        """Check that the world says which hazards are duds, if the sensor model has some."""
+        if model.duds and self.duds is None:
+            raise ValueError(
+                f'duds is {model.duds}, and the world does not say which hazards are duds: make '
+                'it with World.with_duds(share, rng)'
             )
 
     def __repr__(self) -> str:
@@ -160,6 +176,15 @@ class World(Value):
         drawn = rng.random((2, entered.size))
         chance = np.where(self.target[entered], model.true_positive, model.false_positive)
         readings = drawn[1] < chance
+        if model.duds:
+            if dynamics.effect != 'static':
+                raise ValueError(
+                    f'duds is {model.duds}, and hazards are {dynamics.effect}: duds are static'
+                )
+            self.check_duds(model)
+            live = replace(self, hazard=self.hazard & ~np.asarray(self.duds), duds=None)
+            model = replace(model, duds=0.0)
+            return (*live.steps(path, model, rng)[:2], self)
         if model.reach:
             if dynamics.effect == 'used_up':
                 raise ValueError('reach is not 0, and hazards are used up: only one can be so')

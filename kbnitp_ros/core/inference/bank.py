@@ -37,8 +37,10 @@ from kbnitp_ros.core.inference.filter import (
     Floats,
     hazard_change,
     IMPOSSIBLE,
+    NUMBERS,
     predict_outcome,
     RATES,
+    ratio,
     safe_log,
 )
 from kbnitp_ros.core.inference.prior_maps import (
@@ -159,6 +161,7 @@ class Filters:
         self._may_change = (belief.target > 0.0) & (targets.effect != 'static')
         self._updated = np.zeros(belief.cells, np.intp)
         self._maps = prior_maps(belief, model, self.names)
+        self.has_duds = 'duds' in priors or model.duds > 0.0
         reaches = 'reach' in priors or model.reach > 0.0
         self._around = belief.neighbors_in_reach() if reaches else None
         # Log probability of all outcomes so far.
@@ -230,8 +233,25 @@ class Filters:
         weights /= weights.sum()
         return weights
 
-    def joint(self) -> Floats:
-        """Return the weighted mean of the joints at the last deployment."""
+    def joint(self) -> tuple[Floats, Floats | None]:
+        """Return the weighted mean of the joints at the last deployment, and of duds in them."""
+        joint = self._live_joint()
+        if not self.has_duds:
+            return joint, None
+        duds: Floats = (self._joints[:, 0] * self._dud_shares()) @ self.weights
+        joint = joint.copy()
+        joint[:, 0] = (joint[:, 0] - duds).clip(min=0.0)
+        joint[:, 1] += duds
+        return joint, duds
+
+    def _dud_shares(self) -> Floats:
+        """Return P(dud | no live hazard, X) by particle, (cells, 2, particles) (:eq:`duds`)."""
+        live = self._first_joints(self.numbers)
+        whole = self._whole_joints(self.numbers)
+        return ratio(live[:, 0] - whole[:, 0], live[:, 0])
+
+    def _live_joint(self) -> Floats:
+        """Return the weighted mean of the joints of live hazards at the last deployment."""
         joints = self._joints
         if self._may_change.any() and self._evidence:
             joints = joints.copy()
@@ -262,7 +282,7 @@ class Filters:
             [weights[groups == group] @ hazard[groups == group] for group in range(GROUPS)]
         )
         means = means[shares > 0.0] / shares[shares > 0.0, None]
-        mean = self.joint()[:, 1].sum(axis=1)
+        mean = self._live_joint()[:, 1].sum(axis=1)
         spread = means.var(axis=0, ddof=1) if len(means) > 1 else np.zeros_like(mean)
         chance = mean * (1.0 - mean)
         return float((spread[chance > 0.0] / (2.0 * GROUPS * chance[chance > 0.0])).sum())
@@ -270,13 +290,20 @@ class Filters:
     def hazard(self) -> Floats:
         """Return P(hazard) of each cell by particle, shape (particles, cells)."""
         # Rounding may give a certain hazard a probability above 1.
-        hazard: Floats = self._joints[:, 1].sum(axis=1).clip(max=1.0).T
-        return hazard
+        hazard: Floats = self._joints[:, 1].sum(axis=1)
+        if self.has_duds:
+            hazard = hazard + (self._joints[:, 0] * self._dud_shares()).sum(axis=1)
+        return hazard.clip(max=1.0).T
+
+    def live(self) -> Floats:
+        """Return P(live hazard) of each cell by particle, shape (particles, cells)."""
+        live: Floats = self._joints[:, 1].sum(axis=1).clip(max=1.0).T
+        return live
 
     def models(self, particles: NDArray[np.intp]) -> list[SensorModel]:
         """Return the sensor models of some particles."""
         return [
-            replace(self._known, **{k: v for k, v in zip(self.names, numbers) if k in RATES})
+            replace(self._known, **{k: v for k, v in zip(self.names, numbers) if k in NUMBERS})
             for numbers in self.numbers[particles].tolist()
         ]
 
@@ -314,7 +341,17 @@ class Filters:
         return other
 
     def _first_joints(self, numbers: Floats) -> Floats:
-        """Return the prior of each particle, shape (cells, 2, 2, particles)."""
+        """Return the prior of each particle on live hazards, shape (cells, 2, 2, particles)."""
+        joints = self._whole_joints(numbers)
+        if self.has_duds:
+            duds = dict(zip(self.names, numbers.T)).get('duds', self._known.duds)
+            never = joints[:, 1] * duds
+            joints[:, 0] += never
+            joints[:, 1] -= never
+        return joints
+
+    def _whole_joints(self, numbers: Floats) -> Floats:
+        """Return the prior of each particle on all hazards, shape (cells, 2, 2, particles)."""
         if not set(MAPS) & set(self.names):
             return np.repeat(self._prior.joint[..., None], len(numbers), axis=-1)
         learnt = dict(zip(self.names, numbers.T))
@@ -616,17 +653,18 @@ class Bank:
         """Return the weighted mean of the filters."""
         if self._is_known and not self.predicted:
             return self._prior
-        joint, *others = [each.joint() for each in self._filters.values()]
+        (joint, duds), *others = [each.joint() for each in self._filters.values()]
         if others:
-            joint = sum(w * each for w, each in zip(self._weights, [joint, *others]))
-        return Belief.computed(joint, self._prior.grid)
+            joints = [joint, *(each for each, _ in others)]
+            joint = sum(w * each for w, each in zip(self._weights, joints))
+        return Belief.computed(joint, self._prior.grid, duds)
 
     @property
     def model(self) -> SensorModel:
         """Return the sensor model with the posterior means of the learnt numbers."""
         means = {
             name: float(self._weights @ [each.mean(name) for each in self._filters.values()])
-            for name in RATES
+            for name in NUMBERS
             if name in self._priors
         }
         return replace(self._known, **means) if means else self._known
@@ -669,7 +707,8 @@ class Bank:
                 name: np.concatenate([each.numbers[:, each.names.index(name)] for each in filters])
                 for name in self._priors
                 if name in RATES
-            },
+            }
+            | ({'live': filters[0].live()} if filters[0].has_duds else {}),
         )
 
     @property

@@ -27,7 +27,7 @@ from kbnitp_ros.core.field.unknowns import (
 )
 from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.bank import prior_density, Series
-from kbnitp_ros.core.inference.filter import Floats
+from kbnitp_ros.core.inference.filter import Floats, ratio
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,
@@ -127,6 +127,13 @@ class Estimator:
                     f'reach is not 0, and hazards are {dynamics.kind}: hazards that reach are '
                     'static, changing or moving'
                 )
+        if model.duds or unknowns.duds is not None:
+            check_able(
+                method, lambda each: getattr(each, 'reaches', False), f'{name} takes no duds'
+            )
+            for what, each in (('hazards', dynamics), ('targets', target_dynamics)):
+                if each.effect != 'static':
+                    raise ValueError(f'duds is not 0, and {what} are {each.kind}: duds are static')
         rates = {**dynamics.unknown_rates, **target_dynamics.target_rates}
         if unknown := {**unknowns.priors, **rates}:
             check_able(
@@ -439,7 +446,13 @@ class Estimator:
         chance = joint.sum(axis=2)
         if_safe, if_hazardous = (joint[:, :, 1] / np.where(chance > 0.0, chance, 1.0)).T
         target = rng.random(hazardous.shape) < np.where(hazardous, if_hazardous, if_safe)
-        return [(World(*maps), model) for *maps, model in zip(hazardous, target, models)]
+        fields = [(World(*maps), model) for *maps, model in zip(hazardous, target, models)]
+        if self.belief.duds is None:
+            return [(world.with_duds(model.duds, rng), model) for world, model in fields]
+        # P(dud | hazard, X) of each cell.
+        never = ratio(self.belief.duds, joint[:, 1])[np.arange(len(joint)), target.astype(int)]
+        duds = hazardous & (rng.random(hazardous.shape) < never)
+        return [(replace(world, duds=own), each) for (world, each), own in zip(fields, duds)]
 
     def copy(self) -> Estimator:
         """Return an independent copy; it shares arrays and takes little memory."""

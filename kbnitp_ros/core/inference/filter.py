@@ -32,6 +32,9 @@ Floats = NDArray[np.float64]
 # Numbers of a sensor model that can be unknown.
 RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive', 'reach')
 
+# All numbers of a sensor model that can be unknown.
+NUMBERS = (*RATES, 'duds')
+
 # Text of the exception for impossible evidence.
 IMPOSSIBLE = (
     'the outcome is impossible under this belief and sensor model: '

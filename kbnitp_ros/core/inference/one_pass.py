@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
@@ -21,6 +21,7 @@ from kbnitp_ros.core.inference.filter import (
     IMPOSSIBLE,
     independent,
     known_effects,
+    ratio,
 )
 from kbnitp_ros.core.inference.published import condition_published
 import numpy as np
@@ -102,6 +103,13 @@ class OnePass:
             evidence = evidence.with_reach(belief.neighbors_in_reach())
             assert evidence.in_reach is not None
             evidence = evidence.in_reach
+        if model.duds or belief.duds is not None:
+            if self.is_published:
+                raise ValueError('duds is not 0: the published update takes none')
+            live = belief.live(model.duds)
+            share = ratio(live.joint[:, 0] - belief.joint[:, 0], live.joint[:, 0])
+            after_live = self.update(live, replace(model, duds=0.0), observation)
+            return after_live.with_duds(share)
         cells, joint = evidence.visits.cells, belief.joint.copy()
         before = joint[cells, ..., None]
         if not self.correlated:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.sensor import SensorModel
-from kbnitp_ros.core.inference.filter import RATES, ratio
+from kbnitp_ros.core.inference.filter import NUMBERS, ratio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,14 +84,14 @@ def told_numbers(belief: Belief, model: SensorModel) -> dict[str, float]:
         for name, (values, undecided) in prior_maps(belief, model, ()).items()
         if undecided.any()
     }
-    return {name: getattr(model, name) for name in RATES} | averages
+    return {name: getattr(model, name) for name in NUMBERS} | averages
 
 
 def with_number(
     belief: Belief, model: SensorModel, name: str, factor: float
 ) -> tuple[Belief, SensorModel]:
     """Return prior and sensor model with one of `told_numbers` times a factor, at most 1."""
-    if name in RATES:
+    if name in NUMBERS:
         return belief, replace(model, **{name: min(getattr(model, name) * factor, 1.0)})
     maps = prior_maps(belief, model, ())
     values, undecided = maps[name]

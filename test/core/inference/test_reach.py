@@ -117,7 +117,9 @@ def test_particles_are_weighed_by_the_evidence_of_their_reach(monkeypatch, seed)
         assert predicted < 0.0
     weights = np.array(weights) / np.sum(weights)
     np.testing.assert_allclose(bank.weights, weights, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(bank.joint(), np.tensordot(weights, joints, 1), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(
+        bank.joint()[0], np.tensordot(weights, joints, 1), rtol=0, atol=1e-10
+    )
 
 
 @for_each('seed', range(60), every=6)

@@ -92,7 +92,7 @@ def test_particles_are_weighed_by_the_evidence_of_their_rates(monkeypatch, seed)
     weights = np.array(weights) / np.sum(weights)
     np.testing.assert_allclose(bank.weights, weights, rtol=0, atol=1e-10)
     expected = np.tensordot(weights, joints, 1)
-    np.testing.assert_allclose(bank.joint(), expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(bank.joint()[0], expected, rtol=0, atol=1e-10)
 
 
 def test_a_refold_has_the_same_filters(monkeypatch):
