@@ -13,7 +13,6 @@ import platform
 import sys
 
 from cases import Benchmark, in_words, PAGE, write
-import kinds
 import nodes
 import numba
 import numpy as np
@@ -28,7 +27,6 @@ BENCHMARKS = (
     *planning.BENCHMARKS,
     *updates.BENCHMARKS,
     *sampling.BENCHMARKS,
-    *kinds.BENCHMARKS,
     *nodes.BENCHMARKS,
     *study.BENCHMARKS,
     *peers.BENCHMARKS,

@@ -7,7 +7,6 @@ from heapq import heappop, heappush
 from itertools import pairwise
 from math import hypot, inf, sqrt
 
-from bound import upper_bound
 import brute_force
 from kbnitp_ros.core import (
     Belief,
@@ -123,14 +122,6 @@ def test_paths_keep_to_the_length(seed):
         for candidate in candidates:
             assert path_length(grid, candidate.path) <= options.max_distance * (1.0 + 1e-8)
             assert candidate.value <= best + 1e-8
-
-
-@pytest.mark.slow
-@for_each('seed', range(300), every=6)
-def test_the_bound_holds_for_limited_lengths(seed):
-    grid, belief, model, options, best = problem(seed)
-    found, _ = found_by(grid, belief, model, replace(options, width=4))
-    assert upper_bound(grid, belief, model, options, found.path) >= best - 1e-9
 
 
 @pytest.mark.slow
