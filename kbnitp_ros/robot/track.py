@@ -225,11 +225,10 @@ def _without_outliers(
     """Return positions with those that the next one takes back on its way, and their number."""
     at, count = at.copy(), 0
     for number in range(1, len(at) - 1):
-        before, here, after = at[number - 1 : number + 2].tolist()
-        is_away = (
-            abs(here - before) > farthest[number - 1] and abs(after - here) > farthest[number]
-        )
-        if is_away and abs(after - before) <= farthest[number - 1 : number + 1].sum() - MAX_BEYOND:
+        before, here, after = (at[each] for each in (number - 1, number, number + 1))
+        there, back = farthest[number - 1], farthest[number]
+        is_away = abs(here - before) > there and abs(after - here) > back
+        if is_away and abs(after - before) <= there + back - MAX_BEYOND:
             seconds = times[number + 1] - times[number - 1]
             share = (times[number] - times[number - 1]) / seconds if seconds else 0.5
             at[number] = before + (after - before) * share
@@ -246,7 +245,7 @@ def _without_slips(
     Also returns the number of poses before the first jump that was not.
     """
     moved, shift = moved.copy(), shift.copy()
-    moves = np.diff(moved)
+    moves, number = np.diff(moved), np.arange(len(moved))
     # Moves of the localization's frame, at each pose after the first.
     corrections = np.diff(shift) + np.diff(turn) * moved[1:]
     slips = np.flatnonzero(np.abs(moves) > farthest)
@@ -257,14 +256,15 @@ def _without_slips(
         # Both jumps hold a move of the robot itself.
         jump, most = moves[slip], 2.0 * (farthest[slip] - MAX_BEYOND) + MAX_MATCH
         back = [each for each in slips[slips > slip].tolist() if abs(moves[each] + jump) <= most]
-        fixed = slip + np.flatnonzero(np.abs(corrections[slip:] + turn[1 + slip :] * jump) <= most)
+        left = np.abs(corrections + turn[1:] * jump)
+        fixed = np.flatnonzero((left <= most) & (np.arange(left.size) >= slip))
         if back and not (fixed.size and fixed[0] < back[0]):
             # Between the two only the move of the robot itself counts.
-            moved[slip + 1 : back[0] + 1] -= jump
+            moved[(number > slip) & (number <= back[0])] -= jump
             taken_back.add(back[0])
         elif fixed.size:
-            moved[slip + 1 :] -= jump
-            shift[fixed[0] + 1 :] += turn[fixed[0] + 1 :] * jump
+            moved[number > slip] -= jump
+            shift[number > fixed[0]] += turn[number > fixed[0]] * jump
         else:
             return moved, shift, slip + 1
     return moved, shift, len(moved)

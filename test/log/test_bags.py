@@ -229,7 +229,8 @@ def test_parts_named_by_rosbag2_from_033_on_are_read_without_metadata(tmp_path, 
     """The recording computer lost its power before it wrote metadata.yaml."""
     folder, third = tmp_path / 'bag', len(sent) // 3
     folder.mkdir()
-    parts = (sent[:third], sent[third : 2 * third], sent[2 * third :])
+    rest = sent[third:]
+    parts = (sent[:third], rest[:third], rest[third:])
     for number, part in enumerate(parts):
         (file,) = write_bag(tmp_path / f'part_{number}', part).glob('*.mcap')
         file.rename(folder / f'{number}_mission_2026_03_01-10_0{number}_00.mcap')
