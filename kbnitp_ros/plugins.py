@@ -17,14 +17,24 @@ from typing import Any, Generic, TypeVar
 from warnings import warn
 
 
+def remedy(name: str) -> str:
+    """Return the command that installs an extra for this copy of the package."""
+    clone = Path(__file__).parents[1]
+    if not (clone / 'setup.py').exists():
+        # No index has the package: its name there may be somebody else's.
+        return f"in a clone of kbnitp_ros: pip install '.[{name}]'"
+    if name == 'study' and Path(sys.prefix) == clone / '.venv':
+        return f'make study in {clone}'
+    return f"pip install '{clone}[{name}]'"
+
+
 @contextmanager
 def extra(name: str) -> Iterator[None]:
     """Name the extra that installs a missing import."""
     try:
         yield
     except ModuleNotFoundError as error:
-        words = f"No module named {error.name!r}; pip install 'kbnitp_ros[{name}]'"
-        words += ', or make study in the sources' if name == 'study' else ''
+        words = f'No module named {error.name!r}; {remedy(name)}'
         raise ModuleNotFoundError(words, name=error.name) from None
 
 

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 COMMANDS = ROOT.joinpath('docs/commands.md').read_text()
 PLACE = 'import kbnitp_ros, os; print(os.path.dirname(kbnitp_ros.__file__))'
 # What the command for studies says without them.
-LACKING = r"No module named .*; pip install 'kbnitp_ros\[study\]', or make study in the sources"
+LACKING = r"No module named .*; in a clone of kbnitp_ros: pip install '\.\[study\]'"
 INSTALLED = ('kbnitp_ros', 'setuptools', 'wheel')
 
 

@@ -272,7 +272,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     share = 100.0 * entropy[-1] / entropy[0] if entropy[0] else 0.0
     yield Tile(
         'How sure is this?',
-        f'{share:.0f} % uncertainty left',
+        f'{share:.0f} % of the uncertainty of the map left',
         f'{entropy[-1]:.1f} of {entropy[0]:.1f} nats of entropy. {risk(mission)}',
         'curves-title',
     )
@@ -384,7 +384,7 @@ def where_lost(mission: Mission, lost: int) -> Tile:
     ]
     return Tile(
         question,
-        f'Half of them in {counted(half, "cell")}',
+        f'Half of the losses in {counted(half, "cell")}',
         f'expected losses: {", ".join(named)}; all cells are in the map of robots lost',
         'colour-robots-lost',
     )

@@ -268,7 +268,7 @@ def _dask(count: int, scheduler: str | None) -> Iterator[Any]:
             failure = f'no Dask workers found at {scheduler}: {error}'
         except ImportError as error:
             failure = (
-                f'a Dask worker cannot run trials: {in_words(error)}; install kbnitp_ros[study] '
+                f'a Dask worker cannot run trials: {in_words(error)}; install its extra study '
                 'in the Python of the workers'
             )
         if failure:
