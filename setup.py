@@ -41,7 +41,7 @@ if is_built_by_colcon and not any(Path(p, 'share/kbnitp_msgs').exists() for p in
     )
 
 shown = ['matplotlib', 'pillow', 'tqdm']
-studies = ['jinja2', 'joblib', 'pandas', 'pyarrow', 'threadpoolctl']
+studies = ['jinja2', 'joblib', 'pandas', 'threadpoolctl']
 pages = ['furo', 'myst-nb', 'myst-parser', 'numpydoc', 'sphinx', 'sphinx-mathjax-offline']
 logs = ['lz4', 'mcap', 'mcap-ros2-support', 'pyproj', 'zstandard']
 

@@ -18,7 +18,7 @@ from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
 Show a mission's log: report.html, a page that works without a network and saves its figures as
-PNG; deployments.csv and, if pyarrow is installed, deployments.parquet: one row a deployment;
+PNG; deployments.csv: one row a deployment;
 belief.npz; and the last beliefs as maps of map_server (hazard.yaml, target.yaml, kappa.yaml), with
 which a mission can begin.
 

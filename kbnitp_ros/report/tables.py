@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from csv import DictWriter
 from dataclasses import dataclass
 from math import isnan, nan
@@ -122,8 +121,7 @@ def out_at(mission: Mission) -> list[NDArray[np.intp]]:
     return [np.flatnonzero((sent <= each.time) & (home > each.time)) for each in mission.moments]
 
 
-# Columns of the table of deployments. Lists of cells and readings are texts of numbers, so that
-# deployments.parquet and deployments.csv have the same content.
+# Columns of deployments.csv, with their types. Lists of cells and readings are texts of numbers.
 COLUMNS = {
     'deployment': 'int64',
     'agent': 'string',
@@ -199,18 +197,11 @@ def text(numbers: NDArray[np.integer]) -> str:
 
 
 def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
-    """Write deployments.csv, and deployments.parquet if pyarrow is installed; raises OSError."""
-    path = folder / 'deployments.csv'
-    with path.open('w', encoding='utf-8', newline='') as file:
+    """Write deployments.csv; raises OSError."""
+    with (folder / 'deployments.csv').open('w', encoding='utf-8', newline='') as file:
         table = DictWriter(file, COLUMNS, lineterminator='\n')
         table.writeheader()
         table.writerows(rows(mission, curves))
-    with suppress(ModuleNotFoundError):
-        from pyarrow import csv, parquet
-
-        options = csv.ConvertOptions(column_types=COLUMNS, strings_can_be_null=True)
-        read = csv.read_csv(path, convert_options=options)
-        parquet.write_table(read, folder / 'deployments.parquet')
 
 
 def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:

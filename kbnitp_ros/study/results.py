@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from gzip import BadGzipFile
-from importlib.util import find_spec
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -80,6 +79,10 @@ def first_resamples(worlds: int) -> NDArray[np.float64]:
     return resamples(worlds, np.random.default_rng(0))
 
 
+# Name of the table in the folder of a study.
+TABLE = 'table.csv'
+
+
 class Results:
     """
     The results of a study: a tidy table.
@@ -118,18 +121,17 @@ class Results:
 
     @classmethod
     def read(cls, path: str | Path) -> Results:
-        """Read the table of a study's folder, or a CSV (also .gz) or Parquet file."""
+        """Read the table of a study's folder, or a CSV file (also .gz)."""
         path = as_file('path', path)
-        files = [path / name for name in table_files()] if path.is_dir() else [path]
-        for file in files:
-            if file.exists():
-                try:
-                    with naming(file):
-                        return cls(read_table(file))
-                except (ValueError, EOFError, BadGzipFile) as error:
-                    words = ' '.join(str(error).split())
-                    raise ValueError(f'{file} is not the table of a study: {words}') from error
-        raise ValueError(f'{path} has no table.csv: run the study again, which completes it')
+        file = path / TABLE if path.is_dir() else path
+        if not file.exists():
+            raise ValueError(f'{path} has no {TABLE}: run the study again, which completes it')
+        try:
+            with naming(file):
+                return cls(read_table(file))
+        except (ValueError, EOFError, BadGzipFile) as error:
+            words = ' '.join(str(error).split())
+            raise ValueError(f'{file} is not the table of a study: {words}') from error
 
     @classmethod
     def of(cls, study: Study, outcomes: Mapping[Trial, DataFrame]) -> Results:
@@ -161,15 +163,11 @@ class Results:
         return self._table.astype(dict.fromkeys(texts, object))
 
     def write(self, folder: Path) -> list[Path]:
-        """Write the table as CSV and, where pyarrow is installed, as Parquet."""
-        written = [as_file('folder', folder) / name for name in table_files()]
-        for file in written:
-            with naming(file):
-                if file.suffix == '.parquet':
-                    self._table.to_parquet(file, index=False)
-                else:
-                    self._table.to_csv(file, index=False, float_format='%.10g')
-        return written
+        """Write the table as CSV, with the exact values."""
+        file = as_file('folder', folder) / TABLE
+        with naming(file):
+            self._table.to_csv(file, index=False)
+        return [file]
 
     def check_measure(self, measure: str) -> None:
         """Check that the table has a measure."""
@@ -278,19 +276,11 @@ class Results:
         return latex_table(self.caption(), self.summary())
 
 
-def table_files() -> list[str]:
-    """Return the names of the files of a table, the most exact first."""
-    return ['table.parquet'] * (find_spec('pyarrow') is not None) + ['table.csv']
-
-
 def read_table(file: Path) -> DataFrame:
-    """Read a table from CSV or Parquet, checked to have one value of each kind."""
-    if file.suffix == '.parquet':
-        table = pandas.read_parquet(file)
-    else:
-        table = pandas.read_csv(file, keep_default_na=False)
-        if not isinstance(table.index, pandas.RangeIndex):
-            raise ValueError('its rows have more values than its header')
+    """Read a table from CSV, checked to have one value of each kind."""
+    table = pandas.read_csv(file, keep_default_na=False, float_precision='round_trip')
+    if not isinstance(table.index, pandas.RangeIndex):
+        raise ValueError('its rows have more values than its header')
     twice = table.duplicated([name for name in table if name != 'value'])
     if twice.any():
         raise ValueError(f'row {twice.argmax() + 1} has a value that an earlier row has')

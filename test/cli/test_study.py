@@ -32,7 +32,7 @@ PICTURES = [
     for name in ('entropy', 'log_loss', 'differences', 'final')
     for suffix in ('png', 'pdf')
 ]
-LEFT = ['table.csv', 'table.parquet', *PICTURES, 'summary.md', 'summary.tex', 'scenario.yaml']
+LEFT = ['table.csv', *PICTURES, 'summary.md', 'summary.tex', 'scenario.yaml']
 
 SCENARIO = {
     **small_study.CONTENT,
@@ -160,7 +160,7 @@ def test_a_killed_study_resumes_to_the_same_table(start, scenario, whole, tmp_pa
         time.sleep(random.uniform(0, 0.05))
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        assert not (tmp_path / 'table.parquet').exists()
+        assert not (tmp_path / 'table.csv').exists()
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob('trials/*.npz')}
     assert 1 <= len(kept) < TRIALS
     done = run_study(scenario, tmp_path, '--workers', 2)
@@ -193,7 +193,7 @@ def test_an_interrupted_study_ends_at_once_and_keeps_finished_trials(
     assert process.returncode == status
     assert 'Traceback' not in stderr
     assert list(tmp_path.glob('trials/*.npz'))
-    assert not tmp_path.joinpath('table.parquet').exists()
+    assert not tmp_path.joinpath('table.csv').exists()
     if number == signal.SIGINT:
         assert re.search(f'interrupted.*same command.*{tmp_path}', stderr)
 
@@ -223,7 +223,7 @@ def test_the_bar_shows_finished_trials_and_the_time_left(scenario, whole, tmp_pa
     bars = re.findall(r'(\d+)/40 \[\d\d:\d\d<(\d\d:\d\d|\?)', shown)
     assert bars[0][0] == '20'
     assert bars[-1] == ('40', '00:00')
-    assert (out / 'table.parquet').read_bytes() == (whole / 'table.parquet').read_bytes()
+    assert (out / 'table.csv').read_bytes() == (whole / 'table.csv').read_bytes()
 
 
 @pytest.mark.slow
