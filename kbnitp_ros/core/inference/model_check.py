@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
-from kbnitp_ros.core.field.unknowns import Dynamics, Unknowns
+from kbnitp_ros.core.field.unknowns import ANY_RATE, Beta, Dynamics, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, log_sum, Series
 from kbnitp_ros.core.inference.filter import Evidence, Floats, READING_SHIFTS
 import numpy as np
@@ -37,6 +37,15 @@ WORDS = {
     'changing': 'hazards that come and go',
     'moving': 'hazards that move',
 }
+# Alternatives about targets, the detector and the reach, and what is believed in their place.
+OTHERS = {
+    'changing_targets': ('targets that change', 'still targets'),
+    'detector': ('a detector with other rates', 'the given detector'),
+    'reach': ('hazards that reach', 'hazards that do not reach'),
+}
+# Priors of a detector's rates and of a reach in these alternatives.
+DETECTOR = {'true_positive': Beta(9.0, 1.0), 'false_positive': Beta(1.0, 9.0)}
+REACH = Beta(low=0.0, high=0.6)
 SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
 
 # Weights of the alternatives in the average ratio, higher for more harmful errors; 1 for others.
@@ -113,19 +122,51 @@ class Alternatives:
         self._alternatives: dict[str, Bank | None] = {}
         if dynamics.kind != 'learn':
             for other in Dynamics('learn').kinds:
-                can_move = other.kind != 'moving' or belief.grid is not None
-                if other.kind != dynamics.effect and can_move:
+                can_be = other.kind != 'moving' or belief.grid is not None
+                if other.kind == 'used_up' and (model.reach or unknowns.reach is not None):
+                    can_be = False
+                if other.kind != dynamics.effect and can_be:
                     self._alternatives[other.kind] = bank(unknowns, other)
         for name, most in (('malfunction', 0.5), ('lethality', 1.0)):
             makes_a_difference = name == 'malfunction' or model.false_negative < 1.0
             if getattr(unknowns, name) is None and makes_a_difference:
                 self._alternatives[name] = bank(replace(unknowns, **{name: (0.0, most)}), dynamics)
+        self._alternatives |= self._others(belief, model, unknowns, seed, dynamics, targets, count)
         self._model = model
         weights = np.array([WEIGHTS.get(name, 1) for name in (*self._alternatives, *SHIFTED)])
         self._log_weights: Floats = np.log(weights / weights.sum())
         self._log_ratios: Floats = np.zeros(weights.size)
         self.evidence = Series[Observation]()
         self._turned_at: int | None = None
+
+    @staticmethod
+    def _others(
+        belief: Belief,
+        model: SensorModel,
+        unknowns: Unknowns,
+        seed: int,
+        dynamics: Dynamics,
+        targets: Dynamics,
+        count: int,
+    ) -> dict[str, Bank]:
+        """Return banks of changing targets and of another detector, as a pair, and of reach."""
+        found = {}
+
+        def add(name: str, changed: Unknowns, targets: Dynamics) -> None:
+            found[name] = Bank(
+                belief, model, changed, seed, dynamics, count=count, targets=targets
+            )
+
+        # Both learn the rates of the detector: else a poor detector is taken for motion.
+        seeing = replace(unknowns, **{**DETECTOR, **unknowns.priors})
+        if targets.effect == 'static' and belief.target.max() > 0.0:
+            add('changing_targets', seeing, Dynamics('changing', vanish=ANY_RATE))
+        if seeing != unknowns:
+            add('detector', seeing, targets)
+        is_static = dynamics.kind not in ('used_up', 'learn') and belief.grid is not None
+        if is_static and unknowns.reach is None and not model.reach:
+            add('reach', replace(unknowns, reach=REACH), targets)
+        return found
 
     def begin(self, evidence: Sequence[tuple[Observation, RobotType]]) -> bool:
         """Return whether evidence starts with the deployments so far."""
@@ -178,7 +219,9 @@ class Alternatives:
         best = max(ratios, key=lambda name: ratios[name])
         believed = self._believed
         bank = self._alternatives.get(best)
-        if bank is not None and best not in WORDS:
+        if best in OTHERS:
+            explained, believed = OTHERS[best]
+        elif bank is not None and best not in WORDS:
             explained = f'a {best} of about {bank.parameters[best].mean:.2f}'
             believed = f'one of {getattr(self._model, best):g}'
         elif best in SHIFTED:

@@ -12,11 +12,13 @@ from kbnitp_ros.core import (
     Dynamics,
     Estimator,
     Grid,
+    Learning,
     Observation,
     ORDINARY,
     run_mission,
     SearchOptions,
     SensorModel,
+    Truth,
     Unknowns,
     World,
 )
@@ -169,6 +171,32 @@ def test_the_evidence_identifies_kinds_and_the_check_detects_a_wrong_one():
     right = flown(Dynamics(), Dynamics()).check
     assert not right.is_in_doubt
     assert 'no reason for doubt' in right.reason
+
+
+@pytest.mark.slow
+@for_each('true, dynamics, best', [
+    (SensorModel(0.9, 0.001, reach=0.4), Dynamics(), 'reach'),
+    (SensorModel(0.9, 0.001), Dynamics('moving', move=0.05), 'changing_targets'),
+    (SensorModel(0.9, 0.001, 0.05, 0.7, 0.3), Dynamics(), 'detector'),
+])  # fmt: skip
+def test_the_check_tells_reach_moving_targets_and_a_poor_detector_apart(true, dynamics, best):
+    grid = Grid(9, 9)
+    prior = Belief.prior(grid, 0.15, 0.205, 0.8)
+    mission = run_mission(
+        grid,
+        prior,
+        SensorModel(0.5, 0.001),
+        World.random(grid, 2, 0.15, 0.8, 0.1),
+        60,
+        2,
+        options=SearchOptions('relaxed'),
+        truth=Truth(true, target_dynamics=dynamics),
+        learning=Learning(Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0))),
+    )
+    check = mission.estimator.check
+    assert check.is_in_doubt
+    assert max(check.alternatives, key=check.alternatives.get) == best
+    assert 'better than' in check.reason
 
 
 def test_a_check_does_not_depend_on_earlier_checks():
