@@ -199,7 +199,7 @@ def test_a_weakly_known_density_of_clustered_hazards_is_stated(field):
 
 def test_sampling_that_does_not_converge_is_stated(field):
     """With all numbers open, uninformative readings leave most of them so."""
-    numbers = [name for name in LEARN if name not in ('vanish', 'move')]
+    numbers = [name for name in LEARN if name not in ('vanish', 'move', 'reach')]
     intervals = {f'learn.{name}': [0.0, 1.0] for name in numbers}
     parameters = {**PARAMETERS, **SAMPLED, 'learn.numbers': numbers, **intervals}
     beliefs = field.listen(BeliefMaps, '/belief')
