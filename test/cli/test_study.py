@@ -176,6 +176,7 @@ def test_a_shipped_scenario_is_known_by_its_name_and_kept_whole(tmp_path):
     kept = yaml.safe_load((tmp_path / 'scenario.yaml').read_text())
     shipped = Path(__file__).parents[2] / 'config/scenarios/paper.yaml'
     told = yaml.safe_load(shipped.read_text())
+    told['sensor'] |= {'reach': 0.0}
     told['planning']['max_distance'] = 0.0
     told['learn'] = dict.fromkeys(NUMBERS)
     told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)], 'ties': 'first'}

@@ -735,7 +735,6 @@ def every_belief(**fields):
     (lambda sent: on(sent, '/scout_1/path'), 'mission.mcap has no readable beliefs'),
     (every_belief(method_version=2), 'the beliefs were computed by version 2 of kappa_bnitp, and'),
     (every_belief(method='guessing'), "cannot be computed: method is 'guessing': .*known are"),
-    (every_belief(method='kappa_bnitp_smoothed'), "'kappa_bnitp_smoothed': .*0.3.0 reads .*use"),
 ])  # fmt: skip
 def test_a_log_that_cannot_be_replayed_is_refused(whole_mission, tmp_path, capsys, change, told):
     path = record(tmp_path / 'mission.mcap', change(whole_mission.sent))
