@@ -141,8 +141,9 @@ def draw_model(rng: np.random.Generator) -> SensorModel:
 
 def draw_robot_type(rng: np.random.Generator) -> RobotType:
     """Draw a robot type, with or without numbers of its own."""
-    drawn = vars(draw_model(rng))
-    return RobotType(**{name: value for name, value in drawn.items() if rng.random() < 0.3})
+    drawn = draw_model(rng)
+    own = [name for name in vars(drawn) if name in vars(ORDINARY) and rng.random() < 0.3]
+    return RobotType(**{name: getattr(drawn, name) for name in own})
 
 
 def draw_walk(rng: np.random.Generator, grid: Grid, steps: int) -> NDArray[np.intp]:

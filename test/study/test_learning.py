@@ -14,7 +14,7 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import drawn_from, LEARNING, NUMBERS, SAMPLED
+from kbnitp_ros.study.scenario import drawn_from, LEARNING, SAMPLED
 from kbnitp_ros.study.scenario_file import read_study
 from kbnitp_ros.study.trial import run_trial, Trial
 from laws import for_each
@@ -115,7 +115,7 @@ def test_numbers_are_drawn_by_world_and_known_to_informed_methods(drawn):
         assert 0.1 <= truth['lethality'] <= 1.0
         assert truth['target_background'] <= 0.3
         outcome = outcomes[Trial(None, LEARNING, number)]
-        for name in NUMBERS:
+        for name in scenario.learn.priors:
             values = outcome[f'{name}_true']
             assert set(values.tolist()) == {truth[name]}
     prior = scenario.belief(worlds[1])
