@@ -83,7 +83,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         '--anew',
         action='store_true',
-        help='run all trials again, such as those of another version of the package',
+        help='run all trials again, such as those of another version; default: only missing ones',
     )
     number('--trials', help='number of worlds, at least 1; default that of the scenario')
     parser.add_argument(

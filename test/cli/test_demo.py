@@ -2,7 +2,6 @@
 """The demo: a whole mission in four processes, and the files it leaves."""
 
 from contextlib import suppress
-import gzip
 import os
 from pathlib import Path
 import re
@@ -36,7 +35,6 @@ from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.read import is_finished, read_log, read_recorded, RecordedMetadata
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog, PROGRESS
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.progress import MissionState
@@ -160,24 +158,6 @@ def test_a_dead_demo_is_resumed_to_the_beliefs_of_an_unbroken_one(tmp_path, caps
     assert main(['--resume', str(log), '--robots', '50']) == 2
     assert capsys.readouterr().err.startswith('demo: --resume takes no other options')
     assert main(['--resume', str(tmp_path / 'none.mcap')]) == 2
-
-
-@pytest.mark.processes
-@pytest.mark.full
-def test_a_mission_begun_with_1_0_goes_on(tmp_path):
-    """Its robot in flight has departed; its messages lack fields of today's types."""
-    log = tmp_path / 'mission.mcap'
-    recorded = Path(__file__).with_name('begun_with_1_0.mcap.gz')
-    log.write_bytes(gzip.decompress(recorded.read_bytes()))
-    (out,) = read_history(log).evidence.without_report
-    resumed = run_demo('--resume', log)
-    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
-    assert '8 deployments' in resumed.stdout
-    evidence = read_history(log).evidence
-    assert out in evidence.outcomes
-    assert len(evidence.outcomes) == 8
-    assert not evidence.refused
-    assert replay(log).grade is not Grade.DIFFERENT
 
 
 @pytest.mark.processes
