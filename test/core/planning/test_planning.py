@@ -64,8 +64,12 @@ def test_beam_comes_close_to_the_best_of_all_paths_and_relaxed_half_as_close(los
     for seed in range(12 if loss_cost or not FULL else 50):
         grid, belief, model = random_problem(seed)
         visits = every_path(grid.base, 7)
+        # A robot is sent out: no plan is a stay at the base.
+        visits = visits[np.delete(visits, grid.base, axis=1).any(axis=1)]
         lost = 1 - brute_force.survival_of_visits(belief.joint, model, visits)
         worth = brute_force.information_of_visits(belief.joint, model, visits) - loss_cost * lost
+        if worth.max() <= 0.0:
+            continue
         for planner, share in shares.items():
             found = plan(grid, belief, model, SearchOptions(planner, 7, loss_cost=loss_cost))
             reached = found.information - loss_cost * (1 - found.survival)
