@@ -15,8 +15,8 @@ import termios
 
 from kbnitp_ros.cli.processes import environment
 from kbnitp_ros.log.read import LogError, read_log
-from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.topics import REPORT
 
 ROOT = Path(__file__).parents[1]
 

@@ -17,6 +17,7 @@ from kbnitp_ros.core import (
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, report_message
 from kbnitp_ros.messages.headers import content_hash
+from kbnitp_ros.messages.standings import standings_fields, standings_message
 from rclpy.serialization import deserialize_message, serialize_message
 
 GRID = Grid(4, 3, blocked=[5])
@@ -39,18 +40,37 @@ def on_disk(message):
     return Recorded(stamp=stamp, content=content_hash(message))
 
 
+AUTHOR = '/estimator'
+EPOCH = 1
+
+
+def new_ledger(grid=GRID, max_steps=6):
+    """Return a ledger before the first deployment."""
+    estimator = Estimator(Belief.prior(grid, 0.5, 0.45, 0.8), SensorModel(0.5))
+    return Ledger(grid, max_steps, estimator)
+
+
+def standings(ledger, keys=None, since=0, epoch=EPOCH, author=AUTHOR):
+    """Return the message of a ledger's standings: all of them by default."""
+    keys = ledger.judged if keys is None else keys
+    return standings_message(standings_fields(ledger, keys, 1, author, epoch, 7, since))
+
+
+def belief(ledger, started=1, mission=0, epoch=EPOCH):
+    """Return the message of a ledger's belief."""
+    return belief_maps(ledger, started, mission, AUTHOR, epoch)
+
+
 def prior(mission=0):
-    estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
-    return belief_maps(Ledger(GRID, 6, estimator), 1, mission)
+    return belief(new_ledger(), 1, mission)
 
 
 def after_loss(mission=0):
     """Return the belief after the first robot was lost."""
-    estimator = Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), SensorModel(0.5))
-    ledger = Ledger(GRID, 6, estimator)
+    ledger = new_ledger()
     ledger.record_path(key(1), HOME)
     ledger.record_report(key(1), Report(False))
-    return belief_maps(ledger, 2, mission)
+    return belief(ledger, 2, mission)
 
 
 def returned(number, cells=HOME, agent='scout_1'):

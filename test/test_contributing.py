@@ -57,7 +57,7 @@ QUICK = [
 ]
 LAWS = [
     'test/core/inference/test_ledger.py'
-    '::test_a_report_that_makes_later_returns_impossible_is_refused',
+    '::test_an_earlier_deployment_takes_back_what_it_makes_impossible',
     'test/core/test_laws.py::test_planners_keep_their_laws',
     'test/messages/test_beliefs.py::test_a_belief_comes_back_bit_for_bit',
 ]

@@ -17,7 +17,7 @@ from kbnitp_ros.configuration.given import read_sections, values_for
 from kbnitp_ros.configuration.table import IN_FIELD
 from kbnitp_ros.log.read import read_log, read_parameters
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.roles import REPORT
+from kbnitp_ros.messages.topics import REPORT
 from launches import interrupt, launched, node_pids, reports_in
 from laws import for_each
 import pytest
@@ -92,7 +92,7 @@ def assert_is_whole(log, reports):
     """Check that a log is reproduced, and its number of deployments."""
     report = replay(log)
     assert report.reproduced
-    assert len(report.evidence.reports) == reports
+    assert len(report.evidence.standings) == reports
 
 
 @pytest.fixture

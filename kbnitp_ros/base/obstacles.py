@@ -1,184 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conditions that block the next deployment, and their descriptions."""
+"""Descriptions of the conditions that block the next deployment, for people."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
-from enum import auto, Enum
-
-from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.state import BaseState, MAX_STILL
-from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.base.protocol import PlannerState
+from kbnitp_ros.base.state import MAX_STILL
 from kbnitp_ros.core.inference.record import deployment_order
-from kbnitp_ros.files import counted, some
-from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.files import some
+from kbnitp_ros.messages.progress import Obstacle
 
 # Version whose messages this base exchanges with agents.
-VERSION = '1.9'
-
-
-class Obstacle(Enum):
-    """A condition that blocks the next deployment."""
-
-    ACTION_UNRECORDED = auto()
-    NO_BELIEF = auto()
-    UNREPORTED = auto()
-    BELIEF_BEHIND = auto()
-    ALL_DEPLOYED = auto()
-    DECIDING = auto()
-    OVER = auto()
-    NO_SUBSCRIBER = auto()
-    ALL_LEFT = auto()
-    PAUSED = auto()
-    NO_FREE_AGENT = auto()
-    SEARCHING = auto()
-    WORTHLESS = auto()
-    UNAPPROVED = auto()
-
-    @property
-    def is_end(self) -> bool:
-        """Return whether the condition ends the mission."""
-        return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
-
-
-@dataclass(frozen=True)
-class PlannerState:
-    """The state that decides whether robots leave."""
-
-    agents: Sequence[str]
-    # The evidence, the robots in flight, what the operator ordered, and the planner's parameters.
-    base: BaseState
-    # What the agents say of themselves.
-    states: AgentStates
-    # Description of the pending operator action; empty if none is pending.
-    unrecorded_action: str
-    # Number of robots sent, including those known only from the belief.
-    sent: int
-    # Number of deployments in the newest belief; None before the first belief.
-    newest: int | None
-    # Number of deployments in the last belief received; lower after the estimator restarted.
-    last_received: int
-    # Last refusal of evidence by the estimator since the last belief; empty if none.
-    refusal: str
-    # Number of paths and reports of each agent that publishers keep.
-    kept: int
-    # Number of nodes that publish beliefs.
-    estimators: int
-    # Whether the decision on the newest belief has arrived, so that robots can be planned.
-    is_decided: bool
-    # Return why the goal or the stops end the mission; empty if they do not.
-    why_over: Callable[[], str]
-    # Describe the missing subscribers before the first departure; empty if none is missing.
-    missing_listeners: Callable[[], str]
-    # Return the full name of a topic and of a service.
-    topic: Callable[[str], str]
-    service: Callable[[str], str]
-    # Agents of the running search.
-    searched: Sequence[str] = ()
-    # Reason why no path found is worth a robot; empty if any path is.
-    why_worthless: str = ''
-    # The plans that wait for the operator's approval.
-    proposed: Sequence[DeploymentKey] = ()
-    # Agents without a node, agents whose nodes do not report departures, agents whose nodes have
-    # messages of another version, and agents that get no order for a while after they refused an
-    # order.
-    absent: Collection[str] = ()
-    silent: Collection[str] = ()
-    outdated: Collection[str] = ()
-    left_alone: Collection[str] = ()
-
-    @property
-    def reported(self) -> int:
-        """Return the number of deployments reported, which the next belief must hold."""
-        return self.sent - len(self.base.in_flight)
-
-    @property
-    def robots(self) -> int:
-        """Return the number of robots to deploy, or after end_mission the number that departed."""
-        if self.base.operator.is_ended:
-            return self.sent - len({*self.base.undeparted, *self.base.held})
-        # Robots that came back without a step are sent again.
-        robots: int = self.base.values['robots'] + len(self.base.unmoved)
-        return robots
-
-    @property
-    def unreported(self) -> list[DeploymentKey]:
-        """Return the deployments in flight that the next round waits for."""
-        # Agents that left the graph do not delay other agents, nor do held deployments. After
-        # end_mission, robots at their base do not depart any more.
-        at_base = self.base.undeparted if self.base.operator.is_ended else ()
-        left_out = {*self.base.held, *at_base}
-        return [
-            key
-            for key in self.base.in_flight
-            if key.agent not in self.absent and key not in left_out
-        ]
-
-    @property
-    def mute(self) -> list[str]:
-        """Return the agents that do not report departures; empty if reports are not required."""
-        if self.base.values['presume_departure'] or not self.base.values['silent_loss']:
-            return []
-        return [agent for agent in self.silent if agent not in self.absent]
-
-    @property
-    def free_agents(self) -> list[str]:
-        """Return the agents that are present and have no robot in flight."""
-        out = {key.agent for key in self.base.in_flight}
-        taken = {*out, *self.absent, *self.mute, *self.outdated, *self.left_alone}
-        taken |= {*self.states.foreign, *self.states.unstated, *self.base.still_agents}
-        return [agent for agent in self.agents if agent not in taken]
-
-    @property
-    def obstacle(self) -> Obstacle | None:
-        """Return the condition that blocks the next deployment; None if there is none."""
-        if self.unrecorded_action:
-            return Obstacle.ACTION_UNRECORDED
-        if self.newest is None and (self.sent or not self.base.operator.is_ended):
-            return Obstacle.NO_BELIEF
-        held = self.newest or 0
-        unreported = self.unreported
-        if unreported and not self.base.values['rolling']:
-            return Obstacle.UNREPORTED
-        if held < self.reported:
-            return Obstacle.BELIEF_BEHIND
-        if held >= self.robots:
-            return Obstacle.ALL_DEPLOYED
-        if not self.is_decided:
-            return Obstacle.DECIDING
-        if self.why_over():
-            return Obstacle.UNREPORTED if unreported else Obstacle.OVER
-        if self.missing_listeners():
-            return Obstacle.NO_SUBSCRIBER
-        if self.sent >= self.robots:
-            return Obstacle.ALL_LEFT
-        if self.base.operator.is_paused:
-            return Obstacle.PAUSED
-        return None if self.free_agents else Obstacle.NO_FREE_AGENT
-
-    def is_plain(self, obstacle: Obstacle) -> bool:
-        """Return whether a condition is normal, so that progress gives no reason for it."""
-        if obstacle is Obstacle.BELIEF_BEHIND:
-            return not self.refusal
-        return obstacle in (
-            Obstacle.UNREPORTED,
-            Obstacle.DECIDING,
-            Obstacle.ALL_LEFT,
-            Obstacle.SEARCHING,
-        )
-
-    def topics(self, agents: Iterable[str], name: str) -> str:
-        """Return the full topic names of agents, joined in words."""
-        return some(self.topic(f'{agent}/{name}') for agent in agents)
-
-    def mission_state(self, obstacle: Obstacle) -> MissionState:
-        """Return the state of the mission while a condition blocks deployments."""
-        if self.base.operator.is_ended:
-            return MissionState.ENDED
-        if obstacle.is_end:
-            return MissionState.DONE
-        return MissionState.PAUSED if self.base.operator.is_paused else MissionState.RUNNING
+VERSION = '2.0'
 
 
 def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
@@ -193,8 +25,10 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
             )
         case Obstacle.UNREPORTED:
             return report(now)
+        case Obstacle.UNJUDGED:
+            return judgement(now)
         case Obstacle.BELIEF_BEHIND:
-            return next_belief(now)
+            return f'a belief that holds all that counts on {belief_topic(now)}'
         case Obstacle.DECIDING:
             if now.is_decided:
                 return f'draws of the hazards from the estimator by {now.service("draws")}'
@@ -229,31 +63,34 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
             return deployed(now)
         case Obstacle.OVER:
             return f'{deployed(now)}: {now.why_over()}'
+        case Obstacle.NONE:
+            return ''
 
 
 def deployed(now: PlannerState) -> str:
     """Return the number of deployments of a mission that is over."""
     by_operator = ', ended by the operator' * now.base.operator.is_ended
-    deployed = (now.newest or 0) - len(now.base.unmoved)
+    deployed = now.base.ended - len(now.base.unmoved)
     return f'{deployed} of {now.base.values["robots"]} robots deployed{by_operator}'
 
 
-def not_repeated(kept: int) -> str:
-    """Explain why an estimator may never hold all deployments."""
-    return (
-        f', and publishers keep only the last {kept} paths and reports of each agent: restart '
-        'the estimator with the parameter resume set to the log'
-    )
-
-
-def next_belief(now: PlannerState) -> str:
-    """Describe the wait for the next belief."""
-    wait = f'a belief that holds {counted(now.reported, "deployment")}'
-    if now.last_received < now.reported and now.base.forgotten(now.kept):
-        again = not_repeated(now.kept)
-        return f'{wait}; the last belief holds {now.last_received}{again}'
-    refusal = f'; {now.refusal}' if now.refusal else ''
-    return f'{wait} on {belief_topic(now)}{refusal}'
+def judgement(now: PlannerState) -> str:
+    """Describe the wait for standings."""
+    topic = now.topic('standings')
+    if now.why_unfollowed:
+        return f'standings on {topic}, which are not followed: {now.why_unfollowed}'
+    key = next(iter(now.base.unjudged))
+    what = 'refusal' if now.base.is_refused(key) else 'report'
+    wait = f'the estimator to judge the {what} of {key} on {topic}'
+    if now.base.is_at_base(key) and not now.base.is_refused(key):
+        return (
+            f'{wait}: a loss counts once {key.agent} reports the departure on '
+            f'{now.topic(key.agent)}/status, or the operator gives it up by '
+            f'{now.service("give_up")}'
+        )
+    if now.base.values['recorded']:
+        wait += ', once it is on record'
+    return wait if now.estimators else f'{wait}, which nobody publishes: start an estimator'
 
 
 def belief_topic(now: PlannerState) -> str:

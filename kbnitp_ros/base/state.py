@@ -1,18 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of a mission at its base: a fold over paths, statuses, reports and actions."""
+"""The state of a mission at its base: a fold over all that is said of it."""
 
 from __future__ import annotations
 
-from collections import Counter, OrderedDict
+from collections import Counter, defaultdict, OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report, RobotType
-from kbnitp_ros.core.inference.record import deployment_order, MissionRecord
-from kbnitp_ros.messages.deployments import AgentStatus, OrderState
+from kbnitp_ros.core.inference.record import (
+    deployment_order,
+    MissionRecord,
+    OPEN,
+    OrderState,
+    Standing,
+    Verdict,
+)
+from kbnitp_ros.messages.deployments import AgentStatus
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
+from kbnitp_ros.messages.standings import Standings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -25,10 +34,6 @@ MAX_ROBOTS = 20_000
 # Number of returns without a step, one after another, after which an agent gets no more orders.
 MAX_STILL = 2
 
-# Beginnings of the reasons of held deployments: the report cannot be, or the estimator refuses it.
-IMPOSSIBLE = 'its report is refused: '
-REFUSED = 'the estimator refuses its report: '
-
 # Maximum numbers of acknowledgements and of statuses kept until their paths arrive.
 MAX_REMEMBERED = 1000
 
@@ -40,87 +45,22 @@ class MissingError(ValueError):
     """A message refers to another message that has not arrived or is not in the log."""
 
 
-class Departures:
-    """The state of all orders, derived from the agents' statuses and reports."""
+class LackingError(ValueError):
+    """An estimator lacks evidence that its predecessor had judged."""
 
-    def __init__(self) -> None:
-        # Robots that have departed and have no report yet.
-        self.out: set[DeploymentKey] = set()
-        # Orders that their agents refused, so that the robots stay at the base.
-        self.refused: set[DeploymentKey] = set()
-        self._statuses: dict[DeploymentKey, AgentStatus] = {}
-        # Time of the reported return by the agent's clock; None for a loss, or if unknown.
-        self._reported: dict[DeploymentKey, int | None] = {}
 
-    def take(self, key: DeploymentKey, status: AgentStatus) -> bool:
-        """Record a status; return whether it is new. Raise ValueError for a contradiction."""
-        known = self._statuses.get(key)
-        if known is not None and not self._follows(key, status, known):
-            return False
-        if key in self._reported:
-            reported = self._reported[key]
-            is_late = reported is not None and status.stamp > reported
-            if status.state is OrderState.REFUSED or is_late:
-                raise ValueError(
-                    f'status {status.state.name} of deployment {key} contradicts its report, '
-                    'which counts'
-                )
-        elif status.state is OrderState.DEPARTED:
-            self.out.add(key)
-        elif status.state is OrderState.REFUSED:
-            self.refused.add(key)
-        self._statuses[key] = status
-        return True
+class EvidenceName(NamedTuple):
+    """The name of the evidence that counts, which beliefs, decisions and draws state."""
 
-    @staticmethod
-    def _follows(key: DeploymentKey, status: AgentStatus, known: AgentStatus) -> bool:
-        """Return whether a status is newer than `known`; raise ValueError for a contradiction."""
-        if status == known or status.state is known.state is OrderState.ACCEPTED:
-            return False
-        if known.state is OrderState.ACCEPTED:
-            return True
-        if status.state is OrderState.ACCEPTED and status.stamp <= known.stamp:
-            # A restarted agent repeats its earlier statuses.
-            return False
-        raise ValueError(
-            f'status {status.state.name} of deployment {key} contradicts the earlier status '
-            f'{known.state.name}, which counts (do two robots have the name {key.agent}?)'
-        )
-
-    def end(self, key: DeploymentKey, reported: int | None) -> None:
-        """Record that a deployment ended; `reported` is the time of a return, None for a loss."""
-        self._reported[key] = self._reported.get(key) if reported is None else reported
-        self.out.discard(key)
-        if reported is not None and key in self.refused:
-            # The agent refused the order, but a robot that returned must have departed.
-            self.refused.remove(key)
-            del self._statuses[key]
-
-    def status(self, key: DeploymentKey) -> AgentStatus | None:
-        """Return the last status of an order; None if there is none."""
-        return self._statuses.get(key)
-
-    def is_at_base(self, key: DeploymentKey) -> bool:
-        """Return whether the last status of an order says that its robot is at the base."""
-        status = self._statuses.get(key)
-        return status is not None and status.state is not OrderState.DEPARTED
-
-    def check_loss(self, key: DeploymentKey) -> None:
-        """Check that a loss is possible; raise `MissingError` if no departure is reported."""
-        if key in self.refused:
-            raise ValueError(
-                f'deployment {key} is reported lost, but its agent refused it: '
-                f'{self._statuses[key].reason}'
-            )
-        if self.is_at_base(key) and key not in self._reported:
-            raise MissingError(
-                f'deployment {key} is reported lost, but its agent has not reported its departure'
-            )
+    # Start of the estimator, nanoseconds.
+    epoch: int
+    # Number of judgements since then that changed the evidence.
+    changes: int
 
 
 @dataclass
 class Robot:
-    """A robot in flight: its path was sent, and no report or refusal has arrived."""
+    """A robot in flight: its path was sent, and its deployment is not over."""
 
     # Whether the path is on disk, so that the agent may accept it.
     is_recorded: bool = False
@@ -132,8 +72,7 @@ class Robot:
     due: int | None = None
     # Whether the deployment had timed out at the last check.
     is_overdue: bool = False
-    # Whether only the operator can declare the robot lost: it was heard to be back, or it was in
-    # another field.
+    # Whether only the operator can declare the robot lost: it was in another field.
     is_left_to_operator: bool = False
 
     def await_again(self) -> None:
@@ -142,7 +81,9 @@ class Robot:
 
 
 class BaseState(MissionRecord):
-    """The evidence of a mission, its robots in flight, and what the operator ordered."""
+    """The standings of a mission, its robots in flight, and what the operator ordered."""
+
+    # What counts of a deployment follows from the standings alone, which an estimator publishes.
 
     def __init__(
         self,
@@ -153,31 +94,41 @@ class BaseState(MissionRecord):
     ) -> None:
         super().__init__(grid, max_steps, robot_types)
         self.values = values
-        # The state of all orders, and what the operator ordered.
-        self.departures = Departures()
+        # The evidence that counts, and the events of its epoch that were followed; the epoch is 0
+        # before the first standings.
+        self.evidence = EvidenceName(0, 0)
+        self.events = 0
+        # What the operator ordered.
         self.operator = OperatorState()
         # The robots in flight, in the order in which they were sent.
         self.in_flight: dict[DeploymentKey, Robot] = {}
         # Time at which each path was sent, nanoseconds.
         self.sent: dict[DeploymentKey, int] = {}
-        # The reports that count, by deployment, in the order of arrival.
-        self.reports: dict[DeploymentKey, Report] = {}
-        # Deployments that came back without a step, and their number since the last other ending,
-        # by agent.
+        # Deployments that came back without a step; number of deployments that are over, apart
+        # from refused orders; orders that were refused.
         self.unmoved: set[DeploymentKey] = set()
-        self._still: Counter[str] = Counter()
+        self.ended = 0
+        self.void: set[DeploymentKey] = set()
+        # Deployments with a report or a refusal that was not judged, in order of arrival.
+        self.unjudged: dict[DeploymentKey, None] = {}
+        # The first status of each order with each state.
+        self._said: dict[DeploymentKey, dict[OrderState, AgentStatus]] = defaultdict(dict)
         # Acknowledgements and statuses received before this planner sends their paths, as
         # after a restart.
         self._acknowledged: OrderedDict[tuple[DeploymentKey, int], None] = OrderedDict()
-        self._early: OrderedDict[DeploymentKey, AgentStatus] = OrderedDict()
-        self._sent_by_agent: Counter[str] = Counter()
+        self._early: OrderedDict[tuple[DeploymentKey, OrderState], AgentStatus] = OrderedDict()
+        # Deployments by agent, and the stamp up to which returns without a step are forgiven.
+        self._by_agent: dict[str, list[DeploymentKey]] = defaultdict(list)
+        self._forgiven: Counter[str] = Counter()
         # Missions of deployments that other planners sent.
         self._others: dict[DeploymentKey, int] = {}
-        # Deployments that ended, by name, since an estimator may refuse their reports later.
-        self._ended: dict[str, tuple[DeploymentKey, Robot]] = {}
+        # Deployments that are judged, and whose paths are not known.
+        self._pathless: set[DeploymentKey] = set()
+        # Robots whose deployments are over, since an estimator may take that back.
+        self._over: dict[DeploymentKey, Robot] = {}
         self._time = 0
 
-    # Events: paths, acknowledgements, statuses, reports and actions.
+    # Events: paths, acknowledgements, statuses, reports, standings and actions.
 
     def take_path(
         self, key: DeploymentKey, path: ArrayLike, content: int = 0, sent_at: int = 0
@@ -193,10 +144,17 @@ class BaseState(MissionRecord):
                 del self.in_flight[key]
             elif is_new:
                 self.sent[key] = sent_at
-                self._sent_by_agent[key.agent] += 1
+                self._by_agent[key.agent].append(key)
                 self._others.pop(key, None)
-                if (status := self._early.pop(key, None)) is not None:
-                    self.take_status(key, status)
+                self._pathless.discard(key)
+                for state in OrderState:
+                    if status := self._early.pop((key, state), None):
+                        # Contradictions were refused when they arrived.
+                        with suppress(ValueError):
+                            self.take_status(key, status)
+                if self.standings.get(key, OPEN).verdict.is_over:
+                    self._over[key] = self.in_flight.pop(key)
+                self._note_unjudged(key)
 
     def take_other_path(
         self, key: DeploymentKey, path: NDArray[np.intp], content: int, mission: int
@@ -235,22 +193,34 @@ class BaseState(MissionRecord):
     def take_status(self, key: DeploymentKey, status: AgentStatus) -> bool:
         """Take an agent's status of an order; return whether the status is new."""
         if key not in self.paths and key not in self._others:
-            remember(self._early, key, status)
+            remember(self._early, (key, status.state), status)
             raise MissingError(
                 f'status {status.state.name} of deployment {key}: this planner has not sent it'
             )
-        if not self.departures.take(key, status):
+        said = self._said[key]
+        known = said.get(status.state)
+        if known and (known.stamp, known.content) <= (status.stamp, status.content):
+            if status.state is OrderState.DEPARTED and status.content != known.content:
+                raise ValueError(
+                    f'another departure of deployment {key} counts (do two robots have the name '
+                    f'{key.agent}?)'
+                )
             return False
-        if status.state is OrderState.REFUSED:
-            self.in_flight.pop(key, None)
-        elif robot := self.in_flight.get(key):
+        said[status.state] = status
+        self.record_status(key, status.state, status.stamp)
+        self._note_unjudged(key)
+        if robot := self.in_flight.get(key):
             self._depart_if_recorded(key, robot)
-        return True
+        if known is None and {OrderState.REFUSED, OrderState.DEPARTED} <= said.keys():
+            raise ValueError(
+                f'deployment {key} was refused by its agent and has departed, which counts (do '
+                f'two robots have the name {key.agent}?)'
+            )
+        return known is None
 
     def _depart_if_recorded(self, key: DeploymentKey, robot: Robot) -> None:
-        status = self.departures.status(key)
-        if status is not None and status.state is OrderState.DEPARTED:
-            is_recorded = (key, status.content) in self._acknowledged
+        if departed := self._said[key].get(OrderState.DEPARTED):
+            is_recorded = (key, departed.content) in self._acknowledged
             robot.has_departed |= is_recorded or not self.values['recorded']
 
     def take_action(self, action: OperatorAction) -> bool:
@@ -258,68 +228,113 @@ class BaseState(MissionRecord):
         if not self.operator.apply(action):
             return False
         if action.action == Action.RESUME:
-            self.release(*self.still_agents)
+            for agent in self._by_agent:
+                self.forgive(agent)
         return True
 
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Record a report, which ends its deployment unless it is refused."""
+        """Record a report, which waits to be judged; raise ValueError if it cannot count."""
         try:
             return super().record_report(key, report)
-        except ValueError as error:
-            if key in self.held:
-                self.hold_refused(key, error)
-            raise
+        finally:
+            self._note_unjudged(key)
 
-    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        self.reports[key] = report
-        self.end(key, report.stamp if report.survived else None, moved=not outcome.is_unmoved)
+    def follow(self, said: Standings) -> bool:
+        """
+        Follow the standings of an estimator; return whether anything is new.
 
-    def end(self, key: DeploymentKey, reported: int | None = None, moved: bool = True) -> None:
-        """Remove a deployment that was reported by its agent or given up."""
-        self.held.pop(key, None)
-        if robot := self.in_flight.pop(key, None):
-            self._ended[str(key)] = key, robot
-            self._still[key.agent] = 0 if moved else self._still[key.agent] + 1
-        self.unmoved.discard(key)
-        if not moved:
-            self.unmoved.add(key)
-        self.departures.end(key, reported)
+        Raises
+        ------
+        MissingError
+            If standings before these were missed: complete ones are needed.
+        LackingError
+            If a later estimator has not judged all that its predecessor had.
+        ValueError
+            If they are of an earlier estimator.
+
+        """
+        own = self.evidence.epoch
+        if said.epoch < own:
+            raise ValueError(
+                f'epoch is {said.epoch}: standings of an estimator that began at {own} count'
+            )
+        if said.epoch == own and said.events <= self.events:
+            return False
+        if said.since and (said.epoch > own or said.since != self.events):
+            raise MissingError(
+                f'since is {said.since}: {self.events} events of epoch {own} were followed, so '
+                'that standings in between are missing'
+            )
+        if said.is_complete:
+            absent = self.standings.keys() - said.standings.keys()
+            lacking = [key for key in absent if self.standings[key].judged]
+            if lacking and said.epoch > own:
+                first = min(lacking, key=deployment_order)
+                raise LackingError(
+                    f'{len(lacking)} judged deployments, such as {first}, are missing: the '
+                    'estimator was started without the evidence of this mission; start it with '
+                    'the parameter resume set to the log'
+                )
+            for key in absent:
+                self.stand(key, OPEN)
+        self.evidence = EvidenceName(said.epoch, said.changes)
+        self.events = said.events
+        for key, standing in said.standings.items():
+            self.stand(key, standing)
+        return True
+
+    def stand(self, key: DeploymentKey, standing: Standing) -> None:
+        """Set what counts of a deployment."""
+        before = self.standings.get(key, OPEN).verdict
+        super().stand(key, standing)
+        verdict = standing.verdict
+        counts = (Verdict.OPEN, Verdict.HELD, Verdict.VOID)
+        self.ended += (verdict not in counts) - (before not in counts)
+        for place, member in ((self.unmoved, Verdict.UNMOVED), (self.void, Verdict.VOID)):
+            place.discard(key)
+            if verdict is member:
+                place.add(key)
+        if key not in self.paths:
+            self._pathless.add(key)
+            return
+        if verdict.is_over and key in self.in_flight:
+            self._over[key] = self.in_flight.pop(key)
+        elif not verdict.is_over and key in self._over:
+            robot = self.in_flight[key] = self._over.pop(key)
+            robot.await_again()
+            robot.is_recorded |= (key, self.path_contents[key]) in self._acknowledged
+            self._depart_if_recorded(key, robot)
+        self._note_unjudged(key)
+
+    def _note_unjudged(self, key: DeploymentKey) -> None:
+        """Note whether a report or a refusal of a deployment was not judged yet."""
+        standing = self.standings.get(key, OPEN)
+        reports = {report.content for report in self.heard.get(key, ())}
+        is_refused = self.is_refused(key) and standing.verdict is Verdict.OPEN
+        if key in self.paths and (is_refused or reports - standing.judged):
+            self.unjudged[key] = None
+        else:
+            self.unjudged.pop(key, None)
 
     def hold(self, key: DeploymentKey, why: str, *, is_left_to_operator: bool) -> None:
-        """Hold a deployment that is not over: it counts neither as evidence nor as a loss."""
+        """Hold a deployment whose robot was heard of: it is not lost."""
         if robot := self.in_flight.get(key):
             robot.is_left_to_operator |= is_left_to_operator
             robot.await_again()
             self.held[key] = why
 
-    def hold_refused(self, key: DeploymentKey, why: ValueError) -> None:
-        """Hold a deployment whose report is refused; it is left to the operator."""
-        self.hold(key, f'{IMPOSSIBLE}{why}', is_left_to_operator=True)
-
-    def follow(self, refused: Mapping[str, str]) -> None:
-        """Hold the deployments whose reports the estimator refuses."""
-        # A later report of the same deployment may have been accepted.
-        for key in [key for key, why in self.held.items() if why.startswith(REFUSED)]:
-            if str(key) not in refused:
-                self.end(key)
-        for key, robot in [self._ended.pop(name) for name in refused if name in self._ended]:
-            self.in_flight[key] = robot
-            self.unmoved.discard(key)
-            self.forget(key)
-            self.reports.pop(key, None)
-            self.hold(key, f'{REFUSED}{refused[str(key)]}', is_left_to_operator=True)
-
     def leave(self, agent: str) -> None:
         """Await the robots of an agent that stood at its base."""
         for key in [key for key in self.held if key.agent == agent and key in self.in_flight]:
-            if not self.in_flight[key].is_left_to_operator:
+            is_judged = self.standings.get(key, OPEN).verdict is Verdict.HELD
+            if not is_judged and not self.in_flight[key].is_left_to_operator:
                 del self.held[key]
                 self.in_flight[key].await_again()
 
-    def release(self, *agents: str) -> None:
-        """Give orders again to agents whose robots came back without a step."""
-        for agent in agents:
-            del self._still[agent]
+    def forgive(self, agent: str) -> None:
+        """Give orders again to an agent whose robots came back without a step."""
+        if sent := self._by_agent.get(agent):
+            self._forgiven[agent] = max(self._forgiven[agent], sent[-1].stamp)
 
     # Answers.
 
@@ -331,7 +346,7 @@ class BaseState(MissionRecord):
     @property
     def robots_left(self) -> int:
         """Return the number of robots sent, without refused orders."""
-        return len(self.paths) - len(self.departures.refused & self.paths.keys())
+        return len(self.paths) + len(self._pathless) - len(self.void)
 
     @property
     def paths_in_flight(self) -> dict[DeploymentKey, NDArray[np.intp]]:
@@ -352,27 +367,55 @@ class BaseState(MissionRecord):
         return robot.has_departed or (self.values['presume_departure'] and is_on_record)
 
     def has_departed(self, key: DeploymentKey) -> bool:
-        """Return whether a robot reported its departure, or its outcome is known."""
-        status = self.departures.status(key)
-        says_so = status is not None and status.state is OrderState.DEPARTED
-        return says_so or self.outcome(key) is not None
+        """Return whether a robot reported its departure, or was reported itself."""
+        return OrderState.DEPARTED in self.statuses.get(key, ()) or bool(self.heard.get(key))
+
+    def status(self, key: DeploymentKey) -> AgentStatus | None:
+        """Return the status of an order that counts: of a departure before any other."""
+        said = self._said.get(key, {})
+        order = (OrderState.DEPARTED, OrderState.REFUSED, OrderState.ACCEPTED)
+        return next((said[state] for state in order if state in said), None)
+
+    def report(self, key: DeploymentKey) -> Report | None:
+        """Return the report by which a deployment stands; None without one."""
+        standing = self.standings.get(key, OPEN)
+        if standing.verdict in (Verdict.OPEN, Verdict.HELD, Verdict.VOID):
+            return None
+        reports = self.heard.get(key, ())
+        return next((each for each in reports if each.content == standing.report), None)
+
+    def heard_hashes(self, key: DeploymentKey) -> tuple[int, ...]:
+        """Return the hashes of all reports of a deployment, which the operator settles."""
+        return tuple(sorted(report.content for report in self.heard.get(key, ())))
 
     def outcome(self, key: DeploymentKey) -> Observation | None:
-        """Return the outcome of a robot; None if it is in flight, or stays at the base."""
-        return None if key in self.departures.refused else self.outcomes.get(key)
+        """Return the outcome of a robot; None if nothing counts."""
+        report = self.report(key)
+        return None if report is None else self.heard[key][report].outcome
+
+    @property
+    def outcomes(self) -> dict[DeploymentKey, Observation]:
+        """Return the outcomes of the deployments that are over, in deployment order."""
+        found = ((key, self.outcome(key)) for key in self.orders)
+        return {key: outcome for key, outcome in found if outcome is not None}
 
     @property
     def still_agents(self) -> list[str]:
         """Return the agents whose last robots came back without a step."""
-        return [agent for agent, times in self._still.items() if times >= MAX_STILL]
+        still = []
+        for agent, sent in self._by_agent.items():
+            ended = (key for key in reversed(sent) if key in self._over and key not in self.void)
+            last = [key for key, _ in zip(ended, range(MAX_STILL))]
+            is_still = all(
+                key in self.unmoved and key.stamp > self._forgiven[agent] for key in last
+            )
+            if is_still and len(last) == MAX_STILL:
+                still.append(agent)
+        return still
 
     def known(self, mission: int) -> int:
         """Return the number of known deployments of a mission, from any planner."""
         return self.robots_left + sum(each == mission for each in self._others.values())
-
-    def forgotten(self, kept: int) -> int:
-        """Return the number of deployments beyond the last `kept` of each agent."""
-        return sum(max(0, sent - kept) for sent in self._sent_by_agent.values())
 
     def overdue(self, now: int, longest: Callable[[DeploymentKey], int]) -> list[DeploymentKey]:
         """Return the robots that have timed out, `longest` nanoseconds after their departure."""
@@ -381,7 +424,8 @@ class BaseState(MissionRecord):
             return []
         overdue = []
         for key, robot in self.in_flight.items():
-            if robot.is_left_to_operator or not self.is_away(key):
+            is_reported = key in self.unjudged or key in self.standings
+            if robot.is_left_to_operator or is_reported or not self.is_away(key):
                 continue
             # Shift the timeout if the clock was set back.
             robot.due = now + longest(key) if robot.due is None else robot.due + jump

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import argparse
-from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from itertools import combinations
 from math import inf
 import os
@@ -17,6 +17,7 @@ import shutil
 import time
 from typing import Any
 
+from kbnitp_msgs.msg import MissionStatus as StatusMessage
 from kbnitp_msgs.msg import Progress
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import assign, node_values, recorded_values, set_parameter
@@ -45,7 +46,7 @@ from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAM
 from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.messages.progress import Helper, MissionStatus, read_mission_status
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
 from kbnitp_ros.report.folder import check_is_free
@@ -62,12 +63,8 @@ NODES = ('recorder', 'estimator', 'agent', 'planner')
 # Seconds per step with `silent_loss`, which needs a step_period above 0.
 SILENT_STEP = 0.01
 
-# First words of the planner's reason to wait for an operator, and for a belief. Seconds of waiting
-# for an operator, and seconds after the last report, after which the demo ends.
-OPERATOR_AWAITED = 'waiting for the operator'
-BELIEF_AWAITED = 'waiting for a belief'
+# Seconds of waiting for an operator, after which the demo ends.
 OPERATOR_WAIT = 3.0
-END_WAIT = 30.0
 
 # Parameters that may differ between nodes: true and believed sensors and hazards, awaited nodes.
 MAY_DIFFER = ('sensor.', 'hazards.', 'targets.', 'await_nodes')
@@ -239,18 +236,35 @@ def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
         raise RuntimeError(f'nodes failed, with these exit codes: {failed}')
 
 
+@dataclass
+class Observed:
+    """The last messages of a mission."""
+
+    progress: Progress | None = None
+    # None before the planner says how the mission stands.
+    status: MissionStatus | None = None
+
+    def take(self, message: Any) -> None:
+        """Keep how the mission stands; an invalid message is not the planner's."""
+        with suppress(ValueError):
+            self.status = read_mission_status(message)
+
+    def show(self, message: Progress) -> None:
+        """Keep the progress."""
+        self.progress = message
+
+
 @contextmanager
-def observed(domain: int) -> Iterator[tuple[Node, deque[Progress]]]:
-    """Yield a node on the domain, and a queue of the last progress message that it received."""
+def observed(domain: int) -> Iterator[tuple[Node, Observed]]:
+    """Yield a node on the domain, and the last messages that it received."""
     os.environ.update(environment(domain))
     rclpy.init(
         args=['--ros-args', '--enclave', '/observer'],
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    observer, received = Node('observer'), deque[Progress](maxlen=1)
-    observer.create_subscription(
-        Progress, 'progress', lambda message: received.append(message), qos.LATCHED
-    )
+    observer, received = Node('observer'), Observed()
+    observer.create_subscription(Progress, 'progress', received.show, qos.LATCHED)
+    observer.create_subscription(StatusMessage, 'mission', received.take, qos.LATCHED)
     try:
         yield observer, received
     finally:
@@ -258,48 +272,44 @@ def observed(domain: int) -> Iterator[tuple[Node, deque[Progress]]]:
         try_shutdown()
 
 
-def most_left(progress: Progress | None, robots: int) -> float:
-    """Return the maximum wait for the next change of progress, in seconds."""
-    now = progress or Progress()
-    # The planner gives this reason only if the estimator has refused evidence.
-    if now.reason.startswith(BELIEF_AWAITED):
-        return OPERATOR_WAIT
-    if now.out:
+def most_left(status: MissionStatus | None) -> float:
+    """Return the maximum wait for the next change, in seconds."""
+    if status is None or status.out:
         return inf
-    if now.state in (MissionState.DONE, MissionState.ENDED):
+    if status.obstacle.is_end:
         return 0.0
     # Nobody calls the planner's services, but the planner may search again by itself.
-    if now.reason.startswith(OPERATOR_AWAITED):
-        return OPERATOR_WAIT
-    return END_WAIT if progress and now.deployments >= robots else inf
+    return OPERATOR_WAIT if status.ends_by is Helper.OPERATOR else inf
 
 
-def watch(observer: Node, received: deque[Progress], robots: int, processes: Processes) -> None:
+def watch(observer: Node, received: Observed, robots: int, processes: Processes) -> None:
     """Show the progress of a mission until it is over, or waits for an operator."""
     executor = SingleThreadedExecutor()
     executor.add_node(observer)
-    now, known, since = None, (0, ''), time.monotonic()
+    known: tuple[object, ...] = ()
+    since = time.monotonic()
     with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
-        while time.monotonic() <= since + most_left(now, robots):
+        while time.monotonic() <= since + most_left(received.status):
             executor.spin_once(timeout_sec=0.2)
             if processes.ended():
                 raise RuntimeError(
                     f'nodes ended during the mission, with these exit codes: {processes.ended()}'
                 )
-            if not received:
+            now, status = received.progress, received.status
+            if now is None:
                 present = observer.get_node_names()
                 absent = [name for name in NODES if name not in present]
                 bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
                 continue
-            now = received[0]
             bar.set_description('deploying', refresh=False)
             entropy = f'{now.hazard_entropy + now.target_entropy:.1f} nats'
             bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
             bar.update(now.deployments - bar.n)
-            if known != (known := (now.deployments, now.reason)):
+            stands = (status.obstacle, status.reason) if status else ()
+            if known != (known := (now.deployments, *stands)):
                 since = time.monotonic()
-    if now is not None and now.deployments < robots:
-        say(now.reason)
+    if received.status is not None and received.status.reason:
+        say(received.status.reason)
 
 
 def conclude(log: Path) -> int:

@@ -80,16 +80,16 @@ def with_progress(size: int, items: Iterator[LoggedMessage]) -> Iterator[LoggedM
 def lines(report: ReplayReport) -> Iterator[str]:
     """Yield the findings of a replay: summary, differences, and what is missing."""
     evidence = report.evidence
-    deployments, survived = len(evidence.reports), evidence.survived
+    survived, lost = evidence.survived, evidence.lost
     yield (
-        f'{deployments} deployments, {survived} survived, {deployments - survived} lost; '
+        f'{survived + lost} deployments, {survived} survived, {lost} lost; '
         f'method {report.method or "not on record"}'
     )
     for action in evidence.actions:
         yield f'the operator {action}, at {in_seconds(action.stamp)}'
     yield from report.changes
     if report.standing is not NOT_KNOWN:
-        state, reason = report.standing
+        state, reason = report.standing.state, report.standing.reason
         yield f'the mission was {state.name} when the log ended{": " * bool(reason)}{reason}'
     if len(report.kinds) > 1:
         yield 'hazards: ' + ', '.join(
@@ -108,14 +108,16 @@ def lines(report: ReplayReport) -> Iterator[str]:
     yield from first_few('not reproduced', report.mismatches)
     yield from first_few('not compared', report.not_compared)
     yield from first_few('repeated', report.repeated)
-    for key in report.passed_over:
-        yield f'not reproduced: deployment {key} is in no belief, but a later deployment is'
     for key in report.not_yet_held:
         yield f'deployment {key} is in no belief yet'
+    for key in report.passed_over:
+        yield f'not reproduced: a report of deployment {key} is not judged, but a later one is'
+    for key in evidence.unjudged.keys() - {*report.passed_over}:
+        yield f'deployment {key} is not judged: its last report came when the log ended'
     for key in evidence.without_report:
         where = 'the robot was in flight'
-        if evidence.departures.is_at_base(key):
-            status = evidence.departures.status(key)
+        if evidence.is_at_base(key):
+            status = evidence.status(key)
             where = 'the robot was at the base'
             where += f', and refused: {status.reason}' if status and status.reason else ''
         yield f'deployment {key} has no report on record: {where}'

@@ -9,23 +9,33 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kbnitp_ros.core import Belief, Decision, Grid, Observation, ORDINARY, SensorModel, World
-from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.core.mission import deployments_table
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import Bookmark, LoggedMessage
 from kbnitp_ros.log.record import RecordedMission, required_belief
-from kbnitp_ros.log.roles import MissionLog, TRUTH
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
 from kbnitp_ros.messages.states import AgentState
+from kbnitp_ros.messages.topics import TRUTH
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-ROLES = ('belief', 'decision', 'model', 'path', 'report', 'state', 'status', *TRUTH)
+ROLES = (
+    'belief',
+    'decision',
+    'model',
+    'path',
+    'report',
+    'standings',
+    'state',
+    'status',
+    *TRUTH,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +114,7 @@ class History:
     def to_dataframe(self) -> DataFrame:
         """Return `core.deployments_table` of the deployments that ended, with agent and stamp."""
         first = {each.held: each.belief for each in reversed(self.moments)}
-        ended = sorted(self.evidence.reports, key=deployment_order)
+        ended = [*self.evidence.outcomes]
         beliefs = [first.get(number) for number in range(1, len(ended) + 1)]
         table = deployments_table(self.observations, beliefs, [self.world] * len(ended))
         table.insert(0, 'agent', [key.agent for key in ended])
@@ -119,8 +129,7 @@ class History:
     @property
     def observations(self) -> list[Observation]:
         """Return an observation for each deployment that ended; a return replaces a loss."""
-        ended = sorted(self.evidence.reports, key=deployment_order)
-        return [self.evidence.outcomes[key] for key in ended]
+        return [*self.evidence.outcomes.values()]
 
 
 def read_history(
@@ -139,7 +148,7 @@ def read_history(
     )
     for role, logged in messages:
         with log.leaving_out(logged):
-            if role.name in ('path', 'report', 'status'):
+            if role.name in ('path', 'report', 'standings', 'status'):
                 evidence.take(role, logged)
             elif role.name == 'belief':
                 snapshot = logged.said

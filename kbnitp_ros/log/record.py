@@ -4,33 +4,50 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
-from kbnitp_ros.base.state import BaseState, LOGGED, MissingError
-from kbnitp_ros.core import DeploymentKey, Grid, Ledger, Observation, ORDINARY, Report, RobotType
-from kbnitp_ros.core.inference.record import MissionRecord
+from kbnitp_ros.base.state import BaseState, LackingError, LOGGED, MissingError
+from kbnitp_ros.core import DeploymentKey, Grid, Ledger, ORDINARY, Report, RobotType
+from kbnitp_ros.core.inference.record import MissionRecord, Verdict
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
-from kbnitp_ros.log.roles import BELIEF, MAX_SHOWN, MissionLog, Role
+from kbnitp_ros.log.roles import MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.deployments import read_cells
+from kbnitp_ros.messages.deployments import read_cells, Source
 from kbnitp_ros.messages.headers import content_hash
-from kbnitp_ros.messages.operator_actions import OperatorAction, read_operator_action
-from numpy.typing import ArrayLike
+from kbnitp_ros.messages.operator_actions import Action, OperatorAction, read_operator_action
+from kbnitp_ros.messages.topics import BELIEF
+
+
+def fold_evidence(
+    deployments: MissionRecord,
+    messages: Iterable[tuple[Role, LoggedMessage]],
+    mission: int | None,
+) -> int:
+    """Record the paths, reports and statuses of a mission; return the last epoch on record."""
+    last = 0
+    for role, logged in messages:
+        if role.name == 'standings':
+            last = max(last, logged.said.epoch)
+        elif is_of_mission(role, logged, mission):
+            # What was refused before is refused again.
+            with suppress(ValueError):
+                record(deployments, role, logged)
+    return last
 
 
 def record(deployments: MissionRecord, role: Role, logged: LoggedMessage) -> bool:
-    """Record a path or report as an estimator does; return whether an outcome changed."""
-    content = content_hash(logged.message)
+    """Record a path, report or status as an estimator does; return whether evidence changed."""
+    if role.name == 'status':
+        key, status = logged.said
+        return deployments.record_status(key, status.state, status.stamp)
     if role.name == 'report':
-        key, report = logged.said
-        return deployments.record_report(key, replace(report, content=content))
+        return deployments.record_report(*logged.said)
     path = read_cells(deployments.grid, logged.message)
-    return deployments.record_path(logged.said[0], path, content)
+    return deployments.record_path(logged.said[0], path, content_hash(logged.message))
 
 
 def first_belief(log: MissionLog) -> Snapshot | None:
@@ -48,10 +65,6 @@ def required_belief(log: MissionLog) -> Snapshot:
     )
 
 
-# The kbnitp_ros that has an earlier version of a method.
-EARLIER = {('kappa_bnitp_sampled', 2): ', 1.0'}
-
-
 def begun(prior: Snapshot) -> Ledger:
     """Return the ledger of a recorded mission before its first deployment."""
     try:
@@ -62,7 +75,7 @@ def begun(prior: Snapshot) -> Ledger:
         raise LogError(
             f'the beliefs were computed by version {prior.version} of {prior.method}, and this '
             f'kbnitp_ros computes version {ledger.estimator.version}: use the kbnitp_ros that '
-            f'recorded the log{EARLIER.get((prior.method, prior.version), "")}'
+            'recorded the log'
         )
     return ledger
 
@@ -116,14 +129,19 @@ class RecordedMission(BaseState):
         self._limits = [(max_steps, robot_types)]
         # Serialized paths by deployment, and serialized actions of the operator by stamp.
         self.messages: dict[DeploymentKey | int, bytes] = {}
-        # Time of receipt of each report by its stamp, nanoseconds.
+        # Serialized reports of agents by deployment, and those of the planner, by deployment and
+        # hash of the message.
+        self.said_by_agent: dict[DeploymentKey, dict[int, bytes]] = defaultdict(dict)
+        self.given_up: dict[tuple[DeploymentKey, int], bytes] = {}
+        # Time of receipt of each report, nanoseconds.
         self.reported: dict[tuple[DeploymentKey, int], int] = {}
+        # Index of each path among the paths, reports and statuses.
+        self.places: dict[DeploymentKey, int] = {}
+        self._count = 0
         # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
-        # All paths and all reports, by hash of the message; reports that match a path, by stamp.
-        self._paths_read: dict[tuple[DeploymentKey, int], ArrayLike] = {}
-        self._reports_read: dict[tuple[DeploymentKey, int], Report] = {}
-        self._by_stamp: dict[DeploymentKey, dict[int, Report]] = defaultdict(dict)
+        # All reports, by hash of the message.
+        self._reports: dict[tuple[DeploymentKey, int], Report] = {}
 
     def allow(self, max_steps: int, robot_types: Mapping[str, RobotType]) -> None:
         """Accept paths up to these step limits, too."""
@@ -137,7 +155,7 @@ class RecordedMission(BaseState):
         return max(common if own.max_steps is None else own.max_steps for own, common in types)
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
-        """Take a path, report, status, action, or the step limits of a belief."""
+        """Take a path, report, status, standings, action, or the step limits of a belief."""
         if role.name == 'operator':
             action = read_operator_action(self.grid, logged.message)
             if self.take_action(action):
@@ -151,77 +169,62 @@ class RecordedMission(BaseState):
                 self.refused.append(f'{logged.topic}: {error}'[:MAX_SHOWN])
 
     def _take_evidence(self, role: Role, logged: LoggedMessage) -> None:
+        if role.name == 'standings':
+            # An estimator that lacks evidence is followed once it has it.
+            with suppress(MissingError, LackingError):
+                self.follow(logged.said)
+            return
+        self._count += 1
         # What is on record was acknowledged.
         if role.name == 'status':
             key, status = logged.said
-            with suppress(MissingError):
-                self.take_status(key, status)
-            self.take_recorded(key, status.content)
+            try:
+                with suppress(MissingError):
+                    self.take_status(key, status)
+            finally:
+                self.take_recorded(key, status.content)
         elif role.name == 'report':
             key, report = logged.said
-            self.reported.setdefault((key, report.stamp), logged.log_time)
-            self.record_report(key, replace(report, content=content_hash(logged.message)))
+            name = key, report.content
+            self.reported.setdefault(name, logged.log_time)
+            self._reports.setdefault(name, report)
+            if logged.message.source == Source.AGENT:
+                self.said_by_agent[key].setdefault(report.content, logged.data)
+            else:
+                self.given_up.setdefault(name, logged.data)
+            self.record_report(key, report)
         else:
             key, path = logged.said[0], read_cells(self.grid, logged.message)
             content = content_hash(logged.message)
-            self._paths_read.setdefault((key, content), path)
             try:
                 self.take_path(key, path, content, logged.log_time)
                 self.take_recorded(key, content)
             finally:
                 if key in self.paths:
                     self.messages.setdefault(key, logged.data)
+                    self.places.setdefault(key, self._count - 1)
 
-    def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Record a report, also if another report of the same deployment counts."""
-        self._reports_read.setdefault((key, report.content), report)
-        return super().record_report(key, report)
-
-    def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
-        outcome = super()._outcome(key, report)
-        self._by_stamp[key].setdefault(report.stamp, report)
-        return outcome
-
-    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        super()._assimilate(key, outcome, report)
-        if key in self.contradicted:
-            self.refused.append(self.contradicted[key][:MAX_SHOWN])
-
-    def find_report(self, key: DeploymentKey, stamp: int) -> Report:
+    def find_report(self, key: DeploymentKey, stamp: int) -> Report | None:
         """Return a deployment's first report with this stamp, or else the report that counts."""
-        return self._by_stamp[key].get(stamp, self.reports[key])
-
-    def named(
-        self, key: DeploymentKey, path: int, report: int, stamp: int
-    ) -> tuple[ArrayLike, Report]:
-        """Return the path and report with these hashes, which a belief with this stamp names."""
-        if (key, path) not in self._paths_read:
-            raise ValueError(f'path of deployment {key} is not on record')
-        if found := self._reports_read.get((key, report)):
-            return self._paths_read[key, path], found
-        missing = f'report of deployment {key} is not on record'
-        if min(self._by_stamp[key], default=stamp) > stamp:
-            raise MissingError(f'{missing}, but a later report is')
-        raise ValueError(missing)
-
-    def has(self, key: DeploymentKey, path: int, report: int) -> bool:
-        """Return whether the path and the report with these hashes are on record."""
-        return (key, path) in self._paths_read and (key, report) in self._reports_read
+        reports = (each for (name, _), each in self._reports.items() if name == key)
+        return next((each for each in reports if each.stamp == stamp), self.report(key))
 
     @property
     def actions(self) -> list[OperatorAction]:
-        """Return the operator's actions in recorded order."""
-        return [*self.operator.actions.values()]
+        """Return the operator's actions in recorded order, without starts of the planner."""
+        actions = self.operator.actions.values()
+        return [action for action in actions if action.action != Action.START]
 
     @property
     def survived(self) -> int:
-        """Return the number of robots reported as returned."""
-        return sum(report.survived for report in self.reports.values())
+        """Return the number of robots that came back."""
+        back = (Verdict.RETURN, Verdict.UNMOVED)
+        return sum(standing.verdict in back for standing in self.standings.values())
 
     @property
     def without_report(self) -> list[DeploymentKey]:
         """Return the deployments with a path but no report."""
-        return [key for key in self.paths if key not in self.reports]
+        return [key for key in self.paths if not self.heard.get(key)]
 
     @property
     def without_path(self) -> list[DeploymentKey]:
@@ -242,7 +245,7 @@ def read_resumed(
     record.prior = prior
     if prior:
         record.allow(prior.max_steps, prior.robot_types)
-    for role, logged in log.read('path', 'report', 'status', 'operator'):
+    for role, logged in log.read('path', 'report', 'status', 'standings', 'operator'):
         with log.leaving_out(logged):
             record.take(role, logged)
     return record
@@ -253,7 +256,7 @@ def read_newest_round(
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
     """Return the belief that the newest round was planned on, and the round's deployments."""
     # Beliefs do not count refused orders.
-    keys = [key for key in record.orders if key not in record.departures.refused]
+    keys = [key for key in record.orders if key not in record.void]
     planned_on = None
     for _, logged in log.read('belief'):
         held = logged.said.deployments
@@ -300,9 +303,5 @@ def read_ledger(log: MissionLog) -> Ledger:
             'prior is not on record'
         )
     ledger, mission = begun(prior), read_mission(log)
-    for role, logged in log.read('path', 'report'):
-        if is_of_mission(role, logged, mission):
-            # Evidence that raises here was refused by the estimator, too.
-            with suppress(ValueError):
-                record(ledger, role, logged)
+    fold_evidence(ledger, log.read('path', 'report', 'status'), mission)
     return ledger

@@ -17,7 +17,7 @@ from kbnitp_ros.core.inference.model_check import ModelCheck
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission
-from kbnitp_ros.log.roles import Role, VIEWS
+from kbnitp_ros.log.roles import Role
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import Fields, from_stamp, shown
@@ -29,6 +29,7 @@ from kbnitp_ros.messages.progress import (
     model_fields,
     NOT_KNOWN,
 )
+from kbnitp_ros.messages.topics import VIEWS
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -61,15 +62,11 @@ def differences(
     """Yield the fields in which a recorded message differs from the computed message."""
     if isinstance(ours, Fields):
         for field_name, value in vars(ours).items():
-            # Logs of earlier versions lack fields that were added later.
-            if hasattr(theirs, field_name):
-                # The map kappa has the name of the learnt number kappa, which is a scalar.
-                if field_name in rounded and np.ndim(value) == 0:
-                    value = np.array([value])
-                full_name = f'{name}.{field_name}' if name else field_name
-                yield from differences(
-                    getattr(theirs, field_name), value, tolerance, name=full_name
-                )
+            # The map kappa has the name of the learnt number kappa, which is a scalar.
+            if field_name in rounded and np.ndim(value) == 0:
+                value = np.array([value])
+            full_name = f'{name}.{field_name}' if name else field_name
+            yield from differences(getattr(theirs, field_name), value, tolerance, name=full_name)
     elif isinstance(ours, np.ndarray):
         yield from _array_differences(name, theirs, ours, tolerance)
     elif isinstance(ours, list) and len(theirs) != len(ours):
@@ -176,9 +173,9 @@ class ReplayReport:
     # Beliefs and decisions that the log cannot reproduce, and beliefs recorded twice.
     not_compared: list[BeliefFinding] = field(default_factory=list)
     repeated: list[BeliefFinding] = field(default_factory=list)
-    # Lost evidence: deployments in no belief although a belief holds a later deployment.
+    # Deployments with a report that was not judged, although a later report was.
     passed_over: list[DeploymentKey] = field(default_factory=list)
-    # Deployments later than the last deployment held by a belief.
+    # Deployments that count, and that are in no belief on record.
     not_yet_held: list[DeploymentKey] = field(default_factory=list)
     # Whether the log was finished by its writer.
     finished: bool = False

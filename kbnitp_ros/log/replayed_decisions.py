@@ -20,10 +20,10 @@ from kbnitp_ros.log.replayed import (
     ReplayReport,
     TOLERANCE,
 )
-from kbnitp_ros.log.roles import PATH
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import Fields, from_stamp, shown
 from kbnitp_ros.messages.progress import decision_fields
+from kbnitp_ros.messages.topics import PATH
 
 # Roles of decisions.
 DECISIONS = 'decision', 'decision/lane'
@@ -38,12 +38,9 @@ ROUNDED = (
 CONFIDENCE = 'stop.confidence'
 
 # Reasons why a decision differs or is not compared.
-NO_BELIEF = 'no belief on record has its stamp and its number of deployments'
+NO_BELIEF = 'no standings on record have its evidence'
 NOT_COMPUTED = 'its belief is not on record, or differs from the computed belief'
 NO_GOAL = 'the goal is not on record, or is not valid'
-
-# Maximum number of deployments of a message.
-MAX_COUNT = 2**32 - 1
 
 
 class RecordedGoal(NamedTuple):
@@ -62,38 +59,34 @@ class ReplayedDecisions:
         self._asked = asked
         # All confidences of the estimator on record.
         self.confidences: set[float] = set()
-        # Recorded decisions that are not compared yet, by stamp and number of deployments.
+        # Recorded decisions that are not compared yet, by the evidence of their belief.
         self._decisions = defaultdict[tuple[int, int], list[LoggedMessage]](list)
         # Recorded lanes by stamp, and computed lanes by stamp and belief.
         self._lanes = defaultdict[int, list[LoggedMessage]](list)
         self._computed_lanes = defaultdict[int, dict[str, Fields]](dict)
-        # Stamp and number of deployments of each belief on record, and the last number.
-        self._beliefs: set[tuple[int, int]] = set()
-        self._last = 0
-        # Numbers of deployments that missing beliefs may have.
-        self._missing: list[range] = []
+        # Evidence and stamps of the beliefs on record, and the last changes of each epoch.
+        self._beliefs: dict[tuple[int, int], int] = {}
+        self._changes: dict[int, int] = {}
 
     def note(self, logged: LoggedMessage) -> None:
         """Keep a decision or its lane until its belief is computed."""
-        stamp = from_stamp(logged.message.header.stamp)
         if logged.type_name == PATH:
-            self._lanes[stamp].append(logged)
+            self._lanes[from_stamp(logged.message.header.stamp)].append(logged)
         else:
-            self._decisions[stamp, logged.message.deployments].append(logged)
+            evidence = from_stamp(logged.message.epoch), logged.message.changes
+            self._decisions[evidence].append(logged)
 
-    def note_belief(self, said: Snapshot, since: int) -> None:
-        """Note a belief on record, and the number of deployments of the belief before it."""
-        last, self._last = self._last, said.deployments
-        if since not in (0, last):
-            self._missing.append(range(min(last + 1, since), since + 1))
-        elif not since and last + 1 < said.deployments:
-            # It names all evidence, and may follow any belief.
-            self._missing.append(range(last + 1, said.deployments))
-        self._beliefs.add((said.stamp, said.deployments))
+    def note_standings(self, epoch: int, changes: int) -> None:
+        """Note the evidence of standings on record, of which a belief may be missing."""
+        self._changes[epoch] = max(changes, self._changes.get(epoch, 0))
+
+    def note_belief(self, said: Snapshot) -> None:
+        """Note a belief on record."""
+        self._beliefs[said.evidence] = said.stamp
 
     def compare(self, ledger: Ledger, said: Snapshot) -> None:
         """Compare the recorded decisions on the ledger's belief, which is identical to `said`."""
-        key, belief = (said.stamp, said.deployments), belief_name(said.newest)
+        key, belief = said.evidence, belief_name(said.newest)
         if self._asked is None or not (key in self._decisions or said.stamp in self._lanes):
             return
         goal, max_steps, cells = self._asked
@@ -105,8 +98,9 @@ class ReplayedDecisions:
             if is_told and not decision.told:
                 decision = with_told(decision, ledger.estimator, said.deployments)
             stated = decision if is_told else replace(decision, told={})
+            of_belief = said.deployments, said.stamp, said.mission
             computed = decision_fields(
-                ledger.grid, stated, said.deployments, said.stamp, said.mission, cells
+                ledger.grid, stated, *of_belief, cells, said.author, *said.evidence
             )
             # These follow from the numbers of the message, which may be rounded differently.
             del computed.reached, computed.reason
@@ -121,9 +115,7 @@ class ReplayedDecisions:
         seen = replace(decision, p_free=message.probability, error=message.error)
         judged = [seen.judged(confidence or None) for confidence in self.confidences]
         stated = message.reached, message.reason
-        # Recorders of 1.0, whose decisions have no cells, may miss values of a parameter.
-        is_known = judged and hasattr(message, 'goal_cells')
-        if is_known and stated not in [(each.reached, each.reason) for each in judged]:
+        if judged and stated not in [(each.reached, each.reason) for each in judged]:
             known = ', '.join(map(str, sorted(self.confidences)))
             yield Difference(
                 'reached',
@@ -142,14 +134,16 @@ class ReplayedDecisions:
                 # Beliefs may share a stamp.
                 belief = min(found, key=lambda each: len(found[each]))
                 self._add(logged, belief, found[belief])
-        if not self._report.finished or self._report.corrupt:
-            self._missing.append(range(self._last + 1, MAX_COUNT + 1))
-        for key, decisions in self._decisions.items():
-            is_missing = any(key[1] in each for each in self._missing)
-            self._leave(decisions, is_missing or key in self._beliefs)
-        stamps = {stamp for stamp, _ in self._beliefs}
+        for evidence, decisions in self._decisions.items():
+            epoch, changes = evidence
+            self._leave(decisions, changes <= self._changes.get(epoch, -1))
+        is_any_missing = any(
+            (epoch, changes) not in self._beliefs
+            for epoch, last in self._changes.items()
+            for changes in range(last + 1)
+        )
         for stamp, lanes in self._lanes.items():
-            self._leave(lanes, bool(self._missing) or stamp in stamps)
+            self._leave(lanes, is_any_missing or stamp in self._beliefs.values())
 
     def _leave(self, left: Sequence[LoggedMessage], may_have_belief: bool) -> None:
         """Report decisions or lanes left over: they differ if they can have no belief."""

@@ -24,77 +24,27 @@ from kbnitp_ros.log.read import (
     RUN,
 )
 from kbnitp_ros.messages.beliefs import belief_field_names, read_belief_maps
-from kbnitp_ros.messages.deployments import read_path_name, read_report, read_status
+from kbnitp_ros.messages.deployments import hear_report, read_path_name, read_status
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import mission_of_path, read_stamp
 from kbnitp_ros.messages.operator_actions import read_action_name
-from kbnitp_ros.messages.progress import check_decision, MissionState, read_model_belief
+from kbnitp_ros.messages.progress import (
+    check_decision,
+    read_mission_status,
+    read_model_belief,
+)
+from kbnitp_ros.messages.standings import read_standings
 from kbnitp_ros.messages.states import read_state
-
-BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
-GRID = 'nav_msgs/msg/OccupancyGrid'
-MODEL = 'kbnitp_msgs/msg/ModelBelief'
-OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
-PATH = 'nav_msgs/msg/Path'
-PROGRESS = 'kbnitp_msgs/msg/Progress'
-RECORDED = 'kbnitp_msgs/msg/Recorded'
-REPORT = 'kbnitp_msgs/msg/DeploymentReport'
-STATE = 'kbnitp_msgs/msg/AgentState'
-STATUS = 'kbnitp_msgs/msg/AgentStatus'
-
-VIEWS = ('hazard', 'target', 'kappa')
-TRUTH = ('truth/hazard', 'truth/target')
-
-# Roles of a mission, and roles of each agent, with their message types.
-OF_MISSION = {
-    'belief': BELIEF,
-    'model': MODEL,
-    'operator': OPERATOR,
-    'operator/recorded': RECORDED,
-    'progress': PROGRESS,
-    'state': STATE,
-    'decision': 'kbnitp_msgs/msg/Decision',
-    'decision/lane': PATH,
-    'hold': 'std_msgs/msg/Bool',
-    **{f'belief/{name}': GRID for name in VIEWS},
-    **dict.fromkeys(TRUTH, GRID),
-}
-OF_AGENT = {
-    'path': PATH,
-    'proposal': PATH,
-    'report': REPORT,
-    'state': STATE,
-    'status': STATUS,
-    'recorded': RECORDED,
-    **dict.fromkeys(TRUTH, GRID),
-}
-
-# Roles of the evidence, and roles that each node publishes or subscribes to.
-EVIDENCE = ('path', 'report', 'status', 'recorded')
-ROLES_OF = {
-    'planner': (
-        *EVIDENCE,
-        'state',
-        'proposal',
-        'belief',
-        'decision',
-        'operator',
-        'operator/recorded',
-        'hold',
-    ),
-    'estimator': (
-        *EVIDENCE,
-        'belief',
-        'model',
-        'progress',
-        'decision',
-        'decision/lane',
-        *(f'belief/{name}' for name in VIEWS),
-    ),
-    'agent': (*EVIDENCE, 'state'),
-    'robot': (*EVIDENCE, 'state'),
-    'recorder': (*OF_MISSION, *OF_AGENT),
-}
+from kbnitp_ros.messages.topics import (
+    BELIEF,
+    GRID,
+    OF_AGENT,
+    OF_MISSION,
+    PATH,
+    REPORT,
+    ROBOTS,
+    topic_names,
+)
 
 # Name of the metadata record of the roles, and its key for the namespace.
 RECORD = 'roles'
@@ -102,9 +52,6 @@ NAMESPACE = 'namespace'
 
 # Maximum number of characters of an invalid message in an error.
 MAX_SHOWN = 500
-
-# Fields of beliefs that 0.3.0 lacks.
-ADDED = {'move', 'target_dynamics', 'target_appear', 'target_vanish', 'reach'}
 
 
 class Role(NamedTuple):
@@ -133,9 +80,9 @@ class Roles:
         node: str = 'recorder',
     ) -> Roles:
         """Return the roles of a node, with its resolved topic names."""
-        own, root = ROLES_OF[node], namespace.rstrip('/')
-        roles = [name for name in OF_MISSION if name in own and node not in ('agent', 'robot')]
-        roles += [f'{agent}/{name}' for agent in agents for name in OF_AGENT if name in own]
+        root = namespace.rstrip('/')
+        roles = [] if node in ROBOTS else topic_names(node, OF_MISSION)
+        roles += [f'{agent}/{name}' for agent in agents for name in topic_names(node, OF_AGENT)]
         return cls(root or '/', {each: (resolve or f'{root}/{{}}'.format)(each) for each in roles})
 
     @property
@@ -150,9 +97,9 @@ class Roles:
         for name, topic in self.names.items():
             agent, _, own = name.partition('/')
             if name in OF_MISSION:
-                roles[topic] = Role(name, '', OF_MISSION[name])
+                roles[topic] = Role(name, '', OF_MISSION[name].type_name)
             elif own in OF_AGENT:
-                roles[topic] = Role(own, agent, OF_AGENT[own])
+                roles[topic] = Role(own, agent, OF_AGENT[own].type_name)
         return roles
 
     @property
@@ -182,8 +129,7 @@ class Roles:
         """Describe the first role for which another node states another topic; empty if none."""
         for role, topic in stated.items():
             own = self.names.get(role)
-            # Logs of 1.0 have no states.
-            if own is None and not role.endswith('state'):
+            if own is None:
                 agents = ', '.join(self.agents)
                 agent = role.partition('/')[0]
                 return f'agent {agent} is not in the parameter agents, which names {agents}'
@@ -230,7 +176,7 @@ def roles_by_topics(
         for topic, kind in topics.items()
         if kind in (PATH, REPORT) and topic.startswith(f'{root}/')
     ]
-    found_agents = (agent for agent, _, role in sent if role in EVIDENCE)
+    found_agents = (agent for agent, _, role in sent if role in ('path', 'report'))
     return Roles.of(root, dict.fromkeys([*(reader.agents if reader else ()), *found_agents]))
 
 
@@ -315,9 +261,13 @@ def read_content(role: Role, message: Any) -> Any:
         case 'path':
             return DeploymentKey(role.agent, read_path_name(message)), mission_of_path(message)
         case 'report':
-            return read_report(message, role.agent)
+            return hear_report(message, role.agent)
         case 'status':
             return read_status(message, role.agent)
+        case 'standings':
+            return read_standings(message)
+        case 'mission':
+            return read_mission_status(message)
         case 'state':
             return read_state(message, role.agent)
         case 'operator':
@@ -330,22 +280,17 @@ def read_content(role: Role, message: Any) -> Any:
         case 'decision':
             return check_decision(message)
         case 'progress':
-            read_stamp('header.stamp', message.header.stamp)
-            return MissionState(message.state), message.reason
+            return read_stamp('header.stamp', message.header.stamp)
     return read_occupancy_grid(message) if role.type_name == GRID else None
 
 
 def check_version(log: str | Path, belief: Any) -> None:
     """Check that a log was recorded with this version's message types."""
     known, fields = belief_field_names(), set(belief.__slots__)
-    if lacking := known - fields - ADDED:
-        raise LogError(
-            f'{log} was recorded before version 0.3.0: its beliefs have no {min(lacking)}; '
-            'kbnitp_ros 0.2.0 (commit 2e485c7) reads it'
-        )
-    if unknown := fields - known:
+    if known != fields:
         recorder = read_metadata(log, []).get(RUN, {}).get('kbnitp_ros', 'not on record')
+        differing = min(known ^ fields)
         raise LogError(
-            f'{log} was recorded by a later version: its beliefs have the new field '
-            f'{min(unknown)}; read it with that version of kbnitp_ros ({recorder})'
+            f'{log} was recorded by another version ({recorder}): the field {differing} of its '
+            'beliefs is not that of this version; logs of 1.x are read by kbnitp_ros 1.9'
         )

@@ -4,7 +4,7 @@ The belief message, and the rules of its estimator.
 
 The field `joint` is the belief, bit for bit; the fields hazard, target and kappa are derived from
 `joint`. The message also contains the grid, the rules, the method and the sensor model, and names
-the evidence that was assimilated, so the belief can be computed again from the deployments.
+the standings whose evidence it holds, so the belief can be computed again from the deployments.
 """
 
 from __future__ import annotations
@@ -57,6 +57,10 @@ class Snapshot:
     stamp: int
     # Start of the mission, nanoseconds.
     mission: int
+    # Full name of the estimator, its start in nanoseconds, and its number of changes of evidence.
+    author: str
+    epoch: int
+    changes: int
     grid: Grid
     # The maximum number of steps of a path.
     max_steps: int
@@ -108,6 +112,11 @@ class Snapshot:
             'clustering': self.clustering,
         }
 
+    @property
+    def evidence(self) -> tuple[int, int]:
+        """Return the name of the evidence that this belief holds: epoch and changes."""
+        return self.epoch, self.changes
+
     def ledger(self) -> Ledger:
         """Return an estimator's ledger with these rules before the first deployment."""
         estimator = Estimator(
@@ -127,8 +136,9 @@ def belief_fields(
     ledger: Ledger,
     started: int,
     mission: int = NO_MISSION,
-    since: int = 0,
-    assimilated: Iterable[DeploymentKey] | None = None,
+    author: str = '',
+    epoch: int = 0,
+    changes: int | None = None,
 ) -> Fields:
     """Return the message fields of a ledger's belief."""
     belief, grid = ledger.belief, ledger.grid
@@ -172,19 +182,12 @@ def belief_fields(
         target_appear=targets.appear,
         target_vanish=0.0 if targets.target_rates else targets.vanish,
         clustering=np.nan if coupling == LEARNT_COUPLING else float(coupling),
+        author=author,
+        epoch=stamp_fields(epoch),
+        changes=ledger.changes if changes is None else changes,
         deployments=len(ledger.deployments),
         agent=newest.agent,
         deployment=stamp_fields(newest.stamp),
-        since=since,
-        taken_in=[
-            Fields(
-                agent=key.agent,
-                deployment=stamp_fields(key.stamp),
-                path=ledger.path_contents[key],
-                report=ledger.report_contents[key],
-            )
-            for key in (ledger.deployments if assimilated is None else assimilated)
-        ],
         hazard=belief.hazard,
         target=belief.target,
         kappa=belief.kappa,
@@ -205,29 +208,17 @@ def belief_maps(
     ledger: Ledger,
     started: int,
     mission: int = NO_MISSION,
-    since: int = 0,
-    assimilated: Iterable[DeploymentKey] | None = None,
+    author: str = '',
+    epoch: int = 0,
 ) -> BeliefMaps:
     """Return the belief message with the fields of `belief_fields`."""
-    from kbnitp_msgs.msg import BeliefMaps, Evidence, OwnNumber, UnknownNumber
+    from kbnitp_msgs.msg import BeliefMaps, OwnNumber, UnknownNumber
 
-    content = belief_fields(ledger, started, mission, since, assimilated)
+    content = belief_fields(ledger, started, mission, author, epoch)
     message = filled(BeliefMaps(), content)
     message.unknowns = [filled(UnknownNumber(), each) for each in content.unknowns]
     message.own = [filled(OwnNumber(), each) for each in content.own]
-    message.taken_in = [filled(Evidence(), each) for each in content.taken_in]
     return message
-
-
-def read_assimilated(message: Any) -> dict[DeploymentKey, tuple[int, int]]:
-    """Return the hashes of the path and the report of each deployment that a belief names."""
-    named = {}
-    for number, each in enumerate(message.taken_in):
-        if not each.agent:
-            raise ValueError(f"taken_in[{number}].agent is '': it must name the agent")
-        stamp = read_name(f'taken_in[{number}].deployment', each.deployment)
-        named[DeploymentKey(each.agent, stamp)] = each.path, each.report
-    return named
 
 
 def read_belief_maps(message: Any) -> Snapshot:
@@ -249,14 +240,16 @@ def read_belief_maps(message: Any) -> Snapshot:
     )
     belief = read_joint('joint', message.joint, grid)
     priors = read_unknowns(message.unknowns)
-    # Logs of 0.3.0 have no moving hazards.
-    rates = {'vanish': message.vanish, 'move': getattr(message, 'move', 0.0)}
+    rates = {'vanish': message.vanish, 'move': message.move}
     rates.update({name: priors.pop(name) for name in rates if name in priors})
     targets = read_target_dynamics(message, priors.pop(TARGET_VANISH, None))
     newest = read_name('deployment', message.deployment)
     return Snapshot(
         stamp=stamp,
         mission=read_stamp('mission', message.mission),
+        author=message.author,
+        epoch=read_name('epoch', message.epoch),
+        changes=message.changes,
         grid=grid,
         max_steps=message.max_steps,
         model=SensorModel(

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid, Observation, Report
+from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.messages.grids import orientation_fields
 from kbnitp_ros.messages.headers import (
     check_agent,
@@ -105,6 +107,7 @@ def report_message(
     stamp: int,
     source: Source = Source.AGENT,
     field_id: str = '',
+    settled: Sequence[int] = (),
 ) -> DeploymentReport:
     """Return the report of a deployment that ended, with a stamp in nanoseconds."""
     from kbnitp_msgs.msg import DeploymentReport, TargetReading
@@ -128,6 +131,7 @@ def report_message(
         ],
         steps_survived=observation.steps_survived,
         lost_at=[] if observation.lost_at is None else observation.lost_at.tolist(),
+        settled=[*settled],
         source=source,
         field_id=field_id,
     )
@@ -148,9 +152,16 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
                 f'readings[{number}] has detected and not_looked: at most one of them can be true'
             )
         readings.append((int(each.cell), -1 if each.not_looked else int(each.detected)))
-    # Reports of 1.0 have no not_entered and no field_id.
-    entered = tuple(not getattr(each, 'not_entered', False) for each in message.readings)
-    read_choice('source', message.source, Source)
+    entered = tuple(not each.not_entered for each in message.readings)
+    source = read_choice('source', message.source, Source)
+    settled = tuple(int(each) for each in message.settled)
+    if settled and source is not Source.OPERATOR:
+        raise ValueError(
+            f'settled names {len(settled)} reports and source is {source.name}: only the operator '
+            'settles a deployment'
+        )
+    if message.survived and source is not Source.AGENT:
+        raise ValueError(f'survived is true and source is {source.name}: only an agent comes back')
     return key, Report(
         bool(message.survived),
         tuple(readings),
@@ -158,16 +169,25 @@ def read_report(message: Any, agent: str | None = None) -> tuple[DeploymentKey, 
         int(message.steps_survived),
         lost_at=tuple(map(float, message.lost_at)),
         entered=() if all(entered) else entered,
-        field_id=getattr(message, 'field_id', ''),
+        field_id=message.field_id,
+        settled=settled if source is Source.OPERATOR else None,
+        content=content_hash(message),
     )
 
 
-class OrderState(IntEnum):
-    """The state of an order, as in kbnitp_msgs/AgentStatus."""
-
-    ACCEPTED = 1
-    DEPARTED = 2
-    REFUSED = 3
+def hear_report(message: Any, agent: str) -> tuple[DeploymentKey, Report]:
+    """Return the deployment and the report of a message, also of one that cannot be read."""
+    # A robot that is back is not lost, even if its report cannot be read.
+    try:
+        return read_report(message, agent)
+    except ValueError as error:
+        check_agent(message, agent)
+        return DeploymentKey(agent, read_name('deployment', message.deployment)), Report(
+            bool(message.survived),
+            field_id=message.field_id,
+            content=content_hash(message),
+            unreadable=str(error),
+        )
 
 
 @dataclass(frozen=True)

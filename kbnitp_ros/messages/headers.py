@@ -157,10 +157,6 @@ def filled(message: M, fields: Fields) -> M:
 # Bytes of a hash, which is a uint64 field.
 BYTES = 8
 
-# Fields that 1.0 lacks. They count only if they are set, so that a message which 1.0 could have
-# published keeps its hash.
-ADDED = {'field_id', 'not_entered'}
-
 
 def content_hash(message: Any) -> int:
     """Return a hash of the names and values of a message's fields."""
@@ -187,15 +183,10 @@ def _encode(value: Any, encoded: list[bytes]) -> None:
         text = value.encode()
         encoded += SIZED(b's', len(text)), text
     elif fields := _encoded_fields(kind):
-        place, count = len(encoded), 0
-        encoded.append(b'')
+        encoded.append(SIZED(b'm', len(fields)))
         for name, encoded_name in fields:
-            each = getattr(value, name)
-            if each or name not in ADDED:
-                count += 1
-                encoded.append(encoded_name)
-                _encode(each, encoded)
-        encoded[place] = SIZED(b'm', count)
+            encoded.append(encoded_name)
+            _encode(getattr(value, name), encoded)
     elif isinstance(value, float | int):
         # Numbers of numpy, and enumerations.
         _encode(float(value) if isinstance(value, float) else int(value), encoded)

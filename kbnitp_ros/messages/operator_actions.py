@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import inf
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid
@@ -13,6 +14,7 @@ from kbnitp_ros.messages.deployments import path_message, read_path
 from kbnitp_ros.messages.headers import header, LAST_NAME, read_choice, read_header, shown
 import numpy as np
 from numpy.typing import NDArray
+import yaml
 
 if TYPE_CHECKING:
     from kbnitp_msgs import msg
@@ -27,6 +29,8 @@ class Action(IntEnum):
     REFUSE = 4
     GIVE_UP = 5
     END = 6
+    SET = 7
+    START = 8
 
 
 # Description of each action, after "the operator".
@@ -37,6 +41,8 @@ WORDS = {
     Action.REFUSE: 'refused the paths of',
     Action.GIVE_UP: 'gave up',
     Action.END: 'ended the mission',
+    Action.SET: 'set',
+    Action.START: 'started the planner with',
 }
 OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
 
@@ -54,12 +60,17 @@ class OperatorAction:
     paths: Mapping[DeploymentKey, NDArray[np.intp]] = field(default_factory=dict)
     # Minimum number of steps survived, for a robot that is given up.
     steps_survived: int = 0
+    # Hashes of the reports that were heard of a robot that is given up.
+    settled: tuple[int, ...] = ()
+    # Values of parameters of the planner, by name.
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return a description of the action."""
         robots = ', '.join(map(str, self.paths))
         contact = f', last contact after step {self.steps_survived}'
-        return ' '.join(filter(None, [WORDS[self.action], robots])) + (
+        values = ', '.join(f'{name} to {value!r}' for name, value in self.parameters.items())
+        return ' '.join(filter(None, [WORDS[self.action], robots, values])) + (
             contact if self.steps_survived else ''
         )
 
@@ -75,6 +86,11 @@ def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorA
         agents=[key.agent for key in action.paths],
         paths=[path_message(grid, path, key.stamp) for key, path in action.paths.items()],
         steps_survived=action.steps_survived,
+        settled=[*action.settled],
+        parameters=[
+            yaml.safe_dump({name: value}, default_flow_style=True, width=inf).strip()
+            for name, value in action.parameters.items()
+        ],
     )
 
 
@@ -99,9 +115,39 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
     )
     for path in paths.values():
         grid.check_any_path(path)
+    settled = tuple(int(each) for each in message.settled)
+    if settled and action is not Action.GIVE_UP:
+        raise ValueError(
+            f'settled names {len(settled)} reports, and action is {action.name}: only GIVE_UP '
+            'settles a deployment'
+        )
+    if bool(message.parameters) != (action in (Action.SET, Action.START)):
+        raise ValueError(
+            f'parameters has {len(message.parameters)} values, and action is {action.name}'
+        )
     return OperatorAction(
-        stamp, action, int(message.robots_left), paths, int(message.steps_survived)
+        stamp,
+        action,
+        int(message.robots_left),
+        paths,
+        int(message.steps_survived),
+        settled,
+        read_parameters(message.parameters),
     )
+
+
+def read_parameters(texts: Iterable[str]) -> dict[str, Any]:
+    """Return the values of parameters in 'NAME: VALUE' texts."""
+    values: dict[str, Any] = {}
+    for text in texts:
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ValueError(f'parameters has {shown(text)}: it must be YAML: {error}') from error
+        if not isinstance(value, dict) or len(value) != 1 or value.keys() & values.keys():
+            raise ValueError(f'parameters has {shown(text)}: it must be NAME: VALUE, each once')
+        values |= value
+    return values
 
 
 # Maximum number of resumed pauses, and of refused proposals, in a mission, so that endless calls
@@ -122,8 +168,11 @@ class OperatorState:
         self.is_paused = False
         # Whether the operator has ended the mission.
         self.is_ended = False
-        # Robots given up, with the minimum number of steps that each has survived.
-        self.given_up: dict[DeploymentKey, int] = {}
+        # Robots given up, each with the action.
+        self.given_up: dict[DeploymentKey, OperatorAction] = {}
+        # Values of parameters that the operator set, and those given at the last start.
+        self.settings: dict[str, Any] = {}
+        self.given: dict[str, Any] = {}
 
     @property
     def is_holding(self) -> bool:
@@ -138,7 +187,15 @@ class OperatorState:
         if action.action in (Action.PAUSE, Action.RESUME):
             self.is_paused = action.action == Action.PAUSE
         elif action.action == Action.GIVE_UP:
-            self.given_up |= dict.fromkeys(action.paths, action.steps_survived)
+            self.given_up |= dict.fromkeys(action.paths, action)
+        elif action.action == Action.SET:
+            self.settings |= action.parameters
+        elif action.action == Action.START:
+            # A value that a later start gives anew outranks what was set before.
+            for name, value in action.parameters.items():
+                if name in self.given and self.given[name] != value:
+                    self.settings.pop(name, None)
+            self.given = dict(action.parameters)
         elif action.action == Action.END:
             self.is_ended = True
         return True

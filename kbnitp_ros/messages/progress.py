@@ -32,6 +32,8 @@ from kbnitp_ros.messages.headers import (
     from_stamp,
     header,
     header_fields,
+    read_choice,
+    read_header,
     stamp_fields,
 )
 import numpy as np
@@ -53,10 +55,110 @@ class MissionState(IntEnum):
     ENDED = 4
 
 
-# The state of a mission, and its reason; empty if the state needs none.
-MissionStatus = tuple[MissionState, str]
+class Obstacle(IntEnum):
+    """A condition that blocks the next deployment, as in kbnitp_msgs/MissionStatus."""
 
-NOT_KNOWN: MissionStatus = (MissionState.UNKNOWN, '')
+    NONE = 0
+    ACTION_UNRECORDED = 1
+    NO_BELIEF = 2
+    UNREPORTED = 3
+    UNJUDGED = 4
+    BELIEF_BEHIND = 5
+    ALL_DEPLOYED = 6
+    DECIDING = 7
+    OVER = 8
+    NO_SUBSCRIBER = 9
+    ALL_LEFT = 10
+    PAUSED = 11
+    NO_FREE_AGENT = 12
+    SEARCHING = 13
+    WORTHLESS = 14
+    UNAPPROVED = 15
+
+    @property
+    def is_end(self) -> bool:
+        """Return whether the condition ends the mission."""
+        return self in (Obstacle.ALL_DEPLOYED, Obstacle.OVER)
+
+
+class Helper(IntEnum):
+    """The part that can end a condition, as in kbnitp_msgs/MissionStatus."""
+
+    NOBODY = 0
+    OPERATOR = 1
+    ROBOT = 2
+    ESTIMATOR = 3
+    RECORDER = 4
+
+
+@dataclass(frozen=True)
+class MissionStatus:
+    """How a mission stands, as its planner says."""
+
+    # Time of the message, nanoseconds.
+    stamp: int = 0
+    # Full name of the planner.
+    author: str = ''
+    state: MissionState = MissionState.UNKNOWN
+    # What keeps the next robot from leaving, and who can end that.
+    obstacle: Obstacle = Obstacle.NONE
+    ends_by: Helper = Helper.NOBODY
+    # Whether departures are held.
+    hold: bool = False
+    # Numbers of robots that were sent, that have left and are not reported, and that count as
+    # lost; and of deployments that the operator has to decide on.
+    ordered: int = 0
+    out: int = 0
+    lost: int = 0
+    held: int = 0
+    # The obstacle in words; empty if it needs none.
+    reason: str = ''
+
+
+NOT_KNOWN = MissionStatus()
+
+
+def mission_status_message(status: MissionStatus) -> msg.MissionStatus:
+    """Return the message of the status of a mission."""
+    from kbnitp_msgs import msg
+
+    return msg.MissionStatus(
+        header=header(status.stamp),
+        author=status.author,
+        state=status.state,
+        obstacle=status.obstacle,
+        ends_by=status.ends_by,
+        hold=status.hold,
+        ordered=status.ordered,
+        out=status.out,
+        lost=status.lost,
+        held=status.held,
+        reason=status.reason,
+    )
+
+
+def read_mission_status(message: Any) -> MissionStatus:
+    """Convert a kbnitp_msgs/MissionStatus."""
+    stamp = read_header(message)
+    if not message.author:
+        raise ValueError("author is '': it must name the planner")
+    state = read_choice('state', message.state, MissionState)
+    if state is MissionState.UNKNOWN:
+        raise ValueError('state is 0: it must say how the mission stands')
+    return MissionStatus(
+        stamp=stamp,
+        author=message.author,
+        state=state,
+        obstacle=read_choice('obstacle', message.obstacle, Obstacle),
+        ends_by=read_choice('ends_by', message.ends_by, Helper),
+        hold=message.hold,
+        ordered=message.ordered,
+        out=message.out,
+        lost=message.lost,
+        held=message.held,
+        reason=message.reason,
+    )
+
 
 # Steps of a path from which on an estimator loads numba: half a second and 135 MB. Without it the
 # information of a path of 100 steps takes 7 ms.
@@ -68,7 +170,6 @@ def progress_message(
     before: tuple[int, Estimator] | None,
     world: World | None,
     stamp: int,
-    out: int,
     status: MissionStatus = NOT_KNOWN,
 ) -> msg.Progress:
     """Return a progress message; `before`: deployments and estimator of the previous belief."""
@@ -87,8 +188,8 @@ def progress_message(
         header=header(stamp),
         deployments=len(ledger.deployments),
         lost=ledger.lost,
-        ordered=len(ledger.paths),
-        out=out,
+        ordered=status.ordered,
+        out=status.out,
         hazard_entropy=float(binary_entropy(belief.hazard).sum()),
         target_entropy=float(binary_entropy(belief.target).sum()),
         joint_entropy=belief.joint_entropy(),
@@ -97,8 +198,8 @@ def progress_message(
         hazard_log_loss=log_loss(belief.hazard, world.hazard) if world else nan,
         target_log_loss=log_loss(belief.target, world.target) if world else nan,
         upper_bound=nan,
-        state=status[0],
-        reason=status[1],
+        state=status.state,
+        reason=status.reason,
     )
 
 
@@ -187,9 +288,7 @@ def model_belief(ledger: Ledger, stamp: int, checked: Checked) -> ModelBelief:
 
 def checked_belief(message: Any) -> tuple[int, int]:
     """Return the deployments and the stamp of the belief whose check a message has."""
-    # Before 1.9 each belief was checked.
-    deployments = getattr(message, 'checked', message.deployments)
-    return deployments, from_stamp(getattr(message, 'checked_stamp', message.header.stamp))
+    return message.checked, from_stamp(message.checked_stamp)
 
 
 def read_model_belief(message: Any) -> ModelState:
@@ -198,7 +297,7 @@ def read_model_belief(message: Any) -> ModelState:
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
     listed = {'kind_probability': 'kind', 'alternative_ratio': 'alternative'}
     for field, names in {**dict.fromkeys(fields, 'name'), **listed}.items():
-        values, named = len(getattr(message, field, ())), len(getattr(message, names, ()))
+        values, named = len(getattr(message, field)), len(getattr(message, names))
         if values != named:
             raise ValueError(
                 f'{field} has {values} values: it must have one for each of the {named} {names}s'
@@ -209,9 +308,6 @@ def read_model_belief(message: Any) -> ModelState:
             message.name, *(getattr(message, field) for field in fields)
         )
     }
-    # Logs of 0.3.0 have only numbers.
-    if not hasattr(message, 'kind'):
-        return NOTHING_LEARNT._replace(numbers=numbers)
     kinds = dict(zip(message.kind, message.kind_probability))
     ratios = dict(zip(message.alternative, message.alternative_ratio))
     check = ModelCheck(message.in_doubt, ratios, message.reason)
@@ -225,11 +321,17 @@ def decision_fields(
     stamp: int,
     mission: int,
     goal_cells: Sequence[int] = (),
+    author: str = '',
+    epoch: int = 0,
+    changes: int = 0,
 ) -> Fields:
-    """Return the fields of a decision, with deployments, stamp and mission of its belief."""
+    """Return the fields of a decision on a belief."""
     return Fields(
         header=header_fields(stamp),
         deployments=deployments,
+        author=author,
+        epoch=stamp_fields(epoch),
+        changes=changes,
         goal=decision.goal,
         probability=decision.p_free,
         error=decision.error,
@@ -281,8 +383,8 @@ def read_decision(grid: Grid, message: Any) -> Decision:
     return Decision(
         goal=message.goal,
         p_free=message.probability,
-        # The message of a lane has its path; that of an area has cells since 1.9.
-        cells=np.unique(path if path.size else getattr(message, 'goal_cells', path)),
+        # The message of a lane has its path, that of an area has its cells.
+        cells=np.unique(path if path.size else message.goal_cells),
         error=message.error,
         path=path,
         survival=message.survival,

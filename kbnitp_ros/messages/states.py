@@ -35,6 +35,7 @@ class Readiness(IntEnum):
     READY = 1
     WAITING = 2
     OUT = 3
+    NO_JOURNAL = 4
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class AgentState:
     # The agent's field with its base, without blocked cells, and the number of these.
     field: Grid
     blocked: int
+    # Identifier of the robot's journal; '' without one.
+    journal: str
     is_at_base: bool
 
     def difference(self, own: Grid) -> str:
@@ -83,7 +86,13 @@ def corners(grid: Grid) -> str:
 
 
 def state_message(
-    grid: Grid, agent: str, readiness: Readiness, reason: str, is_at_base: bool, stamp: int
+    grid: Grid,
+    agent: str,
+    readiness: Readiness,
+    reason: str,
+    is_at_base: bool,
+    stamp: int,
+    journal: str = '',
 ) -> msg.AgentState:
     """Return the message of an agent's state on this grid, at a time in nanoseconds."""
     from kbnitp_msgs import msg
@@ -98,6 +107,7 @@ def state_message(
         blocked=int((~grid.free).sum()),
         connectivity=grid.connectivity,
         through_corners=grid.through_corners,
+        journal=journal,
         at_base=is_at_base,
     )
     filled(message.info, metadata_fields(grid))
@@ -109,8 +119,8 @@ def read_state(message: Any, agent: str) -> AgentState:
     stamp = read_header(message)
     check_agent(message, agent)
     readiness = read_choice('state', message.state, Readiness)
-    if readiness is Readiness.WAITING and not message.reason:
-        raise ValueError("reason is '' and state is WAITING: it must say what the agent waits for")
+    if readiness in (Readiness.WAITING, Readiness.NO_JOURNAL) and not message.reason:
+        raise ValueError(f"reason is '' and state is {readiness.name}: it must say why")
     check_reason(message.reason)
     if not (len(message.field_id) == 16 and set(message.field_id) <= set('0123456789abcdef')):
         raise ValueError(
@@ -129,5 +139,6 @@ def read_state(message: Any, agent: str) -> AgentState:
             through_corners=message.through_corners,
         ),
         blocked=message.blocked,
+        journal=message.journal,
         is_at_base=message.at_base,
     )

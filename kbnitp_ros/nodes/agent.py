@@ -19,12 +19,12 @@ from kbnitp_ros.configuration.agents import (
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import DeploymentKey, Observation, World
 from kbnitp_ros.core.field.world import Traverse
-from kbnitp_ros.core.inference.record import deployment_order
+from kbnitp_ros.core.inference.record import deployment_order, OrderState
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
-from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
+from kbnitp_ros.messages.deployments import report_message, status_message
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import check_mission, mission_of_path
+from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
 from kbnitp_ros.messages.markers import pose_message, readings_marker
 from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
@@ -207,19 +207,14 @@ class Simulation:
             self._world = made.world
             self._outcomes[key] = made
 
-    def is_over(self, observation: Observation | None) -> bool:
-        """Return whether a recorded deployment needs no simulation any more."""
-        # With `silent_loss` a robot recorded as lost may still be on its way home.
-        return observation is not None and (
-            observation.survived or not self.node.values['silent_loss']
-        )
-
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
         """Restore a deployment unless it was refused or, with static hazards, has not departed."""
-        is_at_home = self.is_static and not record.has_departed(key)
-        if key in record.departures.refused or is_at_home:
+        # With `silent_loss` a robot that the planner gave up may still be on its way home.
+        is_over = bool(record.said_by_agent.get(key))
+        is_at_home = self.is_static and not (is_over or record.has_departed(key))
+        if record.is_refused(key) or is_at_home:
             return
-        if self.is_static and self.is_over(record.outcome(key)):
+        if self.is_static and is_over:
             self._known[key.agent] += 1
             self._left[key.agent] += 1
             return
@@ -257,13 +252,12 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         if self._node.values['publish_pose']:
             self._poses = self._node.create_publisher(TFMessage, '/tf', qos.POSES)
         for key in record.orders:
-            outcome = record.outcome(key)
-            if key.agent == name and outcome is not None and simulation.is_over(outcome):
-                # Publish the recorded report again, and do not start the robot a second time.
+            if key.agent == name and (said := record.said_by_agent.get(key)):
+                # Do not start the robot a second time. What is said again is the same bytes.
                 simulation.paths[key] = record.paths[key]
                 self._publish_status(key, OrderState.DEPARTED)
-                stamp = record.reports[key].stamp
-                self.reports.publish(report_message(key, outcome, stamp))
+                for data in said.values():
+                    self.reports.publish(data)
 
     def _publisher(self, message_type: type, topic: str, profile: QoSProfile) -> Publisher:
         name = f'{self._node.above}/{self.agent}/{topic}'
@@ -300,7 +294,7 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._publish_status(key, OrderState.ACCEPTED)
         if self._node.values['recorded']:
             departure = status_message(key, OrderState.DEPARTED, key.stamp)
-            self.when_recorded(departure, partial(self._move, key))
+            self.when_recorded(key.stamp, content_hash(departure), partial(self._move, key))
         self._depart_all()
 
     def _depart_all(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_msgs.srv import Draws
+from kbnitp_ros.base.state import EvidenceName
 from kbnitp_ros.configuration import make_goal
 from kbnitp_ros.configuration.mission import checked_goal
 from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safest_path
@@ -20,6 +21,7 @@ from kbnitp_ros.files import counted
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import check_frame, from_stamp
 from kbnitp_ros.messages.progress import decision_fields, decision_message, fill_draws
+from kbnitp_ros.nodes.presence import Repeated
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import Path
@@ -38,12 +40,13 @@ T = TypeVar('T')
 
 
 class Known(NamedTuple):
-    """A published belief: its estimator, number of deployments, stamp and mission."""
+    """A published belief: its estimator, number of deployments, stamp, mission and evidence."""
 
     estimator: Estimator
     deployments: int
     stamp: int
     mission: int
+    evidence: EvidenceName
 
 
 class Decisions:
@@ -61,7 +64,7 @@ class Decisions:
         self._begun: tuple[Known | None, float] = None, 0.0
         # Services with a call that is being answered.
         self._answering: set[str] = set()
-        self._publisher = node.create_publisher(DecisionMessage, 'decision', qos.LATCHED)
+        self._publisher = Repeated(node, DecisionMessage, 'decision', qos.LATCHED)
         self._lane = node.create_publisher(Path, 'decision/lane', qos.LATCHED)
         node.add_on_set_parameters_callback(self._check)
         # Later, once the values of the node have changed.
@@ -73,10 +76,11 @@ class Decisions:
     def _goal(self) -> Goal | None:
         return make_goal(self._node.values, self._grid)
 
-    def publish(self, ledger: Ledger, stamp: int, mission: int) -> None:
+    def publish(self, ledger: Ledger, stamp: int, mission: int, epoch: int) -> None:
         """Decide on a new belief, and publish the decision once it is computed."""
         # A late deployment gives the ledger another estimator, and leaves this one as it is.
-        self._newest = Known(ledger.estimator, len(ledger.deployments), stamp, mission)
+        evidence = EvidenceName(epoch, ledger.changes)
+        self._newest = Known(ledger.estimator, len(ledger.deployments), stamp, mission, evidence)
         self._decide()
 
     def finish(self) -> None:
@@ -127,7 +131,11 @@ class Decisions:
         if self._begun[0] is known:
             cells = self._node.values['goal.cells']
             of_belief = known.deployments, known.stamp, known.mission
-            message = decision_message(decision_fields(self._grid, decision, *of_belief, cells))
+            author = self._node.get_fully_qualified_name()
+            fields = decision_fields(
+                self._grid, decision, *of_belief, cells, author, *known.evidence
+            )
+            message = decision_message(fields)
             self._publisher.publish(message)
             self._lane.publish(message.path)
             taken = '' if known.estimator.draws_are_exact else ' (cells assumed independent)'
@@ -150,8 +158,8 @@ class Decisions:
 
     def _on_draws(self, request: Draws.Request, response: Draws.Response) -> Any:
         """Answer with draws for the newest belief."""
-        known, asked = self._newest, (from_stamp(request.stamp), request.deployments)
-        if known is None or (known.stamp, known.deployments) != asked:
+        known, asked = self._newest, (from_stamp(request.epoch), request.changes)
+        if known is None or known.evidence != asked:
             response.message = 'the newest belief is another one'
             return response
         if 'draws' in self._answering:

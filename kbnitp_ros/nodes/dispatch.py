@@ -10,15 +10,16 @@ import time
 
 from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.agent_states import AgentStates
-from kbnitp_ros.base.state import BaseState, MissingError
+from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
-from kbnitp_ros.core.inference.record import is_back
+from kbnitp_ros.core.inference.record import OPEN, Verdict
 from kbnitp_ros.log.record import RecordedMission
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import (
-    OrderState,
+    hear_report,
     path_message,
     read_report,
     read_status,
@@ -35,13 +36,16 @@ from kbnitp_ros.messages.headers import (
 from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.nodes.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.node import FieldNode, LOG_FIRST, PendingMessages
+from kbnitp_ros.nodes.runtime.node import FieldNode, LOG_FIRST
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 
 # Seconds without orders for an agent after it refused an order, doubled with each further refusal;
 # and the maximum pause.
 FIRST_PAUSE, MAX_PAUSE = 1.0, 60.0
+
+# Seconds until the path of an order on record must have arrived.
+READ_AGAIN = 1.0
 
 # Seconds that the nodes of a base may take to process a return.
 PROCESSING = 5.0
@@ -84,10 +88,12 @@ class Dispatch:
         self._late: dict[DeploymentKey, float] = {}
         # Pauses of agents after refusals: the length in seconds, and the end.
         self._pauses: dict[str, tuple[float, float]] = {}
-        # Losses reported before the departures of their robots.
-        self._early = PendingMessages(node, self._on_report)
         # The stamp of the last deployment, in nanoseconds.
         self.last_stamp = 0
+        # Paths and reports on record that have not arrived, and the times, seconds.
+        self.unknown: dict[tuple[DeploymentKey, int], float] = {}
+        # Deployments without a step that were logged.
+        self._unmoved: set[DeploymentKey] = set()
         # Descriptions of the plans of robots that have not departed.
         self._goals: dict[DeploymentKey, str] = {}
 
@@ -96,22 +102,36 @@ class Dispatch:
         for key in record.orders:
             if key.stamp <= LAST_COUNTED_ON:
                 self.last_stamp = key.stamp
-            if key not in record.departures.refused:
-                # The publisher of the former planner, which kept the path, is gone.
+            # The publisher of the former planner, which kept the path, is gone. The estimator may
+            # not have heard of an order that was refused.
+            self.paths[key.agent].publish(record.messages[key])
+            if not record.is_refused(key):
+                self._rounds.count_path(record.paths[key])
+        # What is sent again is the same bytes.
+        for (key, _), data in record.given_up.items():
+            self._losses[key.agent].publish(data)
+            if key in record.paths:
+                self._await_late(key)
+        told = {key for key, _ in record.given_up}
+        for key, action in record.operator.given_up.items():
+            if key in record.in_flight and key not in told:
+                self.give_up(key, Source.OPERATOR, action.steps_survived, action.settled)
+
+    def read_again(self, log: MissionLog, record: RecordedMission) -> None:
+        """Read orders of an earlier planner that were recorded after the log was read."""
+        due = time.monotonic() - READ_AGAIN
+        if not any(since < due for since in self.unknown.values()):
+            return
+        self.unknown.clear()
+        before = {*record.paths}
+        for role, logged in log.read('path', 'report', 'status'):
+            with suppress(ValueError):
+                record.take(role, logged)
+        for key in record.orders:
+            if key not in before:
+                self.last_stamp = max(self.last_stamp, key.stamp)
                 self.paths[key.agent].publish(record.messages[key])
                 self._rounds.count_path(record.paths[key])
-        given_up = record.operator.given_up
-        for key in record.orders:
-            outcome = record.outcome(key)
-            is_own = self._values['silent_loss'] or key in given_up
-            if is_own and outcome is not None and not outcome.survived:
-                source = Source.OPERATOR if key in given_up else Source.SILENCE
-                stamp = record.reports[key].stamp
-                self._losses[key.agent].publish(report_message(key, outcome, stamp, source))
-                self._await_late(key)
-        for key, steps_survived in given_up.items():
-            if key in record.in_flight and record.is_away(key):
-                self.give_up(key, Source.OPERATOR, steps_survived)
 
     def listen(self) -> None:
         """Subscribe to the agents' topics."""
@@ -161,13 +181,22 @@ class Dispatch:
             self._goals[key] = describe_plan(self._node.grid, plan)
             self.last_stamp = max(self.last_stamp, key.stamp)
 
-    def give_up(self, key: DeploymentKey, source: Source, steps_survived: int = 0) -> None:
-        """Report a robot in flight as lost."""
+    def give_up(
+        self,
+        key: DeploymentKey,
+        source: Source,
+        steps_survived: int = 0,
+        settled: Sequence[int] = (),
+    ) -> None:
+        """Report a robot in flight as lost; `settled`: hashes of reports that do not matter."""
         self._log_departure(key)
         path, contact = self._state.paths[key], self._values['contact_probability']
         lost = lost_after_contact(path, steps_survived, contact)
-        self._losses[key.agent].publish(report_message(key, lost, self._node.now(), source))
-        self._state.end(key)
+        message = report_message(key, lost, self._node.now(), source, settled=settled)
+        self._losses[key.agent].publish(message)
+        # The robot waits for the estimator's judgement, and not for another timeout.
+        with suppress(ValueError):
+            self._state.record_report(*read_report(message))
         self._await_late(key)
 
     def give_up_overdue(self) -> None:
@@ -182,7 +211,7 @@ class Dispatch:
                 self.give_up(key, Source.SILENCE)
 
     def _why_not_lost(self, key: DeploymentKey) -> str:
-        status = self._state.departures.status(key)
+        status = self._state.status(key)
         # The time of a presumed departure is not known.
         departed = status.stamp if status else self._state.sent[key]
         return self.states.why_not_lost(key.agent, departed)
@@ -191,7 +220,7 @@ class Dispatch:
         """Log the departures."""
         state = self._state
         for key in [*self._goals]:
-            if key not in state.in_flight or state.is_away(key):
+            if key not in state.void and (key not in state.in_flight or state.is_away(key)):
                 self._log_departure(key)
 
     def log_reasons(self) -> None:
@@ -200,7 +229,11 @@ class Dispatch:
             if self._held.get(key) != why:
                 self._held[key] = why
                 self._log_departure(key)
-                self._node.get_logger().warning(f'{key} is held, and counts for nothing: {why}')
+                give_up = self._node.resolve_service_name('give_up')
+                self._node.get_logger().warning(
+                    f'{key} is held, and counts for nothing, until the robot reports again or '
+                    f'{give_up} is called: {why}'
+                )
         # Short waits are normal.
         for agent, (reason, since) in self._reasons.items():
             is_new = reason and (agent, reason) not in self._told
@@ -213,46 +246,46 @@ class Dispatch:
             self._pauses.pop(key.agent, None)
             self._node.deployment_logger.info(f'{key} leaves {goal}')
 
-    def _on_report(
-        self, agent: str, message: DeploymentReport, deadline: float | None = None
-    ) -> None:
+    def _on_report(self, agent: str, message: DeploymentReport) -> None:
+        """Await the judgement of a report."""
         try:
-            key, report = read_report(message, agent)
-        except ValueError as error:
-            self._node.diagnostics.refuse(f'{agent}/report', error)
-            self._hold_unreadable(agent, message, error)
-            return
-        try:
-            if not report.survived:
-                self._state.departures.check_loss(key)
-            is_awaited = key in self._state.in_flight
+            key, report = hear_report(message, agent)
             self._state.record_report(key, report)
-        except MissingError as error:
-            if not self._early.keep(deadline, agent, message):
-                self._node.diagnostics.refuse(f'{agent}/report', error)
-            return
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/report', error)
-            self._act()
-            return
-        self._log_departure(key)
-        if report.survived:
-            if key in self._late:
-                self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
-            if is_awaited and key in self._state.unmoved:
-                self._node.get_logger().warning(
-                    f'{key} returned without moving, and does not count as a robot of the '
-                    f'mission: {self.states.reason(agent) or "see the console of its robot"}'
-                )
         self._act()
 
-    def _hold_unreadable(self, agent: str, message: DeploymentReport, why: ValueError) -> None:
-        """Hold the deployment of an invalid report of a robot that was not lost in this field."""
-        with suppress(ValueError):
-            key = DeploymentKey(agent, read_name('deployment', message.deployment))
-            if message.agent == agent and is_back(message, self._node.grid):
-                self._state.hold_refused(key, why)
-                self._act()
+    def follow(self) -> None:
+        """Handle deployments that ended, or that an estimator took back."""
+        state = self._state
+        for key in [*self._goals]:
+            if key in state.void:
+                self._take_back(key)
+        for key in state.unmoved - self._unmoved:
+            reason = self.states.reason(key.agent) or 'see the console of its robot'
+            self._node.get_logger().warning(
+                f'{key} returned without moving, and does not count as a robot of the mission: '
+                f'{reason}'
+            )
+        self._unmoved = {*state.unmoved}
+        for key in [*self._late]:
+            if state.standings.get(key, OPEN).verdict in (Verdict.RETURN, Verdict.UNMOVED):
+                self._late[key] = min(self._late[key], time.monotonic() + PROCESSING)
+        self.log_departures()
+
+    def _take_back(self, key: DeploymentKey) -> None:
+        """Forget the path of an order that was refused, and leave its agent alone for a while."""
+        self._rounds.count_path(self._state.paths[key], -1)
+        pause = FIRST_PAUSE
+        if key.agent in self._pauses:
+            pause = min(2 * self._pauses[key.agent][0], MAX_PAUSE)
+        self._pauses[key.agent] = pause, time.monotonic() + pause
+        del self._goals[key]
+        status = self._state.status(key)
+        reason = status.reason if status else ''
+        self._node.get_logger().warning(
+            f'{key} was refused by its agent, so its robot stays at the base: {reason}'
+        )
 
     def _on_state(self, agent: str, message: AgentState) -> None:
         try:
@@ -265,7 +298,7 @@ class Dispatch:
         if reason != self._reasons.get(agent, ('', 0.0))[0]:
             self._reasons[agent] = reason, time.monotonic()
         if is_withdrawn and agent in self._state.still_agents:
-            self._state.release(agent)
+            self._state.forgive(agent)
         for key in [key for key in self._state.held if key.agent == agent]:
             if not self._why_not_lost(key):
                 self._state.leave(agent)
@@ -274,25 +307,13 @@ class Dispatch:
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Record an agent's status of an order."""
         try:
-            key, status = read_status(message, agent)
-            was_in_flight = key in self._state.in_flight
-            if not self._state.take_status(key, status):
-                return
+            self._state.take_status(*read_status(message, agent))
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/status', error)
             return
         self._node.diagnostics.accepted += 1
-        if status.state is OrderState.REFUSED and was_in_flight:
-            self._rounds.count_path(self._state.paths[key], -1)
-            pause = FIRST_PAUSE
-            if agent in self._pauses:
-                pause = min(2 * self._pauses[agent][0], MAX_PAUSE)
-            self._pauses[agent] = pause, time.monotonic() + pause
-            self._goals.pop(key, None)
-            self._node.get_logger().warning(
-                f'{key} was refused by its agent, so its robot stays at the base: {status.reason}'
-            )
         self.log_departures()
+        self._act()
 
     def _on_path(self, agent: str, message: Path) -> None:
         """Note another planner's path; use it in place of ours if the recorder acknowledged it."""
@@ -310,12 +331,20 @@ class Dispatch:
                 'the path of this planner',
             )
 
+    def _is_known(self, key: DeploymentKey, message: Recorded) -> bool:
+        """Return whether the message that is on record has arrived."""
+        if message.kind == Recorded.REPORT:
+            return message.content in self._state.heard_hashes(key)
+        return message.kind != Recorded.PATH or key in self._state.paths
+
     def _on_recorded(self, agent: str, message: Recorded) -> None:
         try:
             key = DeploymentKey(agent, read_name('stamp', message.stamp))
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/recorded', error)
             return
+        if not self._is_known(key, message):
+            self.unknown.setdefault((key, message.content), time.monotonic())
         if self._state.take_recorded(key, message.content):
             # Subscribe anew to receive the recorded path, which its publisher keeps.
             self._node.destroy_subscription(self._sent_paths[agent])

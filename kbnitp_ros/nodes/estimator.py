@@ -1,36 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator: computes the belief from paths and reports, and publishes it."""
+"""The estimator: judges what counts, computes the belief from it, and publishes both."""
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 
-from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport
-from kbnitp_ros.base.state import Departures, MissingError
+from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, MissionStatus
+from kbnitp_msgs.msg import Standings as StandingsMessage
 from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
 from kbnitp_ros.configuration.checks import density_note, failure_note
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.configuration.mission import checked_goal, settled_goal
 from kbnitp_ros.configuration.table import MAX_AGENTS
-from kbnitp_ros.core import DeploymentKey, Ledger
+from kbnitp_ros.core import DeploymentKey, Ledger, Report
+from kbnitp_ros.core.inference.record import OPEN, Verdict
 from kbnitp_ros.files import counted
-from kbnitp_ros.log.record import check_same_field, is_of_mission, read_mission, record
+from kbnitp_ros.log.record import check_same_field, fold_evidence, read_mission
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
-from kbnitp_ros.messages.deployments import read_path, read_report, read_status
+from kbnitp_ros.messages.deployments import AgentStatus as Status
+from kbnitp_ros.messages.deployments import hear_report, read_path, read_status
 from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp, mission_of_path
-from kbnitp_ros.messages.progress import Checked
+from kbnitp_ros.messages.progress import Checked, read_mission_status
+from kbnitp_ros.messages.standings import standings_fields, standings_message
 from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.models import Models
+from kbnitp_ros.nodes.presence import Repeated
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import HELD, waiting_for
-from kbnitp_ros.nodes.runtime.node import FieldNode, PendingMessages
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
+from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.nodes.views import NewEvidence, Views
+from kbnitp_ros.nodes.views import Views
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +43,22 @@ SentPath = tuple[DeploymentKey, NDArray[np.intp], int, int]
 
 CLOCK = 'the clock to start on /clock (parameter use_sim_time)'
 
+# Seconds between two looks for messages on record that have not arrived.
+READ_AGAIN = 1.0
+
+# One in so many standings is complete.
+COMPLETE_EVERY = 64
+
+# Words for a deployment that ended, by verdict.
+ENDED = {
+    Verdict.RETURN: 'came back',
+    Verdict.UNMOVED: 'came back without a step',
+    Verdict.LOSS: 'was lost',
+}
+
 
 class EstimatorNode(FieldNode):
-    """Compute the belief from the reports of all deployments, and publish it after each report."""
+    """Judge each report that is on record, and publish standings and the belief after it."""
 
     def __init__(self) -> None:
         super().__init__('estimator')
@@ -56,6 +71,7 @@ class EstimatorNode(FieldNode):
         robot_types = own_robot_types(self.values, self.grid)
         self._ledger = Ledger(self.grid, self.values['max_steps'], estimator, robot_types)
         self._prior = self._ledger.copy()
+        self._rules = content_hash(belief_maps(self._prior, 0))
         self.get_logger().info(failure_note(self.values))
         if estimator.parameters:
             self.get_logger().info(
@@ -64,7 +80,8 @@ class EstimatorNode(FieldNode):
             )
         # The mission of the paths in the ledger; None without paths.
         self._mission: int | None = None
-        self._departures = Departures()
+        # Start of this estimator, later than those of all earlier ones on record, nanoseconds.
+        self._epoch = 0
         if self.values['resume']:
             log = resumed_log(self.values['resume'], self.roles)
             check_same_field(log, self.grid, robot_types)
@@ -79,39 +96,37 @@ class EstimatorNode(FieldNode):
         self._models = Models(self, self._warn_of_doubt) if has_model else None
         self._decisions = Decisions(self)
         self._doubt = ''
-        self._new = NewEvidence()
-        self._belief = self.create_publisher(
-            BeliefMaps,
-            'belief',
-            qos.LATCHED,
-            event_callbacks=PublisherEventCallbacks(matched=self.guarded(self._on_matched)),
+        # Events and changes in the standings published last, and standings until complete ones.
+        self._published = 0, 0
+        self._until_complete = 0
+        matched = PublisherEventCallbacks(matched=self.guarded(self._on_standings_matched))
+        self._standings = Repeated(
+            self, StandingsMessage, 'standings', qos.STANDINGS, event_callbacks=matched
         )
+        self._belief = self.create_publisher(BeliefMaps, 'belief', qos.LATCHED)
+        # The messages of each agent that are on record.
+        self._on_record: dict[str, RecordedPaths[SentPath]] = {}
         for agent in agents:
             sent = RecordedPaths(self, agent, partial(self._read_path, agent), self._take_path)
+            self._on_record[agent] = sent
             sent.listen()
             self.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
-        # Losses reported before the departures of their robots.
-        self._early = PendingMessages(self, self._on_report)
+        self.subscribe(MissionStatus, 'mission', self._on_mission, qos.LATCHED)
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''
         self._awaiting = self.create_poll(self._publish_first)
+        if self.values['resume']:
+            self.create_poll(self._read_again, READ_AGAIN)
 
     def _take_in(self, log: MissionLog) -> None:
-        """Apply the recorded paths, reports and statuses; duplicates change nothing."""
+        """Judge the recorded paths, reports and statuses; duplicates change nothing."""
         if self._mission is None:
             self._mission = read_mission(log)
-        evidence = log.read('path', 'report', 'status')
-        for role, logged in self.log_progress(evidence, f'reading {log.path}'):
-            # Evidence that was refused before the restart is refused again.
-            with suppress(ValueError):
-                if role.name == 'status':
-                    self._departures.take(*logged.said)
-                elif is_of_mission(role, logged, self._mission):
-                    record(self._ledger, role, logged)
-        for key in self._ledger.deployments:
-            self._departures.end(key, None)
+        evidence = log.read('path', 'report', 'status', 'standings')
+        messages = self.log_progress(evidence, f'reading {log.path}')
+        self._epoch = max(self._epoch, fold_evidence(self._ledger, messages, self._mission))
 
     def _publish_first(self) -> None:
         missing, now = self.missing_listeners([self._belief]), self.now()
@@ -122,17 +137,48 @@ class EstimatorNode(FieldNode):
                 # The recorder may have written messages since the log was read.
                 self._take_in(resumed_log(log, self.roles))
             self._started = now
+            self._epoch = max(now, self._epoch + 1)
             self._awaiting.cancel()
+            self._publish_standings()
             # A replay of the log starts from the prior.
             self._publish(self._prior)
             if self._ledger.deployments:
                 self._publish(self._ledger)
             self._update_state()
 
-    def _on_matched(self, status: QoSPublisherMatchedInfo) -> None:
-        if status.current_count_change > 0:
-            # The new subscriber has not received the earlier beliefs.
-            self._new.name_all()
+    def _read_again(self) -> None:
+        """Read the log again if something is on record that has not arrived."""
+        unknown = [each.has_unknown() for each in self._on_record.values()]
+        if self._started and any(unknown):
+            self._take_in(resumed_log(self.values['resume'], self.roles))
+            if self._ledger.deployments:
+                self._publish_news(self._ledger.deployments[-1])
+
+    def _publish_standings(self) -> None:
+        """Publish the standings that changed; all of them at the start and now and then."""
+        changed, since = self._ledger.take_changed(), self._published[0]
+        self._until_complete -= 1
+        if self._until_complete <= 0:
+            since, self._until_complete = 0, COMPLETE_EVERY
+        self._published = self._ledger.events, self._ledger.changes
+        keys = changed if since else self._ledger.judged
+        fields = standings_fields(
+            self._ledger,
+            keys,
+            self.now(),
+            self.get_fully_qualified_name(),
+            self._epoch,
+            self._rules,
+            since,
+            self._mission or 0,
+        )
+        self._standings.publish(standings_message(fields))
+
+    def _on_standings_matched(self, status: QoSPublisherMatchedInfo) -> None:
+        if status.current_count_change > 0 and self._started:
+            # The new subscriber has not received the earlier standings.
+            self._until_complete = 0
+            self._publish_standings()
 
     def _read_path(self, agent: str, message: Path) -> SentPath | None:
         key, cells = read_path(self._ledger.grid, agent, message)
@@ -142,7 +188,8 @@ class EstimatorNode(FieldNode):
             # The recorder acknowledges no paths of other missions.
             check_mission(mission, self._mission)
         if mission == self._mission and key in self._ledger.paths:
-            self._accept(key, self._ledger.record_path(key, cells))
+            self._ledger.record_path(key, cells)
+            self.diagnostics.accepted += 1
             return None
         return key, cells, content_hash(message), mission
 
@@ -150,28 +197,31 @@ class EstimatorNode(FieldNode):
         key, cells, content, mission = sent
         self._join(mission)
         try:
-            changed = self._ledger.record_path(key, cells, content)
-        finally:
-            # Recording a path drops pending reports that do not match the path.
-            self._update_warning()
-        self._accept(key, changed)
-
-    def _on_report(
-        self, agent: str, message: DeploymentReport, deadline: float | None = None
-    ) -> None:
-        try:
-            key, report = read_report(message, agent)
-            if not report.survived:
-                self._departures.check_loss(key)
-            named = replace(report, content=content_hash(message))
-            changed = self._ledger.record_report(key, named)
-        except MissingError as error:
-            if not self._early.keep(deadline, agent, message):
-                self._refuse(f'{agent}/report', error)
+            self._ledger.record_path(key, cells, content)
         except ValueError as error:
-            self._refuse(f'{agent}/report', error)
+            # A report that waited for this path is refused.
+            self.diagnostics.refuse(f'{key.agent}/report', error)
         else:
-            self._departures.end(key, report.stamp if report.survived else None)
+            self.diagnostics.accepted += 1
+        self._publish_news(key)
+
+    def _on_report(self, agent: str, message: DeploymentReport) -> None:
+        """Judge a report once it is on record."""
+        try:
+            key, report = hear_report(message, agent)
+        except ValueError as error:
+            self.diagnostics.refuse(f'{agent}/report', error)
+            return
+        judge = partial(self._judge, key, report)
+        self._on_record[agent].when_recorded(key.stamp, report.content, judge)
+
+    def _judge(self, key: DeploymentKey, report: Report) -> None:
+        try:
+            changed = self._ledger.record_report(key, report)
+        except ValueError as error:
+            self.diagnostics.refuse(f'{key.agent}/report', error)
+        else:
+            self.diagnostics.accepted += 1
             read = [step for step, (_, reading) in enumerate(report.readings, 1) if reading >= 0]
             last, steps = max(read, default=0), len(report.readings)
             # The last step leads into the base, where no reading is needed.
@@ -180,24 +230,46 @@ class EstimatorNode(FieldNode):
                     f'{key} has no readings after step {last} of {steps}: the detector failed, or '
                     'the position of the robot was uncertain'
                 )
-            self._accept(key, changed)
+        self._publish_news(key)
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
-        """Record an agent's status, which does not affect the belief."""
+        """Take an agent's status once it is on record: it may decide whether a loss counts."""
         try:
-            is_new = self._departures.take(*read_status(message, agent))
+            key, status = read_status(message, agent)
         except ValueError as error:
             self.diagnostics.refuse(f'{agent}/status', error)
             return
         self.diagnostics.accepted += 1
-        if is_new:
-            self._count_out()
-            if self._awaiting.is_canceled():
-                self._views.show_out(self._ledger)
+        take = partial(self._take_status, key, status)
+        self._on_record[agent].when_recorded(key.stamp, status.content, take)
 
-    def _count_out(self) -> None:
-        """Count the robots in flight; a departure may arrive before its path."""
-        self._views.out = sum(key in self._ledger.paths for key in self._departures.out)
+    def _take_status(self, key: DeploymentKey, status: Status) -> None:
+        """Take the status of an order that is on record."""
+        self._ledger.record_status(key, status.state, status.stamp)
+        self._publish_news(key)
+
+    def _on_mission(self, message: MissionStatus) -> None:
+        """Show how the mission stands."""
+        try:
+            self._views.show_status(read_mission_status(message))
+        except ValueError as error:
+            self.diagnostics.refuse('mission', error)
+
+    def _publish_news(self, key: DeploymentKey) -> None:
+        """Publish what a message about a deployment has changed."""
+        ledger = self._ledger
+        self._update_warning()
+        events, changes = self._published
+        if not self._started or ledger.events == events:
+            return
+        for other in ledger.changed:
+            if other != key or ledger.standings.get(other, OPEN).verdict is Verdict.HELD:
+                self._log_standing(other)
+        self._publish_standings()
+        if ledger.changes != changes:
+            self._publish(ledger)
+            self._log_outcome(key)
+        self._update_state()
 
     def _is_begun_by(self, mission: int) -> bool:
         """Return whether a path that states `mission` makes it the current mission."""
@@ -212,54 +284,42 @@ class EstimatorNode(FieldNode):
             ledger = self._prior.copy()
             ledger.copy_pending(self._ledger)
             self._ledger = ledger
-            self._new.name_all()
         else:
             check_mission(mission, self._mission)
         self._mission = mission
 
-    def _refuse(self, topic: str, error: ValueError) -> None:
-        # The ledger may have dropped pending reports.
-        self._update_warning()
-        self.diagnostics.refuse(topic, error)
-
-    def _accept(self, key: DeploymentKey, changed: bool) -> None:
-        self._update_warning()
-        self._count_out()
-        if self._awaiting.is_canceled():
-            if changed:
-                self._new.add(key)
-                self._publish(self._ledger)
-                self._log_outcome(key)
-            else:
-                self._views.show_out(self._ledger)
-            self._update_state()
-        if changed and key in self._ledger.contradicted:
-            # The new report replaces another return, which is refused.
-            self.diagnostics.refuse(f'{key.agent}/report', self._ledger.contradicted[key])
+    def _log_standing(self, key: DeploymentKey) -> None:
+        """Log that a deployment is held, or that another one changed what counts of it."""
+        standing = self._ledger.standings.get(key, OPEN)
+        if standing.verdict is Verdict.HELD:
+            self.get_logger().warning(f'{key} is held, and counts for nothing: {standing.why}')
         else:
-            self.diagnostics.accepted += 1
+            words = ENDED.get(standing.verdict, standing.verdict.name)
+            self.get_logger().info(f'{key} {words}, since evidence of an earlier robot arrived')
 
     def _log_outcome(self, key: DeploymentKey) -> None:
-        """Log the outcome of a deployment, and the new entropy."""
+        """Log what counts of a deployment, and the new entropy."""
         ledger = self._ledger
-        outcome = ledger.outcomes[key]
-        steps = outcome.steps_survived
+        standing = ledger.standings.get(key, OPEN)
+        outcome = ledger.outcomes.get(key)
+        steps = 0 if outcome is None else outcome.steps_survived
         contact = f', last contact after step {steps}' if steps else ''
-        ended = 'came back' if outcome.survived else f'was lost{contact}'
+        ended = ENDED.get(standing.verdict, 'counts for nothing any more')
         held, lost = len(ledger.deployments), ledger.lost
         self.deployment_logger.info(
-            f'{key} {ended}: entropy {ledger.belief.entropy():.2f} nats after '
+            f'{key} {ended}{contact}: entropy {ledger.belief.entropy():.2f} nats after '
             f'{counted(held, "deployment")}, {counted(lost, "robot")} lost'
         )
 
     def _publish(self, ledger: Ledger) -> None:
         mission = self._started if self._mission is None else self._mission
-        message = belief_maps(ledger, self._started, mission, *self._new.take(ledger))
+        author = self.get_fully_qualified_name()
+        message = belief_maps(ledger, self._started, mission, author, self._epoch)
         self._belief.publish(message)
         stamp = from_stamp(message.header.stamp)
         if self._models is not None:
             self._models.publish(ledger, stamp)
-        self._decisions.publish(ledger, stamp, mission)
+        self._decisions.publish(ledger, stamp, mission, self._epoch)
         self._views.show(ledger, stamp)
         self._update_sampling(ledger)
 
@@ -289,11 +349,7 @@ class EstimatorNode(FieldNode):
         self._update_warning()
 
     def _update_warning(self) -> None:
-        """Publish held deployments and reports without a path; warn of more than `MAX_AGENTS`."""
-        values = self.diagnostics.values
-        for name in [name for name in values if name.startswith(HELD)]:
-            del values[name]
-        values |= {f'{HELD}{key}': why for key, why in self._ledger.held.items()}
+        """Publish reports without a path; warn of more than `MAX_AGENTS`."""
         pending = self.diagnostics.waiting = self._ledger.pending
         unknown = ''
         if pending > MAX_AGENTS:

@@ -9,21 +9,22 @@ from typing import Any
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_msgs.srv import Draws
-from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.base.state import BaseState, EvidenceName
 from kbnitp_ros.configuration import make_goal
 from kbnitp_ros.configuration.mission import make_stop
 from kbnitp_ros.core import Decision, HazardDraws
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.messages.headers import content_hash, from_stamp, to_stamp
 from kbnitp_ros.messages.progress import read_decision, read_draws
+from kbnitp_ros.messages.topics import DECISION
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 
 # Seconds between two requests for the same draws.
 PAUSE = 1.0
 
-# A belief: its stamp, nanoseconds, and its number of deployments.
-Name = tuple[int, int]
+# Seconds for which a decision that ends the mission must stay the same.
+CONFIRMED = 1.0
 
 
 class GoalState:
@@ -35,11 +36,14 @@ class GoalState:
         self._act = act
         # None to map the field. Decisions are judged by the present confidence, not by the goal's.
         self.goal = make_goal(node.values, state.grid)
-        self._newest: Name = 0, 0
-        self._decided: tuple[Name, Decision] | None = None
-        self._drawn: tuple[Name, HazardDraws] | None = None
+        self._newest = EvidenceName(0, 0)
+        # The last decision with its evidence, the hash of its message, and the time since which
+        # it is the same, seconds.
+        self._decided: tuple[EvidenceName, Decision] | None = None
+        self._content, self._same_since = 0, 0.0
+        self._drawn: tuple[EvidenceName, HazardDraws] | None = None
         # The belief of the last request for draws, unless it was answered.
-        self._asked: Name | None = None
+        self._asked: EvidenceName | None = None
         # Time of the next request after one without draws, seconds.
         self._ask_at = 0.0
         # Reason why the plans for the newest belief end the mission, empty if they do not; and the
@@ -52,7 +56,7 @@ class GoalState:
 
     def take(self, newest: Snapshot) -> None:
         """Await the decision on the newest belief."""
-        self._newest, self._asked = (newest.stamp, newest.deployments), None
+        self._newest, self._asked = EvidenceName(*newest.evidence), None
         self.not_worth = ''
         self._act()
 
@@ -71,15 +75,28 @@ class GoalState:
         except ValueError as error:
             self._node.diagnostics.refuse('decision', error)
             return
-        self._decided = (from_stamp(message.header.stamp), message.deployments), decision
+        if (content := content_hash(message)) != self._content:
+            self._content, self._same_since = content, time.monotonic()
+        evidence = EvidenceName(from_stamp(message.epoch), message.changes)
+        self._decided = evidence, decision
         # An estimator that was restarted answers in place of the one that ended.
         self._asked = None
         self._act()
 
     @property
     def is_decided(self) -> bool:
-        """Return whether the decision on the newest belief has arrived, or is not needed."""
-        return self.goal is None or self._decision is not None
+        """Return whether the decision on the newest belief counts, or is not needed."""
+        if self.goal is None:
+            return True
+        decision = self._decision
+        return decision is not None and (not decision.reached or self._is_confirmed)
+
+    @property
+    def _is_confirmed(self) -> bool:
+        """Return whether a decision stayed the same, with one node that publishes decisions."""
+        named = self._node.named_authors('decision', DECISION)
+        is_old = time.monotonic() > self._same_since + CONFIRMED
+        return is_old and len({*named}) == 1
 
     @property
     def _decision(self) -> Decision | None:
@@ -115,12 +132,12 @@ class GoalState:
         is_due = self._asked != self._newest and time.monotonic() > self._ask_at
         if is_due and self._draws.service_is_ready():
             newest = self._asked = self._newest
-            request = Draws.Request(stamp=to_stamp(newest[0]), deployments=newest[1])
+            request = Draws.Request(epoch=to_stamp(newest.epoch), changes=newest.changes)
             self._draws.call_async(request).add_done_callback(
                 self._node.guarded(lambda answer: self._on_draws(newest, answer.result()))
             )
 
-    def _on_draws(self, newest: Name, answer: Any) -> None:
+    def _on_draws(self, newest: EvidenceName, answer: Any) -> None:
         if newest == self._asked:
             self._asked, self._ask_at = None, time.monotonic() + PAUSE
         if not answer.success:

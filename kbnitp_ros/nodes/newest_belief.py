@@ -1,29 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The planner's subscription to beliefs, and the checks of each belief."""
+"""The planner's subscriptions to standings and beliefs, and the checks of each of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from kbnitp_msgs.msg import BeliefMaps
+from kbnitp_msgs.msg import Standings as StandingsMessage
 from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.obstacles import not_repeated
-from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.base.state import BaseState, EvidenceName, LackingError, MissingError
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import ORDINARY
-from kbnitp_ros.files import counted
-from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
+from kbnitp_ros.messages.standings import read_standings, Standings
+from kbnitp_ros.messages.topics import BELIEF, STANDINGS
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import HELD, LAST_REFUSAL
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from rclpy.subscription import Subscription
 
 
 class NewestBelief:
-    """A subscription to beliefs that passes a belief to `take` if it is the newest."""
+    """The standings that the planner follows, and the belief with the same evidence."""
 
     def __init__(
         self,
@@ -31,77 +30,105 @@ class NewestBelief:
         agents: Sequence[str],
         state: BaseState,
         take: Callable[[Snapshot], None],
+        act: Callable[[], None],
     ) -> None:
         self._node = node
         self._agents = agents
         self._state = state
         self._take = take
-        # The mission, and the newest belief.
+        self._act = act
+        # The mission, and the rules of its estimator.
         self.tracker = MissionTracker()
-        # Number of robots sent that are known only from the belief.
-        self.sent_unknown = 0
-        # Number of deployments in the last belief received.
-        self.last_received = 0
-        # Last refusal of evidence by the estimator since the last belief; empty if none.
-        self.refusal = ''
-        # Whether the planner has warned that the belief will never hold all deployments.
-        self._is_incomplete_told = False
-        self._subscription: Subscription | None = None
-        node.subscribe_to_diagnostics(self._on_diagnostics)
+        # The newest belief with the evidence of the standings; None before the first.
+        self.newest: Snapshot | None = None
+        # The last belief, which may be ahead of the standings.
+        self._last: Snapshot | None = None
+        # Hash of the rules of the estimator that is followed.
+        self._rules = 0
+        # Why the last standings were not followed; empty if they were.
+        self.why_unfollowed = ''
+        self._beliefs: Subscription | None = None
+        self._standings: Subscription | None = None
 
-    def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
-        evidence = tuple(f'{agent}/' for agent in self._agents)
-        said = values.get(LAST_REFUSAL, '')
-        refused = {key.removeprefix(HELD): values[key] for key in values if key.startswith(HELD)}
-        is_news = said.startswith(evidence) or refused or self._state.held
-        if not is_news or name not in self._node.authors('belief', BELIEF):
-            return
-        if said.startswith(evidence):
-            self.refusal = f'{name} says: {said}'
-        self._state.follow(refused)
+    @property
+    def evidence(self) -> EvidenceName | None:
+        """Return the name of the evidence in the newest belief; None before the first."""
+        return None if self.newest is None else EvidenceName(*self.newest.evidence)
 
     def subscribe(self) -> None:
-        """Subscribe to beliefs; called again after one of several estimators has left."""
-        self.tracker.newest = None
-        if self._subscription:
-            self._node.destroy_subscription(self._subscription)
-        self._subscription = self._node.subscribe(
-            BeliefMaps, 'belief', self._on_belief, qos.LATCHED
+        """Subscribe to both; called again after one of several estimators has left."""
+        for known in (self._beliefs, self._standings):
+            if known:
+                self._node.destroy_subscription(known)
+        self._subscribe_to_standings()
+        self._beliefs = self._node.subscribe(BeliefMaps, 'belief', self._on_belief, qos.LATCHED)
+
+    def _subscribe_to_standings(self) -> None:
+        """Subscribe to standings, upon which the estimator publishes all of them."""
+        self._standings = self._node.subscribe(
+            StandingsMessage, 'standings', self._on_standings, qos.STANDINGS
         )
+
+    def _on_standings(self, message: StandingsMessage) -> None:
+        why = ''
+        try:
+            said = read_standings(message)
+            self._check_author(said)
+            if self._state.follow(said):
+                self._node.diagnostics.accepted += 1
+        except MissingError:
+            assert self._standings is not None
+            self._node.destroy_subscription(self._standings)
+            self._subscribe_to_standings()
+            return
+        except LackingError as error:
+            why = f'{message.author}: {error}'
+            if why != self.why_unfollowed:
+                self._node.diagnostics.refuse('standings', why)
+        except ValueError as error:
+            self._node.diagnostics.refuse('standings', error)
+            return
+        self.why_unfollowed = why
+        self._match()
+        self._act()
+
+    def _check_author(self, said: Standings) -> None:
+        """Check that no second estimator takes over while the graph lists the first one."""
+        named = self._node.named_authors('standings', STANDINGS)
+        if named and said.author not in named:
+            raise ValueError(
+                f'author is {said.author}, and only {", ".join(sorted({*named}))} publishes '
+                'standings'
+            )
+        own = self._state.evidence.epoch
+        is_other = len({*named}) > 1 or (len(named) > 1 and said.rules != self._rules)
+        if own and said.epoch > own and is_other:
+            raise ValueError(
+                f'{len(named)} estimators publish standings, nodes {", ".join(named)}: the first '
+                'one counts; stop all but one'
+            )
+        self._rules = said.rules
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:
             snapshot = read_belief_maps(message)
             self._check_rules(snapshot)
-            # Each agent may have had a robot in flight when the former planner died.
-            out_before = len(self._agents) if self.sent_unknown else 0
-            known = self._state.known(snapshot.mission) + out_before
-            self.tracker.check_belief(snapshot, self._node.count_authors('belief', BELIEF), known)
+            self.tracker.check_belief(snapshot, self._node.count_authors('belief', BELIEF))
         except ValueError as error:
             self._node.diagnostics.refuse('belief', error)
             return
         self._node.diagnostics.accepted += 1
-        self.refusal = ''
-        unknown = snapshot.deployments - self._state.robots_left
-        if unknown > self.sent_unknown:
-            self._node.get_logger().warning(
-                f'the belief holds {counted(unknown, "deployment")} that this planner does not '
-                'know: a former planner sent them, and their paths are no longer published; '
-                'before you restart the estimator, set its parameter resume to the log, or it '
-                'loses these deployments, too'
-            )
-            self.sent_unknown = unknown
-        held = self.last_received = snapshot.deployments
-        # An estimator that resumes a log publishes its prior first, then a belief with all
-        # evidence on record.
-        if 0 < held < self._state.forgotten(qos.DEPTH) and not self._is_incomplete_told:
-            self._is_incomplete_told = True
-            self._node.diagnostics.refuse(
-                'belief',
-                f'it holds only {counted(held, "deployment")}{not_repeated(qos.DEPTH)}',
-            )
-        if self.tracker.accept_belief(snapshot, known):
-            self._take(snapshot)
+        self.tracker.accept_belief(snapshot)
+        if self._last is None or snapshot.evidence >= self._last.evidence:
+            self._last = snapshot
+        self._match()
+
+    def _match(self) -> None:
+        """Take the last belief once its evidence is that of the standings."""
+        last = self._last
+        if last and last is not self.newest and last.evidence == self._state.evidence:
+            self.newest = last
+            self._take(last)
 
     def _check_rules(self, snapshot: Snapshot) -> None:
         grid, values = self._node.grid, self._node.values

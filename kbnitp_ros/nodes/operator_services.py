@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from math import inf
-import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
@@ -24,7 +22,7 @@ from kbnitp_ros.messages.operator_actions import (
     Paths,
     REPEATED,
 )
-from kbnitp_ros.nodes.presence import BOOL, HOLD
+from kbnitp_ros.nodes.presence import HOLD, Repeated
 from kbnitp_ros.nodes.rounds import describe_plan, Plans, Search
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
@@ -32,12 +30,6 @@ from nav_msgs.msg import Path
 from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
-
-# Minimum seconds between two publications that correct another node's value of `hold`.
-MIN_PAUSE = 0.1
-
-# Maximum seconds to wait until the graph names the author of a message.
-MAX_UNNAMED = 30.0
 
 # Response of a service: success and message.
 Response = Any
@@ -59,21 +51,17 @@ class Operator:
         self._node = node
         self._state = state
         self._act = act
-        # The published value of `hold`; whether another node has published the opposite since
-        # then; and the times of both messages, seconds.
+        # The published value of `hold`.
         self._is_held: bool | None = None
-        self._is_contradicted = False
-        self._held_at = self._contradicted_at = -inf
-        # The action that is not on disk yet, the hash of its message, its response and future.
-        self._pending: tuple[OperatorAction, int, Response, Future] | None = None
+        # Actions that are not on disk yet, by the hash of the message; the response of a service
+        # and its future, if a service was called.
+        self._pending: dict[int, tuple[OperatorAction, Response, Future | None]] = {}
         self._publisher = node.create_publisher(OperatorActionMessage, 'operator', qos.EVIDENCE)
         self._proposals = {
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
         }
-        self._holds = node.create_publisher(Bool, HOLD, qos.LATCHED)
-        node.subscribe(Bool, HOLD, self._on_hold, qos.LATCHED)
-        node.create_poll(self._answer)
+        self._holds = Repeated(node, Bool, HOLD, qos.LATCHED)
         node.create_service(SetBool, 'pause', self._on_pause)
         node.create_service(SetBool, 'approve', self._on_approve)
         node.create_service(GiveUp, 'give_up', self._on_give_up)
@@ -89,35 +77,12 @@ class Operator:
         """Publish whether departures are held, if that has changed."""
         if is_held != self._is_held:
             self._is_held = is_held
-            self._publish_hold()
+            self._holds.publish(Bool(data=is_held))
 
-    def _publish_hold(self) -> None:
-        self._is_contradicted = False
-        self._held_at = time.monotonic()
-        self._holds.publish(Bool(data=self._is_held))
-
-    def _on_hold(self, message: Bool) -> None:
-        if self._is_held is not None and message.data != self._is_held:
-            self._is_contradicted = True
-            self._contradicted_at = time.monotonic()
-            self._answer()
-
-    def _answer(self) -> None:
-        """Correct another node's value of `hold`, and refuse it once that node is known."""
-        now = time.monotonic()
-        if self._is_contradicted and now > self._held_at + MIN_PAUSE:
-            self._publish_hold()
-        if now > self._contradicted_at + MAX_UNNAMED:
-            return
-        others = self._node.named_authors(self._holds.topic_name, BOOL)
-        # Without another author, the message was this planner's own, received late.
-        if len(others) > 1:
-            self._contradicted_at = -inf
-            self._node.diagnostics.refuse(
-                HOLD,
-                f'data is {not self._is_held}, but this planner publishes {self._is_held}, which '
-                f'counts: nodes {", ".join(others)} publish {HOLD}',
-            )
+    @property
+    def is_held(self) -> bool:
+        """Return whether departures are held."""
+        return bool(self._is_held)
 
     def propose(self, plans: Plans, search: Search) -> None:
         """Publish the plans of a search on AGENT/proposal."""
@@ -140,12 +105,13 @@ class Operator:
     @property
     def awaited(self) -> str:
         """Describe the acknowledgement that an action waits for; empty if none is pending."""
-        if self._pending is None:
+        if not self._pending:
             return ''
         topic = self._node.resolve_topic_name('operator/recorded')
+        action, _, _ = next(iter(self._pending.values()))
         return (
-            f'the recorder to confirm the action "the operator {self._pending[0]}" on {topic} '
-            '(parameter recorded)'
+            f'the recorder to confirm the action "the operator {action}" on {topic} (parameter '
+            'recorded)'
         )
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
@@ -178,23 +144,35 @@ class Operator:
             why = f'no robot of {shown(request.agent)} is in flight (agents in flight: {names})'
             return answered(response, False, why)
         key = min(out)
-        if not self._state.is_away(key):
+        is_open = key not in {*self._state.held, *self._state.unjudged}
+        if is_open and self._state.is_at_base(key):
             why = (
-                f'{key} has not reported its departure on {request.agent}/status, so it cannot be '
-                'declared lost, unless the parameter presume_departure is set'
+                f'{key} has not departed: its agent says on {request.agent}/status that its robot '
+                'is at the base'
             )
             return answered(response, False, why)
         try:
             Observation(out[key], False, steps_survived=request.steps_survived)
         except ValueError as error:
             return answered(response, False, str(error))
-        return self._decide(response, Action.GIVE_UP, {key: out[key]}, request.steps_survived)
+        return self._decide(
+            response,
+            Action.GIVE_UP,
+            {key: out[key]},
+            request.steps_survived,
+            self._state.heard_hashes(key),
+        )
 
     def _on_end(self, _: Trigger.Request, response: Response) -> Response | Future:
         return self._decide(response, Action.END)
 
     def _decide(
-        self, response: Response, what: Action, paths: Paths | None = None, steps: int = 0
+        self,
+        response: Response,
+        what: Action,
+        paths: Paths | None = None,
+        steps: int = 0,
+        settled: tuple[int, ...] = (),
     ) -> Response | Future:
         """Accept or refuse an action; return the response, or its future."""
         if self._state.operator.is_ended and what != Action.GIVE_UP:
@@ -208,21 +186,41 @@ class Operator:
                 'mission by the service end_mission, and begin another one'
             )
             return answered(response, False, why)
-        stamp = next_name(self._node.now(), *self._state.operator.actions)
-        action = OperatorAction(stamp, what, self._state.robots_left, dict(paths or {}), steps)
-        message = operator_action_message(self._state.grid, action)
         if what in (Action.PAUSE, Action.END):
             self.hold(True)
-        self._publisher.publish(message)
+        action, content = self._publish(what, dict(paths or {}), steps, settled)
         if not self._node.values['recorded']:
             return self._take(action, response)
-        self._pending = action, content_hash(message), response, Future()
-        return self._pending[3]
+        future = Future()
+        self._pending[content] = action, response, future
+        return future
+
+    def _publish(self, what: Action, *arguments: Any) -> tuple[OperatorAction, int]:
+        """Publish an action; return it with the hash of its message."""
+        pending = [action.stamp for action, _, _ in self._pending.values()]
+        stamp = next_name(self._node.now(), *self._state.operator.actions, *pending)
+        action = OperatorAction(stamp, what, self._state.robots_left, *arguments)
+        message = operator_action_message(self._state.grid, action)
+        self._publisher.publish(message)
+        return action, content_hash(message)
+
+    def record_settings(self, values: Mapping[str, Any], what: Action = Action.SET) -> None:
+        """Put values of parameters on record, which last beyond a restart."""
+        action, content = self._publish(what, {}, 0, (), dict(values))
+        # A start that is not on record changes nothing: the next one is compared with an earlier.
+        if self._node.values['recorded'] and what is Action.SET:
+            self._pending[content] = action, None, None
+        else:
+            self._state.take_action(action)
 
     def _on_recorded(self, message: Recorded) -> None:
-        if self._pending and self._pending[1] == message.content:
-            action, _, response, future = self._pending
-            self._pending = None
+        if message.content not in self._pending:
+            return
+        action, response, future = self._pending.pop(message.content)
+        if future is None:
+            self._state.take_action(action)
+            self._act(action)
+        else:
             future.set_result(self._take(action, response))
 
     def _take(self, action: OperatorAction, response: Response) -> Response:
@@ -231,7 +229,7 @@ class Operator:
         self.hold(self._state.operator.is_holding)
         self._node.get_logger().info(f'the operator {action}')
         pending = ''.join(
-            f'; {key} is held, since {why}: it counts as lost from now on'
+            f'; {key} was held, since {why}: it counts as lost from now on'
             for key, why in self._state.held.items()
             if key in action.paths
         )

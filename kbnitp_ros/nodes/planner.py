@@ -6,11 +6,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf
+import time
 from typing import Any
 
-from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
+from kbnitp_msgs.msg import MissionStatus
+from kbnitp_ros.base.obstacles import describe_obstacle
+from kbnitp_ros.base.protocol import PlannerState
 from kbnitp_ros.base.state import BaseState
-from kbnitp_ros.configuration import agent_names
+from kbnitp_ros.configuration import agent_names, find_parameter
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.checks import (
     check_changes,
@@ -29,15 +33,17 @@ from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import Source
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
+from kbnitp_ros.messages.progress import mission_status_message, NOT_KNOWN, Obstacle
+from kbnitp_ros.messages.progress import MissionStatus as Status
 from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.dispatch import Dispatch
 from kbnitp_ros.nodes.goal import GoalState
 from kbnitp_ros.nodes.newest_belief import NewestBelief
 from kbnitp_ros.nodes.operator_services import Operator
-from kbnitp_ros.nodes.presence import Peers, StatePublisher
+from kbnitp_ros.nodes.presence import AGAIN, Peers, Repeated, StatePublisher
 from kbnitp_ros.nodes.rounds import Plans, Rounds, Search
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult
@@ -57,17 +63,21 @@ class PlannerNode(FieldNode):
         check_reach(self.grid, self.values)
         self._log_reachability()
         resume = self.values['resume']
-        log = resumed_log(resume, self.roles) if resume else None
+        log = self._log = resumed_log(resume, self.roles) if resume else None
         record = read_planner_record(log, self.values, self.grid) if log else None
         types = make_robot_types(self.values, self.grid)
         self._state = record or BaseState(self.grid, self.values['max_steps'], types, self.values)
         self._goal = GoalState(self, self._state, self._deploy)
         self._rounds = Rounds(self.grid, self.values, self.get_logger().warning)
         self._dispatch = Dispatch(self, self._agents, self._rounds, self._state, self._deploy)
-        self._beliefs = NewestBelief(self, self._agents, self._state, self._goal.take)
+        self._beliefs = NewestBelief(
+            self, self._agents, self._state, self._goal.take, self._on_standings
+        )
         self._peers = Peers(self, self._agents)
         # The search for the next round, kept with its result while robots cannot leave.
         self._search: Search | None = None
+        # Whether the values of this start are on record.
+        self._is_begun = False
         # Number of parameter changes.
         self._changes = 0
         # The last search that found no path worth a robot, and the reason.
@@ -76,12 +86,18 @@ class PlannerNode(FieldNode):
         self._operator = Operator(self, self._agents, self._state, self._act)
         self._has_subscribers = False
         self._end_logged = ''
+        # How the mission stands, as it was published last, and the time, seconds.
+        self._status, self._said_at = NOT_KNOWN, -inf
+        self._statuses = Repeated(self, MissionStatus, 'mission', qos.LATCHED)
+        # Values of parameters that may change, as they were given at this start.
+        self._given = {name: self.values[name] for name in changeable(self.values)}
         if log and record:
             self._restore(log, record)
             check_robots(self.values['robots'], self._counted)
         self._operator.hold(self._state.operator.is_holding)
         StatePublisher(self, self.grid).publish(Readiness.READY)
         self.add_on_set_parameters_callback(self._check_changes)
+        self._restore_settings()
         self.add_post_set_parameters_callback(self._note_change)
         # Subscribe to paths before beliefs, since beliefs are checked against the paths received.
         self._dispatch.listen()
@@ -101,6 +117,28 @@ class PlannerNode(FieldNode):
             plans, mission = missing
             self._dispatch.send(plans, self._beliefs.tracker.begin(mission))
 
+    def _restore_settings(self) -> None:
+        """Take the values that the operator set, unless another value is given at this start."""
+        operator = self._state.operator
+        for name, value in operator.settings.items():
+            if self._given.get(name, value) == value:
+                continue
+            before, given = operator.given.get(name), self._given[name]
+            if given != before:
+                self.get_logger().warning(
+                    f'parameter {name} is {given}, as given at this start, and not {value}, which '
+                    f'the operator had set: at the last start it was {before}'
+                )
+                continue
+            answer = self.set_parameters([Parameter(name, value=value)])[0]
+            if answer.successful:
+                self.get_logger().info(f'parameter {name} is {value}, as the operator had set')
+            else:
+                self.get_logger().warning(
+                    f'parameter {name} stays {given}, and not {value}, which the operator had '
+                    f'set: {answer.reason}'
+                )
+
     def _log_reachability(self) -> None:
         """Log the cells of a map, and the part of the field that no path reaches."""
         grid, mapped = self.grid, self.values['map'] or self.values['map_topic']
@@ -113,7 +151,7 @@ class PlannerNode(FieldNode):
     def _check_changes(self, changes: Sequence[Parameter]) -> SetParametersResult:
         """Refuse parameter values that are invalid in the running mission."""
         new = {each.name: each.value for each in changes}
-        newest = self._beliefs.tracker.newest
+        newest = self._beliefs.newest
         believed = newest.robot_types if newest else {}
         try:
             check_changes(new, self.values, self.grid, believed, self._counted)
@@ -121,52 +159,59 @@ class PlannerNode(FieldNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _note_change(self, _: Sequence[Parameter]) -> None:
-        """Discard plans made with other parameters."""
+    def _note_change(self, changes: Sequence[Parameter]) -> None:
+        """Discard plans made with other parameters, and put the changes on record."""
         self._changes += 1
         self._goal.not_worth = ''
+        if values := {each.name: each.value for each in changes if each.name in self._given}:
+            self._operator.record_settings(
+                {name: as_plain(value) for name, value in values.items()}
+            )
 
     def _look_at_graph(self) -> None:
         if self._peers.look():
             self._beliefs.subscribe()
 
+    def _on_standings(self) -> None:
+        self._dispatch.follow()
+        self._deploy()
+
     def _go_on(self) -> None:
+        if not self._is_begun and self.now() > 0:
+            self._is_begun = True
+            given = {name: as_plain(value) for name, value in self._given.items()}
+            if given != self._state.operator.given:
+                self._operator.record_settings(given, Action.START)
+        if self._log and isinstance(self._state, RecordedMission):
+            self._dispatch.read_again(self._log, self._state)
         self._dispatch.log_departures()
         self._dispatch.log_reasons()
         self._dispatch.give_up_overdue()
         self._deploy()
 
     @property
-    def _sent(self) -> int:
-        """Return the number of robots sent, including those known only from the belief."""
-        return self._state.robots_left + self._beliefs.sent_unknown
-
-    @property
     def _counted(self) -> int:
         """Return the number of robots sent, without those that came back without a step."""
-        return self._sent - len(self._state.unmoved)
+        return self._state.robots_left - len(self._state.unmoved)
 
     def _act(self, action: OperatorAction) -> None:
         """Apply an action of the operator."""
         if action.action == Action.GIVE_UP:
             for key in action.paths:
                 if key in self._state.in_flight:
-                    self._dispatch.give_up(key, Source.OPERATOR, action.steps_survived)
+                    steps, settled = action.steps_survived, action.settled
+                    self._dispatch.give_up(key, Source.OPERATOR, steps, settled)
         self._deploy()
 
     def _planner_state(self) -> PlannerState:
         """Return the state that decides whether robots leave."""
-        newest = self._beliefs.tracker.newest
         return PlannerState(
             agents=self._agents,
             base=self._state,
             states=self._dispatch.states,
             unrecorded_action=self._operator.awaited,
-            sent=self._sent,
-            newest=newest.deployments if newest else None,
-            last_received=self._beliefs.last_received,
-            refusal=self._beliefs.refusal,
-            kept=qos.DEPTH,
+            newest=self._beliefs.evidence,
+            why_unfollowed=self._beliefs.why_unfollowed,
             estimators=self._peers.estimators,
             is_decided=self._goal.is_decided,
             why_over=self._goal.why_over,
@@ -211,7 +256,7 @@ class PlannerNode(FieldNode):
             if is_over and not self._dispatch.late:
                 self.end()
             return
-        newest = self._beliefs.tracker.newest
+        newest = self._beliefs.newest
         assert newest is not None
         try:
             plans = self._next_plans(newest, now.free_agents[: now.robots - now.sent])
@@ -233,21 +278,28 @@ class PlannerNode(FieldNode):
         self._dispatch.send(plans, self._beliefs.tracker.begin(newest.mission))
 
     def _publish_obstacle(self, now: PlannerState, obstacle: Obstacle) -> None:
-        """Publish the condition that blocks departures, at once if the mission state changes."""
+        """Publish the condition that blocks departures: on change, and each second of a wait."""
         what = describe_obstacle(now, obstacle)
-        is_end = obstacle.is_end
-        self.diagnostics.state = f'done: {what}' if is_end else waiting_for(what)
-        sentence = self.diagnostics.state
-        state = now.mission_state(obstacle).name
-        before = self.diagnostics.values.get(MISSION_STATE)
-        self.diagnostics.values |= {
-            MISSION_STATE: state,
-            MISSION_REASON: '' if now.is_plain(obstacle) else sentence,
-        }
-        if state != before:
-            self.diagnostics.publish()
-        if is_end:
-            self._log_end(sentence)
+        self.diagnostics.state = f'done: {what}' if obstacle.is_end else waiting_for(what)
+        state = self._state
+        status = Status(
+            author=self.get_fully_qualified_name(),
+            state=now.mission_state(obstacle),
+            obstacle=obstacle,
+            ends_by=now.ends_by(obstacle),
+            hold=self._operator.is_held,
+            ordered=state.robots_left,
+            out=len(state.in_flight) - len(state.undeparted),
+            lost=state.lost,
+            held=len(state.held),
+            reason='' if now.is_plain(obstacle) else self.diagnostics.state,
+        )
+        time_now = time.monotonic()
+        if status != self._status or time_now > self._said_at + AGAIN:
+            self._status, self._said_at = status, time_now
+            self._statuses.publish(mission_status_message(replace(status, stamp=self.now())))
+        if obstacle.is_end:
+            self._log_end(self.diagnostics.state)
 
     def _log_end(self, how: str) -> None:
         """Log once how the mission ended, and how long the base still runs."""
@@ -264,8 +316,7 @@ class PlannerNode(FieldNode):
     def _next_plans(self, newest: Snapshot, agents: list[str]) -> Plans:
         """Return the next round's plans, or its proposals if they still apply; {} until found."""
         refused = self._state.operator.refused(self._state.robots_left)
-        belief = newest.stamp, newest.deployments
-        now = Search(belief, agents, len(refused), self._changes)
+        now = Search(newest.evidence, agents, len(refused), self._changes)
         if self._operator.proposed and self._operator.proposed_by == now:
             return self._operator.proposed
         search = self._search
@@ -319,6 +370,17 @@ class PlannerNode(FieldNode):
         return self._state.operator.is_approved(self._state.robots_left, paths)
 
 
+def changeable(values: Mapping[str, Any]) -> list[str]:
+    """Return the names of the planner's parameters that can change while it runs."""
+    known = ((name, find_parameter('planner', name)) for name in values)
+    return [name for name, parameter in known if parameter and not parameter.read_only]
+
+
+def as_plain(value: Any) -> Any:
+    """Return the value of a parameter without arrays of rclpy."""
+    return list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+
+
 def read_planner_record(log: MissionLog, values: Mapping[str, Any], grid: Grid) -> RecordedMission:
     """Read the record of a mission to resume; check that its agents are in the team."""
     types, agents = make_robot_types(values, grid), values['agents']
@@ -343,7 +405,7 @@ def missing_plans(
     planned_on, keys = newest_round
     recorded = {key: record.paths[key] for key in keys}
     refused = operator.refused(planned_on.deployments)
-    at_base = {key for key in keys if key in record.departures.refused}
+    at_base = {key for key in keys if record.is_refused(key)}
     plans = rounds.missing(planned_on, list(agents), recorded, refused, at_base)
     return plans, planned_on.mission
 

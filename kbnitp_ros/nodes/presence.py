@@ -3,46 +3,107 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Sequence
+from math import inf
 import time
+from typing import Any
 from uuid import uuid4
 
-from kbnitp_msgs.msg import AgentState
+from kbnitp_msgs.msg import AgentState, RecorderState
 from kbnitp_ros.base.obstacles import VERSION
 from kbnitp_ros.core import Grid
-from kbnitp_ros.log.roles import BELIEF, PATH, REPORT, STATUS
 from kbnitp_ros.log.schema import describe
+from kbnitp_ros.messages.headers import content_hash, from_stamp, to_stamp
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
+from kbnitp_ros.messages.topics import BELIEF, BOOL, PATH, REPORT, STATUS
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool
 
-INSTANCE = 'instance'
-
-# Topic that every recorder, and no other node, publishes from start to end. A recorder is alive if
-# it publishes this topic and diagnostics: DDS lists publishers of killed processes, and any node
-# can publish diagnostics.
+# Topic that every recorder, and no other node, publishes from start to end.
 OPERATORS = 'operator/recorded'
 
-# Keys in the diagnostics of a recorder: its log, and the start of the recording in nanoseconds.
+# Key of a recorder's log in its diagnostics.
 LOG = 'log'
-BEGUN = 'begun'
 
-# Maximum numbers of characters of the values of LOG and BEGUN.
-MAX_PATH = 4096
-MAX_TIME = 20
-
-# Seconds that a recorder searches for other recorders before its acknowledgements count.
+# Seconds that a recorder searches for other recorders before its acknowledgements count; seconds
+# between two of its messages; and seconds without one after which it counts as dead.
 LOOK = 1.5
-
-# Seconds without diagnostics after which a recorder counts as dead: DDS lists a killed node for
-# much longer, and a live recorder publishes every second.
+AGAIN = 1.0
 SILENT = 3.0
 
-# Maximum number of other recorders remembered: the latest to publish diagnostics.
+# Maximum numbers of characters of the name of a log, and of other recorders that are remembered.
+MAX_PATH = 4096
 MAX_RECORDERS = 10
+
+# Minimum seconds between two publications that correct another node's message; maximum number of
+# own messages that are told from those of others; and maximum seconds to wait until the graph
+# names the author of a message.
+MIN_PAUSE = 0.1
+MAX_OWN = 100
+MAX_UNNAMED = 30.0
+
+
+class Repeated:
+    """A topic with one author, who repeats its last message when another node contradicts it."""
+
+    def __init__(
+        self, node: MissionNode, kind: type, topic: str, profile: QoSProfile, **options: Any
+    ) -> None:
+        self._node = node
+        self._topic = topic
+        self.publisher = node.create_publisher(kind, topic, profile, **options)
+        self._last: Any = None
+        # Hashes of own messages, which are received as well.
+        self._own: OrderedDict[int, None] = OrderedDict()
+        self._said_at = self._contradicted_at = -inf
+        self._is_contradicted = False
+        kind_of = f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+        self._type_name = kind_of
+        self._is_stamped = hasattr(kind(), 'header')
+        node.subscribe(kind, topic, self._on_message, profile)
+        node.create_poll(self._correct)
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, which counts from now on."""
+        self._last, self._is_contradicted = message, False
+        content = content_hash(message)
+        self._own.pop(content, None)
+        self._own[content] = None
+        if len(self._own) > MAX_OWN:
+            self._own.popitem(last=False)
+        self._said_at = time.monotonic()
+        self.publisher.publish(message)
+
+    def _on_message(self, message: Any) -> None:
+        # A message without a stamp may be another node's, although this one has said the same.
+        if self._last is None:
+            return
+        content = content_hash(message)
+        is_own = content in self._own if self._is_stamped else content == next(reversed(self._own))
+        if not is_own:
+            self._is_contradicted, self._contradicted_at = True, time.monotonic()
+            self._correct()
+
+    def _correct(self) -> None:
+        """Repeat the last message if it was contradicted; refuse the other author once named."""
+        now = time.monotonic()
+        if self._is_contradicted and now > self._said_at + MIN_PAUSE:
+            self.publish(self._last)
+        if now > self._contradicted_at + MAX_UNNAMED:
+            return
+        others = self._node.named_authors(self.publisher.topic_name, self._type_name)
+        # A node that was killed and restarted is named twice for some time.
+        if len({*others}) > 1:
+            self._contradicted_at = -inf
+            self._node.diagnostics.refuse(
+                self._topic,
+                f'another node contradicts this one, which repeats its message: nodes '
+                f'{", ".join(others)} publish it; stop all but one',
+            )
 
 
 class Recorders:
@@ -50,28 +111,32 @@ class Recorders:
 
     def __init__(self, node: MissionNode, log: object) -> None:
         self._node = node
+        self._own = RecorderState(
+            author=node.get_fully_qualified_name(),
+            instance=uuid4().hex,
+            begun=to_stamp(time.time_ns()),
+            log=str(log)[:MAX_PATH],
+        )
         self._topic = node.resolve_topic_name(OPERATORS)
-        self._above = node.get_namespace().rstrip('/')
-        # The diagnostics that announce this process.
-        self._own = {INSTANCE: uuid4().hex, LOG: str(log), BEGUN: str(time.time_ns())}
-        node.diagnostics.values |= self._own
         self._looks_until = time.monotonic() + LOOK
-        # Other recorders by identifier: node, last diagnostics, and their time in seconds.
-        self._others: dict[str, tuple[str, Mapping[str, str], float]] = {}
-        node.subscribe_to_diagnostics(self._on_diagnostics)
+        # Other recorders by instance, with the time of their last message in seconds.
+        self._others: OrderedDict[str, tuple[RecorderState, float]] = OrderedDict()
+        self._publisher = node.create_publisher(RecorderState, 'recorders', qos.ALIVE)
+        node.subscribe(RecorderState, 'recorders', self._on_state, qos.ALIVE, keeps_all=False)
+        node.create_poll(self.publish, AGAIN)
+        self.publish()
 
-    def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
-        begun = values.get(BEGUN, '')
-        is_time = begun.isdecimal() and len(begun) <= MAX_TIME
-        is_here = name.rpartition('/')[0] == self._above
-        instance = values.get(INSTANCE, self._own[INSTANCE])
-        is_own = instance == self._own[INSTANCE]
-        if is_own or not (is_here and is_time and len(values.get(LOG, '')) <= MAX_PATH):
+    def publish(self) -> None:
+        """Show that this recorder is alive."""
+        self._publisher.publish(self._own)
+
+    def _on_state(self, message: RecorderState) -> None:
+        if message.instance == self._own.instance or len(message.log) > MAX_PATH:
             return
-        self._others.pop(instance, None)
-        self._others[instance] = name, values, time.monotonic()
+        self._others.pop(message.instance, None)
+        self._others[message.instance] = message, time.monotonic()
         if len(self._others) > MAX_RECORDERS:
-            del self._others[next(iter(self._others))]
+            self._others.popitem(last=False)
 
     def _publishers(self) -> Counter[str]:
         """Return the number of publishers of `OPERATORS` by node, without this process."""
@@ -86,16 +151,16 @@ class Recorders:
         """Explain why acknowledgements of this recorder do not count; empty if they do."""
         now = time.monotonic()
         if now < self._looks_until:
-            return 'diagnostics of other recorders, if there are any'
-        alive = [each for each in self._others.values() if each[2] >= now - SILENT]
+            return 'other recorders, if there are any, to say that they are here'
+        alive = [state for state, heard in self._others.values() if heard >= now - SILENT]
         publishers = self._publishers() if alive else Counter()
         earlier = []
-        for name, values, _ in alive:
+        for state in alive:
             # Recorders may share a node name: at most as many are alive as publishers exist.
-            if publishers[name]:
-                publishers[name] -= 1
-                if rank(values) < rank(self._own):
-                    earlier.append(f'node {name} records to {values.get(LOG)}')
+            if publishers[state.author]:
+                publishers[state.author] -= 1
+                if rank(state) < rank(self._own):
+                    earlier.append(f'node {state.author} records to {state.log}')
         if not earlier:
             return ''
         return (
@@ -104,9 +169,9 @@ class Recorders:
         )
 
 
-def rank(values: Mapping[str, str]) -> tuple[int, str]:
-    """Return the start of a recorder, with its identifier to break ties."""
-    return int(values[BEGUN]), values[INSTANCE]
+def rank(state: RecorderState) -> tuple[int, str]:
+    """Return the start of a recorder, with its instance to break ties."""
+    return from_stamp(state.begun), state.instance
 
 
 # Type hash of publishers that state none, as those of earlier distributions of ROS.
@@ -227,7 +292,6 @@ class Peers:
 
 
 HOLD = 'hold'
-BOOL = 'std_msgs/msg/Bool'
 
 
 class HoldSubscription:
@@ -263,22 +327,27 @@ class HoldSubscription:
 
 
 class StatePublisher:
-    """The publisher of the state of an agent, or of the base, on change."""
+    """The publisher of the state of an agent, or of the base: on change, and while it waits."""
 
-    def __init__(self, node: MissionNode, grid: Grid, agent: str = '') -> None:
+    def __init__(self, node: MissionNode, grid: Grid, agent: str = '', journal: str = '') -> None:
         self._node = node
         self._grid = grid
         self._agent = agent
+        self._journal = journal
         self._said: tuple[Readiness, str, bool] | None = None
+        self._said_at = -inf
         topic = f'{node.above}/{agent}/state' if agent else f'{node.above}/state'
-        self._publisher = node.create_publisher(AgentState, topic, qos.LATCHED)
+        self._publisher = Repeated(node, AgentState, topic, qos.LATCHED)
 
     def publish(self, readiness: Readiness, reason: str = '', is_at_base: bool = False) -> None:
-        """Publish a state if it differs from the last one."""
-        if self._said != (said := (readiness, reason, is_at_base)):
-            self._said = said
-            now = self._node.now()
-            self._publisher.publish(state_message(self._grid, self._agent, *said, now))
+        """Publish a state if it differs from the last one, and each second of a wait."""
+        now = time.monotonic()
+        is_due = readiness is not Readiness.READY and now > self._said_at + AGAIN
+        if self._said != (said := (readiness, reason, is_at_base)) or is_due:
+            self._said, self._said_at = said, now
+            self._publisher.publish(
+                state_message(self._grid, self._agent, *said, self._node.now(), self._journal)
+            )
 
 
 class BaseField:

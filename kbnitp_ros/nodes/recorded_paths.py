@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 import time
 from typing import Generic, TypeVar
 
-from kbnitp_msgs.msg import AgentStatus, Recorded
+from kbnitp_msgs.msg import Recorded
+from kbnitp_ros.base.state import remember
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, named, read_name
 from kbnitp_ros.nodes.runtime import qos
@@ -16,9 +18,9 @@ from kbnitp_ros.robot.journal import Deployment, Journal
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 
-# If several paths have the same stamp, all nodes use the path that the recorder acknowledges. An
-# acknowledgement that arrives before its path is dropped, since nodes could publish any number of
-# acknowledgements; a new subscription receives it again from its publisher, which keeps it.
+# If several paths have the same stamp, all nodes use the path that the recorder acknowledges. Of
+# acknowledgements that arrive before their messages the last ones are remembered; a new
+# subscription receives all of them again from their publisher, which keeps them.
 
 
 P = TypeVar('P')
@@ -45,8 +47,10 @@ class RecordedPaths(Generic[P]):
         self._take = take
         # Paths that are not acknowledged, by stamp and content.
         self._unacknowledged: dict[tuple[int, int], P] = {}
-        # Callbacks of departures that are not acknowledged, by stamp and content.
-        self._departures: dict[tuple[int, int], Callable[[], None]] = {}
+        # Callbacks of departures and reports that are not acknowledged; and acknowledgements with
+        # the time of those without a message, seconds; by stamp and content.
+        self._awaited: dict[tuple[int, int], Callable[[], None]] = {}
+        self._early: OrderedDict[tuple[int, int], float | None] = OrderedDict()
         self._has_missed = False
         self._interval = ASK_FIRST
         self._ask_at = 0.0
@@ -75,13 +79,16 @@ class RecordedPaths(Generic[P]):
             f'{self.agent}/recorded (parameter recorded)'
         )
 
-    def when_recorded(self, departure: AgentStatus, depart: Callable[[], None]) -> None:
-        """Call `depart` once a departure is on record; at once if `recorded` is false."""
-        if self._node.values['recorded']:
-            stamp = from_stamp(departure.deployment)
-            self._departures[stamp, content_hash(departure)] = depart
-        else:
-            depart()
+    def when_recorded(self, stamp: int, content: int, act: Callable[[], None]) -> None:
+        """Call `act` once the message of a deployment is on record, or if `recorded` is false."""
+        if not self._node.values['recorded'] or (stamp, content) in self._early:
+            self._early[stamp, content] = None
+            act()
+            return
+        self._awaited[stamp, content] = act
+        if len(self._awaited) > qos.DEPTH:
+            del self._awaited[next(iter(self._awaited))]
+            self._refuse(ValueError(f'{qos.DEPTH} later messages wait to be recorded, too'))
 
     def _subscribe_to_recorded(self) -> Subscription:
         self._has_missed = False
@@ -101,7 +108,11 @@ class RecordedPaths(Generic[P]):
             return
         if not self._unacknowledged:
             self._ask_at = time.monotonic() + self._interval
-        self._unacknowledged[from_stamp(message.header.stamp), content_hash(message)] = path
+        name = from_stamp(message.header.stamp), content_hash(message)
+        self._unacknowledged[name] = path
+        if name in self._early:
+            self._take_recorded(*name)
+            return
         if len(self._unacknowledged) > qos.DEPTH:
             stamp, content = next(iter(self._unacknowledged))
             self._drop(stamp, content, f'{qos.DEPTH} later paths wait to be recorded, too')
@@ -112,13 +123,22 @@ class RecordedPaths(Generic[P]):
         except ValueError as error:
             self._node.diagnostics.refuse(f'{self.agent}/recorded', error)
             return
-        if depart := self._departures.pop((stamp, message.content), None):
-            depart()
+        name = stamp, int(message.content)
+        if name not in self._early:
+            remember(self._early, name, time.monotonic())
+        self._take_recorded(*name)
+
+    def _take_recorded(self, stamp: int, content: int) -> None:
+        """Pass on the message that is on record, if it has arrived."""
+        if act := self._awaited.pop((stamp, content), None):
+            self._early[stamp, content] = None
+            act()
             return
-        path = self._unacknowledged.pop((stamp, message.content), None)
+        path = self._unacknowledged.pop((stamp, content), None)
         if path is None:
             self._has_missed = True
             return
+        self._early[stamp, content] = None
         self._interval = ASK_FIRST
         for other in [content for each, content in self._unacknowledged if each == stamp]:
             self._drop(stamp, other, 'another path with the same stamp was recorded first')
@@ -126,6 +146,14 @@ class RecordedPaths(Generic[P]):
             self._take(path)
         except ValueError as error:
             self._refuse(error)
+
+    def has_unknown(self) -> bool:
+        """Return whether a message is on record that has not arrived; ask only once for each."""
+        due = time.monotonic() - ASK_FIRST
+        unknown = [name for name, since in self._early.items() if since and since < due]
+        for name in unknown:
+            self._early[name] = None
+        return bool(unknown)
 
     def _drop(self, stamp: int, content: int, why: str) -> None:
         del self._unacknowledged[stamp, content]
@@ -136,7 +164,8 @@ class RecordedPaths(Generic[P]):
 
     def _ask_again(self) -> None:
         """Request acknowledgements again if some have arrived before their paths."""
-        if self._unacknowledged and self._has_missed and time.monotonic() > self._ask_at:
+        is_any_awaited = self._unacknowledged or self._awaited
+        if is_any_awaited and self._has_missed and time.monotonic() > self._ask_at:
             self._interval = min(2 * self._interval, ASK_LAST)
             self._node.destroy_subscription(self._recorded)
             self._recorded = self._subscribe_to_recorded()

@@ -52,9 +52,9 @@ class RecordedTopic:
     recent: dict[tuple[int, int], None] = field(default_factory=dict)
     # Publisher of acknowledgements of paths or operator actions; None for other topics.
     recorded: Publisher | None = None
-    # Messages written and not acknowledged yet: stamp in nanoseconds, hash of the content, and
-    # start of the mission in nanoseconds.
-    unacknowledged: list[tuple[int, int, int]] = field(default_factory=list)
+    # Messages written and not acknowledged yet: stamp in nanoseconds, hash of the content, start
+    # of the mission in nanoseconds, and kind as in kbnitp_msgs/Recorded.
+    unacknowledged: list[tuple[int, int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
         """Return whether no other subscription has delivered this message; remember it."""

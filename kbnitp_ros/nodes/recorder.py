@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter
+from collections import Counter, defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 import heapq
 from itertools import chain
@@ -16,17 +15,17 @@ from typing import Any
 
 from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.state import Departures, MissingError
 from kbnitp_ros.configuration.known import TOPICS
 from kbnitp_ros.core import DeploymentKey
+from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
-from kbnitp_ros.log.read import PARAMETERS, RUN
+from kbnitp_ros.log.read import LoggedMessage, PARAMETERS, RUN
 from kbnitp_ros.log.record import read_mission
-from kbnitp_ros.log.roles import BELIEF, PATH, read_content, RECORD, resumed_log, Role
+from kbnitp_ros.log.roles import read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
-from kbnitp_ros.messages.deployments import AgentStatus, OrderState
+from kbnitp_ros.messages.deployments import AgentStatus
 from kbnitp_ros.messages.headers import (
     check_mission,
     check_texts,
@@ -34,9 +33,9 @@ from kbnitp_ros.messages.headers import (
     NO_MISSION,
     to_stamp,
 )
-from kbnitp_ros.nodes.presence import OPERATORS, Recorders
+from kbnitp_ros.messages.topics import BELIEF
+from kbnitp_ros.nodes.presence import LOG, OPERATORS, Recorders
 from kbnitp_ros.nodes.recorded_topics import (
-    Message,
     message_class,
     ParameterWatch,
     RecordedTopic,
@@ -46,7 +45,7 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, waiting_for
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
-from kbnitp_ros.nodes.runtime.node import MissionNode, PendingMessages
+from kbnitp_ros.nodes.runtime.node import MissionNode
 from kbnitp_ros.nodes.runtime.process import run
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -60,8 +59,16 @@ LEFT_OUT = ('/parameter_events', '/rosout')
 # Roles that nodes act on: messages are synced at once, statuses if an acknowledgement is due.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
-# Kinds of the messages that are acknowledged, by role; of statuses only departures are.
-KINDS = {'path': Recorded.PATH, 'status': Recorded.DEPARTURE, 'operator': Recorded.ACTION}
+# Kinds of the messages that are acknowledged, by role.
+KINDS = {
+    'path': Recorded.PATH,
+    'status': Recorded.STATUS,
+    'operator': Recorded.ACTION,
+    'report': Recorded.REPORT,
+}
+
+# Roles whose authors repeat a message while anybody waits: only changes are recorded.
+REPEATED = ('state', 'mission', 'decision', 'standings', 'hold')
 
 # Nodes that a mission needs, by the role that they publish.
 AWAITED = {'path': 'a planner to publish AGENT/path', 'belief': 'an estimator to publish belief'}
@@ -97,7 +104,9 @@ class RecorderNode(MissionNode):
                 f'{self._log.path.parent}/metadata.yaml describes another log: open this log by '
                 f'its first file, {self._log.path}, or use a folder for each log'
             )
+        self.diagnostics.values[LOG] = str(self._log.path)
         self._recorders = Recorders(self, self._log.path)
+        self._alive = self.resolve_topic_name('recorders')
         self._why_silent = self._recorders.why_silent
         # Publisher of `operator/recorded`, by which other nodes find recorders in the graph.
         self._operators = self.create_publisher(Recorded, OPERATORS, qos.EVIDENCE)
@@ -111,20 +120,22 @@ class RecorderNode(MissionNode):
         self._paths: Counter[int] = Counter()
         # Deployments with a path on record, of any mission.
         self._ordered: set[DeploymentKey] = set()
-        self._departures = Departures()
+        # Whether a message that was just written is awaited.
+        self._is_awaited = False
+        # Hash of the first departure of each deployment.
+        self._departed: dict[DeploymentKey, int] = {}
+        # Messages on record before this start, which are acknowledged again, by topic.
+        self._restored: dict[str, deque[tuple[int, int, int, int]]] = defaultdict(
+            lambda: deque(maxlen=qos.DEPTH)
+        )
+        # Hash of the last message of each role that is repeated, without its header, by topic.
+        self._repeated: dict[str, int] = {}
         # By node: first difference between the topics that it states and the topics of this node.
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
-            for role, logged in recorded.read('path', 'status'):
-                if role.name == 'path':
-                    key, mission = logged.said
-                    content = content_hash(logged.message)
-                    self._note(logged.topic, role, key.stamp, mission, content)
-                else:
-                    # Evidence that was refused before the restart is refused again.
-                    with suppress(ValueError):
-                        self._departures.take(*logged.said)
+            for role, logged in recorded.read(*KINDS):
+                self._restore(role, logged)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, RecordedTopic] = {}
@@ -132,8 +143,6 @@ class RecorderNode(MissionNode):
         self._settled: dict[str, None] = {}
         self._last_looked = ''
         self._refused: set[tuple[str, str]] = set()
-        # Beliefs that arrived before the paths of their deployments, and losses before departures.
-        self._early = PendingMessages(self, self._write_checked)
         self._watch = ParameterWatch(
             self, self._namespace, self._on_parameters, self.diagnostics.refuse
         )
@@ -141,12 +150,30 @@ class RecorderNode(MissionNode):
         self._on_parameters(self.get_fully_qualified_name(), self.values)
         self.create_poll(self._check_log)
         self.create_look(self._discover)
-        self.create_poll(self._sync, SYNC_PERIOD)
+        self.create_poll(self._sync_all, SYNC_PERIOD)
+
+    def _restore(self, role: Role, logged: LoggedMessage) -> None:
+        """Note a message on record, to acknowledge it again to those who missed it."""
+        stamp, mission, content = logged.said, NO_MISSION, content_hash(logged.message)
+        kind = KINDS[role.name]
+        if role.name == 'path':
+            (_, stamp), mission = logged.said
+            if self._note(logged.topic, role, stamp, mission, content) != content:
+                return
+        elif role.name == 'report':
+            (_, stamp), _ = logged.said
+        elif role.name == 'status':
+            key, status = logged.said
+            stamp = key.stamp
+            if status.state is OrderState.DEPARTED:
+                kind = Recorded.DEPARTURE
+                if self._departed.setdefault(key, content) != content:
+                    return
+        self._restored[logged.topic].append((stamp, content, mission, kind))
 
     def finish(self) -> None:
         """Record the messages that have arrived."""
         self._write_arrived_on(self._topics.values())
-        self._early.try_again(is_last=True)
         self.get_logger().info(f'the log of the mission is {self._log.path}')
 
     def _write_arrived_on(self, topics: Iterable[RecordedTopic]) -> None:
@@ -208,6 +235,9 @@ class RecorderNode(MissionNode):
                 continue
             if topic in self.roles.by_topic:
                 own.append(topic)
+            elif topic == self._alive:
+                # Other recorders are found by it, and nobody else reads it.
+                continue
             elif topic in SHARED or (topic.startswith(self._namespace) and topic not in LEFT_OUT):
                 others.append(topic)
         return own, others
@@ -271,12 +301,13 @@ class RecorderNode(MissionNode):
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = RecordedTopic(name, type_name, role)
-        if role is not None and role.name in ('path', 'status'):
+        if role is not None and role.name in ('path', 'status', 'report'):
             # Each agent has its own publisher, since DDS limits the depth of a history.
             name = f'{role.agent}/recorded'
             topic.recorded = self.create_publisher(Recorded, name, qos.EVIDENCE)
         elif role is not None and role.name == 'operator':
             topic.recorded = self._operators
+        topic.unacknowledged += self._restored.pop(topic.name, ())
         self.diagnostics.state = self._state()
         return topic
 
@@ -310,17 +341,14 @@ class RecorderNode(MissionNode):
 
     def _on_message(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
         role = topic.role.name if topic.role else ''
-        # Beliefs and statuses need no immediate sync, unless an acknowledgement is pending.
-        is_seldom_awaited = role in ('belief', 'status')
-        if is_seldom_awaited:
-            # Write paths first: beliefs and statuses are checked against them.
+        if role in ('belief', 'standings', 'status'):
+            # Write paths first, so that they come first in the log.
             self._write_arrived_on(
                 each for each in self._topics.values() if each.role and each.role.name == 'path'
             )
+        self._is_awaited = False
         self._write(topic, data, info)
-        is_evidence = role in ACTED_ON and not is_seldom_awaited
-        is_any_unacknowledged = any(each.unacknowledged for each in self._topics.values())
-        if is_evidence or (is_seldom_awaited and is_any_unacknowledged):
+        if self._is_awaited:
             # One sync for all messages that have arrived, such as the paths of a round, so that
             # all messages published before an acknowledgement are on disk.
             self._write_arrived_on(self._topics.values())
@@ -328,26 +356,16 @@ class RecorderNode(MissionNode):
             self._acknowledge_all()
 
     def _write(self, topic: RecordedTopic, data: bytes, info: Any) -> None:
-        """Write a message, unless another subscription has delivered it."""
-        if topic.is_new(info['source_timestamp'], data):
-            self._write_checked((topic, data, info))
-            if topic.role and topic.role.name == 'path':
-                # Beliefs that waited for this path come before the next belief.
-                self._early.try_again()
-
-    def _write_checked(self, message: Message, deadline: float | None = None) -> None:
-        """Write a valid message; retry until a deadline if it refers to a message not yet read."""
-        topic, data, info = message
+        """Write a valid message, unless another subscription has delivered it."""
+        if not topic.is_new(info['source_timestamp'], data):
+            return
         try:
             if len(data) > MAX_MESSAGE:
                 raise ValueError(f'it has {len(data)} bytes: at most {MAX_MESSAGE} are recorded')
-            if not self._is_of_this_mission(topic, data):
+            if not self._is_of_this_mission(topic, data) or not self._check(topic, data):
                 return
-            self._check(topic, data)
         except (ValueError, RuntimeError) as error:
-            is_early = isinstance(error, MissingError)
-            if not (is_early and self._early.keep(deadline, message)):
-                self.diagnostics.refuse(topic.name, error)
+            self.diagnostics.refuse(topic.name, error)
             return
         self._log.write(topic.name, data, info['received_timestamp'], info['source_timestamp'])
         self._unsynced = True
@@ -360,16 +378,21 @@ class RecorderNode(MissionNode):
         status = deserialize_message(data, message_class(topic.type_name)).status
         return any(each.name.startswith(self._namespace) for each in status)
 
-    def _check(self, topic: RecordedTopic, data: bytes) -> None:
-        """Check a message of a role, and note it for acknowledgement."""
+    def _check(self, topic: RecordedTopic, data: bytes) -> bool:
+        """Check a message, and note it for acknowledgement; return False for a repeated one."""
         role = topic.role
         if role is None:
-            return
+            return True
         message = deserialize_message(data, message_class(topic.type_name))
         check_texts(message)
         said = read_content(role, message)
+        if role.name in REPEATED:
+            return not self._is_repeated(topic, message)
         if role.name == 'status':
             self._check_status(topic, *said)
+        elif role.name == 'report':
+            key, report = said
+            self._await_acknowledgement(topic, key.stamp, report.content, kind=Recorded.REPORT)
         elif topic.recorded:
             stamp, mission = said, NO_MISSION
             if role.name == 'path':
@@ -377,36 +400,67 @@ class RecorderNode(MissionNode):
                 check_mission(mission, self._tracker.mission)
             content = content_hash(message)
             first = self._note(topic.name, role, stamp, mission, content)
-            topic.unacknowledged.append((stamp, first, mission))
-            if len(topic.unacknowledged) > qos.DEPTH:
-                self.diagnostics.refuse(
-                    topic.name,
-                    f'more than {qos.DEPTH} paths wait for the first belief of their mission: the '
-                    'oldest one will not be acknowledged',
-                )
-                del topic.unacknowledged[0]
+            self._await_acknowledgement(topic, stamp, first, mission, kind=KINDS[role.name])
             if first != content:
                 raise ValueError(
                     f'another message with stamp {stamp} was recorded first and counts (do two '
                     'nodes publish this topic?)'
                 )
-        elif role.name == 'report' and not message.survived:
-            self._departures.check_loss(said[0])
         elif role.name == 'belief':
-            known = self._paths[said.mission]
-            self._tracker.check_belief(said, self.count_authors(topic.name, BELIEF), known)
-            self._tracker.accept_belief(said, known)
+            self._tracker.check_belief(said, self.count_authors(topic.name, BELIEF))
+            self._tracker.accept_belief(said)
+        return True
+
+    def _is_repeated(self, topic: RecordedTopic, message: Any) -> bool:
+        """Return whether a message says the same as the last one on its topic."""
+        if hasattr(message, 'header'):
+            message.header.stamp = to_stamp(0)
+        content = content_hash(message)
+        is_repeated = self._repeated.get(topic.name) == content
+        self._repeated[topic.name] = content
+        return is_repeated
+
+    def _await_acknowledgement(
+        self,
+        topic: RecordedTopic,
+        stamp: int,
+        content: int,
+        mission: int = NO_MISSION,
+        *,
+        kind: int,
+        is_urgent: bool = True,
+    ) -> None:
+        """Acknowledge a message once it is on disk, which is at once if it is urgent."""
+        self._is_awaited |= is_urgent
+        topic.unacknowledged.append((stamp, content, mission, kind))
+        if len(topic.unacknowledged) > qos.DEPTH:
+            self.diagnostics.refuse(
+                topic.name,
+                f'more than {qos.DEPTH} messages wait for their mission or their paths: the '
+                'oldest one will not be acknowledged',
+            )
+            del topic.unacknowledged[0]
 
     def _check_status(self, topic: RecordedTopic, key: DeploymentKey, status: AgentStatus) -> None:
-        """Check an agent's status, and acknowledge a departure once it is on disk."""
-        # If two robots with the same name report a departure, only the first is acknowledged.
-        if key not in self._ordered:
-            raise MissingError(
-                f'status {status.state.name} of deployment {key}: its path is not on record'
+        """Acknowledge a status once it is on disk."""
+        if status.state is not OrderState.DEPARTED:
+            # Most orders are departures a moment later.
+            self._await_acknowledgement(
+                topic,
+                key.stamp,
+                status.content,
+                kind=Recorded.STATUS,
+                is_urgent=status.state is OrderState.REFUSED,
             )
-        self._departures.take(key, status)
-        if status.state is OrderState.DEPARTED:
-            topic.unacknowledged.append((key.stamp, status.content, NO_MISSION))
+            return
+        # If two robots with the same name report a departure, only the first is acknowledged.
+        first = self._departed.setdefault(key, status.content)
+        if first != status.content:
+            raise ValueError(
+                f'another departure of deployment {key} was recorded first and counts (do two '
+                f'robots have the name {key.agent}?)'
+            )
+        self._await_acknowledgement(topic, key.stamp, status.content, kind=Recorded.DEPARTURE)
 
     def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
         """Note a path or action; return the hash of the first with this stamp and mission."""
@@ -426,9 +480,16 @@ class RecorderNode(MissionNode):
                     each for each in topic.unacknowledged if not self._acknowledge(topic, *each)
                 ]
 
-    def _acknowledge(self, topic: RecordedTopic, stamp: int, content: int, mission: int) -> bool:
+    def _acknowledge(
+        self, topic: RecordedTopic, stamp: int, content: int, mission: int, kind: int
+    ) -> bool:
         """Acknowledge a message on disk; return False if its mission is not known yet."""
-        if topic.type_name == PATH:
+        assert topic.role is not None
+        order = DeploymentKey(topic.role.agent, stamp)
+        if kind == Recorded.DEPARTURE and order not in self._ordered:
+            # A departure may arrive before the path of its deployment.
+            return False
+        if kind == Recorded.PATH:
             try:
                 self._tracker.check_path(mission)
             except ValueError as error:
@@ -439,14 +500,13 @@ class RecorderNode(MissionNode):
                 return True
             self._tracker.begin(mission)
         assert topic.recorded is not None
-        assert topic.role is not None
         topic.recorded.publish(
             Recorded(
                 stamp=to_stamp(stamp),
                 content=content,
                 mission=to_stamp(mission),
                 agent=topic.role.agent,
-                kind=KINDS[topic.role.name],
+                kind=kind,
             )
         )
         return True
@@ -455,6 +515,11 @@ class RecorderNode(MissionNode):
         if self._unsynced:
             self._log.sync()
             self._unsynced = False
+
+    def _sync_all(self) -> None:
+        """Sync now and then, and acknowledge what was not urgent."""
+        self._sync()
+        self._acknowledge_all()
 
     def _on_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Record all parameters of a node, or those that changed."""

@@ -17,10 +17,10 @@ from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.core.inference.record import MAX_WALK
+from kbnitp_ros.core.inference.record import MAX_WALK, OrderState
 from kbnitp_ros.files import in_words
-from kbnitp_ros.messages.deployments import OrderState, report_message, status_message
-from kbnitp_ros.messages.headers import FRAME, SECOND
+from kbnitp_ros.messages.deployments import report_message, status_message
+from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_detection
@@ -351,7 +351,8 @@ class RobotNode(FieldNode):
         self._trip = trip = self._set_out(deployment, deployment.path)
         self._is_at_gate = True
         departure = status_message(self._key(deployment), OrderState.DEPARTED, deployment.departed)
-        self._pending.when_recorded(departure, partial(self._leave, trip))
+        content = content_hash(departure)
+        self._pending.when_recorded(deployment.stamp, content, partial(self._leave, trip))
         self._statuses.publish(departure)
         return True
 

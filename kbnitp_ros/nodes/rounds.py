@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 class Search:
     """A search for the paths of a round; searches for the same round are equal."""
 
-    # The stamp of the belief, nanoseconds, and its number of deployments.
+    # The name of the belief's evidence: epoch and changes.
     belief: tuple[int, int]
     # The agents of the round.
     agents: list[str]

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The published views of a belief: its maps, its progress and its new evidence."""
+"""The published views of a belief: its maps and its progress."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
-from kbnitp_ros.core.inference.record import deployment_order
+from kbnitp_ros.core import Estimator, Ledger, World
 from kbnitp_ros.messages.grids import (
     check_filter,
     filter_info,
@@ -16,9 +15,8 @@ from kbnitp_ros.messages.grids import (
     occupancy_grid,
     read_occupancy_grid,
 )
-from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN, progress_message
+from kbnitp_ros.messages.progress import MissionStatus, NOT_KNOWN, progress_message
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import MISSION_REASON, MISSION_STATE
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from nav_msgs.msg import OccupancyGrid
 import numpy as np
@@ -26,43 +24,6 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
-
-# At least one in this many beliefs names all its evidence, for readers that missed beliefs.
-COMPLETE_EVERY = 64
-
-
-class NewEvidence:
-    """Evidence assimilated since the last belief."""
-
-    # A report that replaces another report does not raise the number of deployments in its belief.
-    # The next belief then names all evidence.
-
-    def __init__(self) -> None:
-        self._keys: set[DeploymentKey] = set()
-        self._published = 0
-        # Number of deployments in the last belief; 0 if the next belief names all evidence.
-        self._since = 0
-        self._until_complete = COMPLETE_EVERY
-
-    def add(self, key: DeploymentKey) -> None:
-        """Add a deployment whose report was assimilated."""
-        self._keys.add(key)
-
-    def name_all(self) -> None:
-        """Name all evidence in the next belief."""
-        self._since = 0
-
-    def take(self, ledger: Ledger) -> tuple[int, Sequence[DeploymentKey]]:
-        """Return `since` and `taken_in` of a ledger's belief, which is published next."""
-        since, held = self._since, len(ledger.deployments)
-        named = sorted(self._keys, key=deployment_order) if since else ledger.deployments
-        self._until_complete = (self._until_complete if since else COMPLETE_EVERY) - 1
-        has_grown = held > self._published
-        self._since = held if has_grown and self._until_complete else 0
-        self._published = held
-        self._keys.clear()
-        return since, named
-
 
 # Minimum seconds between two publications of the views, which cost more than a small belief.
 PERIOD = 0.5
@@ -80,8 +41,6 @@ class Views:
         self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
         self._message = Progress()
         self._status = NOT_KNOWN
-        # Number of robots in flight.
-        self.out = 0
         self._is_progress_pending = False
         self._maps = {
             name: node.create_publisher(OccupancyGrid, f'belief/{name}', qos.LATCHED)
@@ -96,7 +55,6 @@ class Views:
             for topic in (f'truth/{name}', f'{agents[0]}/truth/{name}'):
                 take = partial(self._on_truth, topic, name)
                 node.subscribe(OccupancyGrid, topic, take, qos.LATCHED)
-        node.subscribe_to_diagnostics(self._on_diagnostics)
 
     def announce_mask(self, filter_type: int, base: float, multiplier: float) -> None:
         """Publish the hazard map as the mask of a Nav2 costmap filter as well."""
@@ -109,16 +67,17 @@ class Views:
         topic = self._mask.topic_name
         info.publish(filter_info(filter_type, base, multiplier, topic, node.now()))
 
-    def _on_diagnostics(self, name: str, values: Mapping[str, str]) -> None:
-        """Publish the state of the mission from the planner's diagnostics."""
-        own = self._node.get_namespace().rstrip('/')
-        state = MissionState.__members__.get(values.get(MISSION_STATE, ''))
-        if state is None or name.rpartition('/')[0] != own:
-            return
-        status = state, values.get(MISSION_REASON, '')
-        if status != self._status:
+    def show_status(self, status: MissionStatus) -> None:
+        """Publish how the mission stands, if that has changed."""
+        # Time and texts do not matter to tools that draw curves.
+        if (before := self._status) != status:
             self._status = status
-            self._message.state, self._message.reason = status
+            names = ('state', 'ordered', 'out', 'reason')
+            changes = {name: getattr(status, name) for name in names}
+            for name, value in changes.items():
+                setattr(self._message, name, value)
+            if all(value == getattr(before, name) for name, value in changes.items()):
+                return
             # Before the first belief there is no progress to publish.
             self._is_progress_pending = self._newest is not None
             self._publish_or_wait()
@@ -140,14 +99,6 @@ class Views:
         self._pending = ledger, self._newest, stamp
         self._newest = len(ledger.deployments), ledger.estimator
         self._publish_or_wait()
-
-    def show_out(self, ledger: Ledger) -> None:
-        """Publish the numbers of robots ordered and in flight, if they have changed."""
-        counts = len(ledger.paths), self.out
-        if counts != (self._message.ordered, self._message.out):
-            self._message.ordered, self._message.out = counts
-            self._is_progress_pending = True
-            self._publish_or_wait()
 
     def _publish_or_wait(self) -> None:
         """Publish now, or after `PERIOD` if views were just published."""
@@ -173,7 +124,7 @@ class Views:
             world = None
             if len(self._truth) == 2:
                 world = World(self._truth['hazard'], self._truth['target'])
-            self._message = progress_message(ledger, before, world, stamp, self.out, self._status)
+            self._message = progress_message(ledger, before, world, stamp, self._status)
         if self._pending or self._is_progress_pending:
             self._progress.publish(self._message)
         self._pending, self._is_progress_pending = None, False

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import Decision, DeploymentKey, Grid, Observation, World
-from kbnitp_ros.core.inference.record import make_observation
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.history import History, Moment, read_history
@@ -186,7 +185,7 @@ def recorded_mission(log: MissionLog, history: History) -> Mission:
         raise LogError(f'{path}: nothing to report; refused: {evidence.refused[0]}')
     keys = evidence.orders
     moments, notes = recorded_moments(log, history, keys)
-    in_flight = sum(not evidence.departures.is_at_base(key) for key in evidence.without_report)
+    in_flight = sum(not evidence.is_at_base(key) for key in evidence.without_report)
     metadata = history.bookmark.metadata
     parameters = log.parse_parameters(metadata)
     site, unseen = map_site(parameters, grid)
@@ -266,12 +265,11 @@ def reported_outcome(
     evidence: RecordedMission, key: DeploymentKey | None, stamp: int
 ) -> Observation | None:
     """Return the observation reported at this stamp; None if it is not on record."""
-    if key not in evidence.reports or key not in evidence.paths:
+    report = evidence.find_report(key, stamp) if key in evidence.paths else None
+    if key is None or report is None:
         return None
-    report = evidence.find_report(key, stamp)
-    return make_observation(
-        report, key, evidence.paths[key], evidence.grid, evidence.most_steps(key)
-    )
+    heard = evidence.heard[key].get(report)
+    return heard.outcome if heard else None
 
 
 def summarise_deployments(
@@ -288,7 +286,7 @@ def summarise_deployments(
         DeploymentSummary(
             key,
             evidence.paths[key],
-            evidence.outcomes.get(key),
+            evidence.outcome(key),
             evidence.sent.get(key),
             reported.get(key),
             last.get(place, moment_after(moments, reported.get(key))),

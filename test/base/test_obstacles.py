@@ -6,8 +6,9 @@ from itertools import combinations
 
 from kbnitp_ros.base.agent_states import AgentStates
 from kbnitp_ros.base.mission_tracker import MissionTracker
-from kbnitp_ros.base.obstacles import describe_obstacle, Obstacle, PlannerState
-from kbnitp_ros.base.state import BaseState
+from kbnitp_ros.base.obstacles import describe_obstacle
+from kbnitp_ros.base.protocol import PlannerState
+from kbnitp_ros.base.state import BaseState, EvidenceName
 from kbnitp_ros.configuration import node_parameters, with_defaults
 from kbnitp_ros.configuration.checks import (
     check_changes,
@@ -18,11 +19,13 @@ from kbnitp_ros.configuration.checks import (
     reach_note,
 )
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel, Unknowns
+from kbnitp_ros.core.inference.record import OrderState, Standing, Verdict
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
-from kbnitp_ros.messages.deployments import AgentStatus, OrderState, read_report
+from kbnitp_ros.messages.deployments import AgentStatus, read_report
 from kbnitp_ros.messages.headers import next_name
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction
-from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.messages.progress import Helper, MissionState, Obstacle
+from kbnitp_ros.messages.standings import Standings
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
 from kbnitp_ros.nodes.rounds import Rounds
 from laws import for_each
@@ -36,9 +39,14 @@ VALUES = {
 }  # fmt: skip
 
 
+ENDED = Standing(Verdict.RETURN, 1, judged=frozenset({1}))
+HEARD = EvidenceName(1, 1)
+
+
 def base(*out, actions=(), values=VALUES):
-    """Return the state of a base with robots in flight, after actions of its operator."""
+    """Return a base that heard of one return, with robots in flight, after its operator's acts."""
     state = BaseState(GRID, 10, values=values)
+    state.follow(Standings(1, '/estimator', 0, 1, 7, 1, 1, 0, {key(0): ENDED}))
     for content, each in enumerate(out):
         state.take_path(each, HOME, content)
     for stamp, action in enumerate(actions):
@@ -59,11 +67,8 @@ CLEAR = PlannerState(
     base=base(),
     states=states(),
     unrecorded_action='',
-    sent=1,
-    newest=1,
-    last_received=1,
-    refusal='',
-    kept=2,
+    newest=HEARD,
+    why_unfollowed='',
     estimators=1,
     is_decided=True,
     why_over=lambda: '',
@@ -80,8 +85,9 @@ def made(out=(), actions=(), values=VALUES, **changes):
 MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
     Obstacle.NO_BELIEF: {'newest': None},
-    Obstacle.UNREPORTED: {'out': [key(1)], 'sent': 2},
-    Obstacle.BELIEF_BEHIND: {'last_received': 0, 'newest': 0},
+    Obstacle.UNREPORTED: {'out': [key(1)]},
+    Obstacle.UNJUDGED: {'why_unfollowed': 'resume'},
+    Obstacle.BELIEF_BEHIND: {'newest': EvidenceName(1, 0)},
     Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
     Obstacle.DECIDING: {'is_decided': False},
     Obstacle.OVER: {'why_over': lambda: 'the lane is free'},
@@ -92,7 +98,7 @@ MADE_BY = {
 
 
 def test_robots_leave_where_nothing_blocks_them():
-    assert CLEAR.obstacle is None
+    assert CLEAR.obstacle is Obstacle.NONE
     assert CLEAR.free_agents == ['scout_1']
 
 
@@ -125,9 +131,8 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
         values=values,
         agents=['scout_1', 'scout_2'],
         out=[key(1)],
-        sent=2,
     )
-    assert rolling.obstacle is None
+    assert rolling.obstacle is Obstacle.NONE
     assert rolling.free_agents == ['scout_2']
     assert replace(rolling, why_over=lambda: 'enough').obstacle is Obstacle.UNREPORTED
     values['robots'] = 2
@@ -155,7 +160,6 @@ def test_an_ended_mission_waits_for_departed_robots_only():
         actions=[Action.END],
         agents=['scout_1', 'scout_2'],
         out=[key(1), key(2, 'scout_2')],
-        sent=3,
     )
     assert ended.unreported == []
     assert ended.robots == 1
@@ -189,12 +193,8 @@ def test_the_state_of_the_mission(actions, obstacle, state):
         'return',
     ),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
-    (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds 1 deployment on /a/belief'),
-    (
-        Obstacle.BELIEF_BEHIND,
-        {'out': [*map(key, range(4))], 'sent': 5},
-        'the last belief holds 0, and publishers keep only the last 2 paths and reports of each',
-    ),
+    (Obstacle.UNJUDGED, {}, 'standings on /a/standings, which are not followed: resume'),
+    (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds all that counts on /a/belief'),
     (Obstacle.DECIDING, {}, 'the decision on /a/decision'),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
     (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
@@ -210,6 +210,22 @@ def test_the_state_of_the_mission(actions, obstacle, state):
 def test_an_obstacle_is_stated_with_its_remedy(obstacle, change, words):
     now = made(**MADE_BY[obstacle] | change)
     assert words in describe_obstacle(now, obstacle)
+
+
+@for_each('obstacle, change, helper', [
+    (Obstacle.ACTION_UNRECORDED, {}, Helper.RECORDER),
+    (Obstacle.NO_BELIEF, {}, Helper.ESTIMATOR),
+    (Obstacle.UNREPORTED, {}, Helper.ROBOT),
+    (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, Helper.RECORDER),
+    (Obstacle.UNJUDGED, {}, Helper.ESTIMATOR),
+    (Obstacle.DECIDING, {}, Helper.ESTIMATOR),
+    (Obstacle.PAUSED, {}, Helper.OPERATOR),
+    (Obstacle.OVER, {}, Helper.NOBODY),
+    (Obstacle.NO_FREE_AGENT, {}, Helper.ROBOT),
+])  # fmt: skip
+def test_each_obstacle_names_who_can_end_it(obstacle, change, helper):
+    now = made(**MADE_BY[obstacle] | change)
+    assert now.ends_by(now.obstacle) is helper
 
 
 def test_proposals_and_searches_are_stated_with_their_agents():
@@ -375,8 +391,8 @@ def test_learnt_numbers_do_not_make_another_estimator():
     told = snapshots()
     assert len({snapshot.model for snapshot in told}) == len(told)
     for snapshot in told:
-        tracker.check_belief(snapshot, authors=2, known=3)
-        assert tracker.accept_belief(snapshot, known=3)
+        tracker.check_belief(snapshot, authors=2)
+        tracker.accept_belief(snapshot)
 
 
 @for_each('other, told', [
@@ -386,50 +402,20 @@ def test_learnt_numbers_do_not_make_another_estimator():
 ])  # fmt: skip
 def test_another_estimator_is_recognised_by_its_start(other, told):
     tracker = MissionTracker()
-    tracker.accept_belief(snapshots()[2], known=3)
+    tracker.accept_belief(snapshots()[2])
     with pytest.raises(ValueError, match=told):
-        tracker.check_belief(snapshots(**other)[3], authors=2, known=3)
+        tracker.check_belief(snapshots(**other)[3], authors=2)
 
 
-def test_the_estimator_stays_the_same_when_another_publisher_of_beliefs_leaves():
-    """After that, the first belief to arrive may be a stranger's."""
+def test_a_belief_of_more_robots_than_a_mission_can_have_is_refused():
     tracker, told = MissionTracker(), snapshots()
-    tracker.accept_belief(told[3], known=3)
-    tracker.newest = None
-    with pytest.raises(ValueError, match='^model changed from .*0.04'):
-        tracker.check_belief(snapshots(malfunction=0.04)[2], authors=2, known=3)
-    tracker.check_belief(told[2], authors=2, known=3)
-    assert tracker.accept_belief(told[2], known=3)
-
-
-@for_each('authors', [1, 2])
-def test_a_belief_that_holds_more_deployments_than_paths_is_refused(authors):
-    """The graph may not list its publisher yet when it arrives."""
-    tracker, told = MissionTracker(), snapshots()
-    for known, snapshot in enumerate(told):
-        tracker.accept_belief(snapshot, known)
-    with pytest.raises(
-        ValueError, match='holds 40 deployments, but this node knows the paths of only 3'
-    ):
-        tracker.check_belief(replace(told[-1], deployments=40), authors, known=3)
-    assert tracker.newest is told[-1]
-
-
-def test_the_first_belief_of_a_restarted_planner_may_hold_deployments_of_the_one_before():
-    tracker, told = MissionTracker(), snapshots()
-    with pytest.raises(ValueError, match='the paths of only 0; 2 nodes publish beliefs: stop'):
-        tracker.check_belief(told[2], authors=2, known=0)
-    tracker.check_belief(told[2], authors=1, known=0)
-    tracker.accept_belief(told[2], known=0)
-    # One robot has been sent since.
-    tracker.check_belief(told[3], authors=1, known=1)
-    with pytest.raises(ValueError, match='this node knows the paths of only 2$'):
-        tracker.check_belief(told[3], authors=1, known=0)
+    with pytest.raises(ValueError, match='deployments is 20001: a mission has at most 20000'):
+        tracker.check_belief(replace(told[-1], deployments=20_001), authors=1)
 
 
 def test_paths_of_other_missions_before_the_first_robot_leaves_do_not_matter():
     tracker = MissionTracker()
-    tracker.accept_belief(snapshots(losses=0)[0], known=0)
+    tracker.accept_belief(snapshots(losses=0)[0])
     for foreign in range(2, 202):
         with pytest.raises(ValueError, match='but no belief of that mission was received'):
             tracker.check_path(foreign)
@@ -441,10 +427,10 @@ def test_paths_of_other_missions_before_the_first_robot_leaves_do_not_matter():
 
 def test_the_mission_of_a_belief_with_deployments_is_that_of_an_earlier_prior():
     tracker, (prior, belief) = MissionTracker(), snapshots(losses=1)
-    tracker.accept_belief(prior, known=0)
+    tracker.accept_belief(prior)
     foreign = replace(belief, mission=0)
     with pytest.raises(ValueError, match='and not to the mission begun at 0.000000001'):
-        tracker.check_belief(foreign, authors=2, known=1)
+        tracker.check_belief(foreign, authors=2)
     # A restarted estimator states a later mission before it receives the paths.
-    tracker.accept_belief(replace(prior, mission=7), known=1)
-    tracker.check_belief(belief, authors=2, known=1)
+    tracker.accept_belief(replace(prior, mission=7))
+    tracker.check_belief(belief, authors=2)

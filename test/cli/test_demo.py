@@ -14,7 +14,7 @@ import time
 from types import SimpleNamespace
 
 from demo_mission import demo_mission
-from kbnitp_msgs.msg import Progress
+from kbnitp_msgs.msg import MissionStatus, Progress
 from kbnitp_ros.cli import demo_mission as demo_mission_module
 from kbnitp_ros.cli.demo import main, parse
 from kbnitp_ros.cli.demo_mission import (
@@ -37,7 +37,7 @@ from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog, PROGRESS
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.messages.progress import MissionState
+from kbnitp_ros.messages.progress import Helper, MissionState, Obstacle
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
 from launches import nodes_of_demo, reports_in, run_on_terminal
@@ -472,42 +472,43 @@ def test_bad_options_are_refused_before_anything_starts(tmp_path, capsys, option
     assert not (tmp_path / 'out').exists()
 
 
-RUNNING, PAUSED, DONE, ENDED = (
-    MissionState[name] for name in ('RUNNING', 'PAUSED', 'DONE', 'ENDED')
-)
-
-
 PERIOD, WAIT = 0.3, 0.7
+DONE = MissionStatus(state=MissionState.DONE, obstacle=Obstacle.ALL_DEPLOYED)
+
+
+def waits_for(obstacle, ends_by=Helper.OPERATOR, reason='', **counts):
+    return MissionStatus(
+        state=MissionState.RUNNING, obstacle=obstacle, ends_by=ends_by, reason=reason, **counts
+    )
 
 
 @pytest.mark.slow
 @for_each('sent, until', [
-    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 0)], PERIOD),
-    ([(RUNNING, '', 0), (DONE, 'done: 1 of 1', 1), (DONE, 'done: 1 of 1', 0)], 2 * PERIOD),
-    ([(RUNNING, '', 0), (ENDED, 'done: 1 of 9', 0)], PERIOD),
-    ([(RUNNING, 'waiting for the operator, since', 1)] * 4 + [(DONE, 'done: 1 of 1', 0)],
-     4 * PERIOD),
-    ([(PAUSED, 'waiting for the operator to end the pause', 0)], WAIT),
-    ([(RUNNING, 'waiting for the operator to approve', 0)], WAIT),
-    ([(RUNNING, 'waiting for a belief that holds 2; the estimator says', 1)], WAIT),
+    ([waits_for(Obstacle.SEARCHING, Helper.NOBODY), DONE], PERIOD),
+    ([waits_for(Obstacle.SEARCHING, Helper.NOBODY),
+      MissionStatus(state=MissionState.DONE, out=1), DONE], 2 * PERIOD),
+    ([waits_for(Obstacle.SEARCHING, Helper.NOBODY),
+      MissionStatus(state=MissionState.ENDED, obstacle=Obstacle.OVER)], PERIOD),
+    ([waits_for(Obstacle.UNREPORTED, out=1)] * 4 + [DONE], 4 * PERIOD),
+    ([MissionStatus(state=MissionState.PAUSED, obstacle=Obstacle.PAUSED_BY_OPERATOR,
+                    ends_by=Helper.OPERATOR)], WAIT),
+    ([waits_for(Obstacle.UNAPPROVED)], WAIT),
+    ([waits_for(Obstacle.UNJUDGED, held=1)], WAIT),
     # The planner does find a path later.
-    (
-        [(RUNNING, f'waiting for the operator, {n}'[: 99 * (n % 2)], 0) for n in range(6)]
-        + [(DONE, 'done: 1 of 1', 0)],
-        6 * PERIOD,
-    ),
+    ([waits_for(Obstacle.WORTHLESS, reason=f'no path is worth it, {n}') for n in range(6)]
+     + [DONE], 6 * PERIOD),
 ], every=2)  # fmt: skip
 def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
     monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
     with free_domain() as domain, observed(domain) as observer:
-        node = rclpy.create_node('estimator')
-        progress = node.create_publisher(Progress, 'progress', qos.LATCHED)
+        node = rclpy.create_node('planner')
+        mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
+        node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
         left = iter(sent)
 
         def tell():
-            if told := next(left, None):
-                state, reason, out = told
-                progress.publish(Progress(state=state, reason=reason, out=out, deployments=1))
+            if status := next(left, None):
+                mission.publish(status)
 
         tell()
         executor = SingleThreadedExecutor()

@@ -7,9 +7,11 @@ from kbnitp_ros.core import (
     Area,
     Belief,
     DeploymentKey,
+    Estimator,
     Execution,
     Grid,
     Lane,
+    Ledger,
     plan,
     plan_team,
     Report,
@@ -21,7 +23,6 @@ from kbnitp_ros.core import (
     Truth,
     World,
 )
-from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.core.planning.regions import keepout_cells
 from laws import for_each
 import numpy as np
@@ -183,7 +184,9 @@ def test_cells_around_bases_are_never_refused():
 
 
 def test_paths_and_walks_begin_and_end_at_the_base_of_their_agent():
-    register = MissionRecord(CORNERS, 6, {'far': THERE})
+    register = Ledger(
+        CORNERS, 6, Estimator(Belief.prior(CORNERS, 0.2, 0.3, 0.8), MODEL), {'far': THERE}
+    )
     near, far = DeploymentKey('near', 1), DeploymentKey('far', 2)
     register.record_path(near, [0, 1, 0])
     with pytest.raises(ValueError, match='path must start at the base 29, not at cell 0'):

@@ -15,9 +15,9 @@ from kbnitp_ros.configuration import make_grid
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.messages.deployments import path_message, report_message
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.messages.topics import BELIEF
 from kbnitp_ros.nodes.runtime import qos
 from mission import full_name, Mission, NAMESPACE, StuckError
 from nav_msgs.msg import OccupancyGrid, Path

@@ -15,8 +15,8 @@ from fleet import FIELD, GRID, SIMULATOR, TARGETS
 from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.files import share
 from kbnitp_ros.log.read import LogError, read_log
-from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.topics import REPORT
 from kbnitp_ros.nodes.robot import NEW_LINKS
 from kbnitp_ros.nodes.runtime.graph import udp_only
 import pytest

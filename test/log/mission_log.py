@@ -30,7 +30,7 @@ from kbnitp_ros.messages.deployments import path_message, read_report, report_me
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import content_hash, from_stamp, NO_MISSION
 from kbnitp_ros.messages.progress import Checked, model_belief
-from kbnitp_ros.nodes.views import NewEvidence
+from kbnitp_ros.messages.standings import standings_fields, standings_message
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -63,6 +63,8 @@ class Sent:
         return serialize_message(self.message)
 
 
+AUTHOR = '/estimator'
+
 # Deployments from one check of the model to the next.
 CHECK_EVERY = 2
 
@@ -87,7 +89,6 @@ class Mission:
         self.start_estimator()
 
     def start_estimator(self):
-        self.new = NewEvidence()
         estimator = Estimator(
             self.prior,
             MODEL,
@@ -98,15 +99,23 @@ class Mission:
             clustering=self.clustering,
         )
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
-        self.started = self.now
+        self.started = self.epoch = self.now
+        self.events = 0
+        self.publish_standings()
         self.publish_belief()
 
     def publish(self, topic, message):
         self.now += 1000
         self.sent.append(Sent(f'{self.namespace}/{topic}', message, self.now))
 
+    def publish_standings(self):
+        since, self.events = self.events, self.ledger.events
+        changed = self.ledger.take_changed()
+        fields = standings_fields(self.ledger, changed, self.now, AUTHOR, self.epoch, 7, since)
+        self.publish('standings', standings_message(fields))
+
     def publish_belief(self):
-        belief = belief_maps(self.ledger, self.started, NO_MISSION, *self.new.take(self.ledger))
+        belief = belief_maps(self.ledger, self.started, NO_MISSION, AUTHOR, self.epoch)
         self.publish('belief', belief)
         stamp = from_stamp(belief.header.stamp)
         for name in ('hazard', 'target', 'kappa'):
@@ -126,8 +135,7 @@ class Mission:
 
     def come_back(self, key, observation):
         self.publish(f'{key.agent}/report', report_message(key, observation, self.now))
-        key, report = read_report(self.sent[-1].message)
-        return key, replace(report, content=content_hash(self.sent[-1].message))
+        return read_report(self.sent[-1].message)
 
     def assimilate(self, path, key, report):
         self.hear_path(key, path)
@@ -138,9 +146,14 @@ class Mission:
         self.ledger.record_path(key, path, content)
 
     def hear_report(self, key, report):
-        """Record a report and publish the belief if it changed; return whether it did."""
-        if changed := self.ledger.record_report(key, report):
-            self.new.add(key)
+        """Judge a report, and publish what changed; return whether the evidence did."""
+        try:
+            changed = self.ledger.record_report(key, report)
+        except ValueError:
+            changed = False
+        if self.ledger.changed:
+            self.publish_standings()
+        if changed:
             self.publish_belief()
         return changed
 

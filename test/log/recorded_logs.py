@@ -32,6 +32,9 @@ KINDS = {
 }
 
 
+METHODS = ('kappa_bnitp', 'kappa_bnitp_published', 'relaxed_bnitp', 'relaxed_itp')
+
+
 def late_return():
     """Return a mission of a team in which a robot that timed out returns late."""
     whole = Mission('kappa_bnitp')
@@ -46,7 +49,8 @@ def late_return():
 
 
 def main(folder):
-    missions = {kind: mission(**options) for kind, options in KINDS.items()}
+    missions = {method: mission(method=method) for method in METHODS}
+    missions |= {kind: mission(**options) for kind, options in KINDS.items()}
     for name, whole in {**missions, 'late_return': late_return()}.items():
         with LogWriter(folder / f'{name}.mcap') as log:
             log.add_metadata(RUN, run_record('rmw_fastrtps_cpp'))

@@ -40,7 +40,7 @@ def check(path, sent):
     assert report.reproduced
     assert report.finished
     assert report.compared['/belief'] == sum(each.topic == '/belief' for each in sent)
-    assert len(report.evidence.reports) == 8
+    assert len(report.evidence.standings) == 8
 
 
 def split_bag(tmp_path, sent):

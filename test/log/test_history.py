@@ -2,10 +2,9 @@
 """Deployments and departures of a log are each counted once, by their final reports."""
 
 from collections import Counter
-from itertools import pairwise, permutations
+from itertools import pairwise
 
 from kbnitp_msgs.msg import AgentStatus as AgentStatusMessage
-from kbnitp_ros.base.state import Departures
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
@@ -15,6 +14,7 @@ from kbnitp_ros.core import (
     Observation,
     SensorModel,
 )
+from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.record import read_mission, read_resumed
 from kbnitp_ros.log.replay import replay
@@ -22,8 +22,6 @@ from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import (
-    AgentStatus,
-    OrderState,
     path_message,
     read_status,
     status_message,
@@ -150,10 +148,6 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
 
 
 KEY = DeploymentKey('scout_1', 70)
-ACCEPTED = AgentStatus(OrderState.ACCEPTED, 80, content=1)
-DEPARTED = AgentStatus(OrderState.DEPARTED, 90, content=2)
-REFUSED = AgentStatus(OrderState.REFUSED, 90, 'a newer path came', 3)
-HOME = 100
 
 
 def test_a_status_comes_back_and_bad_ones_are_refused_by_name():
@@ -183,68 +177,6 @@ def test_a_status_comes_back_and_bad_ones_are_refused_by_name():
     bad = AgentStatusMessage(agent='scout_1', state=2)
     with pytest.raises(ValueError, match='header.frame_id'):
         read_status(bad, 'scout_1')
-
-
-@for_each('seed', range(200))
-def test_departures_and_reports_mean_the_same_in_any_order(seed):
-    """As a node that starts late receives them: in order by topic only."""
-    rng = np.random.default_rng(seed)
-    statuses = [status for status in (ACCEPTED, DEPARTED) if rng.random() < 0.7]
-    has_report = DEPARTED in statuses and rng.random() < 0.7
-    heard = [*statuses, *(['report'] * has_report)]
-    ends = []
-    for order in permutations(heard):
-        if [each for each in order if each != 'report'] != statuses:
-            continue
-        departures = Departures()
-        # Duplicates change nothing.
-        for event in (*order, *order):
-            if event == 'report':
-                departures.end(KEY, HOME)
-            else:
-                departures.take(KEY, event)
-        ends.append((departures.out, departures.is_at_base(KEY)))
-    out = {KEY} if DEPARTED in statuses and not has_report else set()
-    is_at_base = statuses == [ACCEPTED]
-    assert ends == [(out, is_at_base)] * len(ends)
-
-
-def test_contradictions_are_refused_and_change_nothing():
-    other = AgentStatus(OrderState.DEPARTED, 91, content=4)
-    late = AgentStatus(OrderState.DEPARTED, HOME + 1, content=5)
-    for before, status, told in (
-        (
-            [DEPARTED],
-            other,
-            'DEPARTED of .* contradicts the earlier status DEPARTED, which counts',
-        ),
-        ([DEPARTED], REFUSED, 'REFUSED of .* contradicts the earlier status DEPARTED'),
-        ([REFUSED], DEPARTED, 'DEPARTED of .* contradicts the earlier status REFUSED'),
-        ([DEPARTED], AgentStatus(OrderState.ACCEPTED, 95), 'ACCEPTED of .* status DEPARTED'),
-        ([DEPARTED, 'report'], REFUSED, 'REFUSED of .* contradicts the earlier status DEPARTED'),
-        (['report'], REFUSED, 'REFUSED of .* contradicts its report'),
-        (['report'], late, 'DEPARTED of .* contradicts its report'),
-    ):
-        departures = Departures()
-        for event in before:
-            if event == 'report':
-                departures.end(KEY, HOME)
-            else:
-                departures.take(KEY, event)
-        known = departures.status(KEY), set(departures.out)
-        with pytest.raises(ValueError, match=told):
-            departures.take(KEY, status)
-        assert (departures.status(KEY), departures.out) == known
-
-
-def test_a_robot_at_its_base_is_not_lost_and_a_returned_one_has_departed():
-    departures = Departures()
-    departures.take(KEY, REFUSED)
-    with pytest.raises(ValueError, match='lost, but its agent refused it: a newer path came'):
-        departures.check_loss(KEY)
-    departures.end(KEY, HOME)
-    assert KEY not in departures.refused
-    departures.check_loss(KEY)
 
 
 def test_all_states_have_a_name_in_the_message():

@@ -208,11 +208,11 @@ def test_replay_states_the_gaps_of_a_truncated_log(files, whole_mission, tmp_pat
         assert 'the log is unfinished: it was still being written, or its end is missing' in said
         assert report.reproduced
         assert report.compared['/belief'] == had['/belief']
-        assert len(report.evidence.reports) == had['/scout_1/report']
+        assert len(report.evidence.standings) == had['/standings'] - 1
         without_report = had['/scout_1/path'] - had['/scout_1/report']
         assert sum('has no report on record' in line for line in said) == without_report
-        in_no_belief = had['/scout_1/report'] - (had['/belief'] - 1)
-        assert sum('is in no belief yet' in line for line in said) == in_no_belief
+        unjudged = had['/scout_1/report'] - (had['/standings'] - 1)
+        assert sum('is not judged' in line for line in said) == unjudged
 
 
 @for_each('place, bits, read', [

@@ -17,6 +17,7 @@ from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import decision_fields, decision_message
 from laws import for_each
 from mission_log import (
+    AUTHOR,
     GRID,
     instead,
     MAX_STEPS,
@@ -49,7 +50,8 @@ class Deciding(Mission):
         decision = self.goal.decide(GRID, hazards, estimator.model, MAX_STEPS)
         if decision.reached:
             decision = with_told(decision, estimator, held)
-        fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal))
+        evidence = AUTHOR, self.epoch, self.ledger.changes
+        fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal), *evidence)
         message = decision_message(fields)
         self.publish('decision', message)
         self.publish('decision/lane', message.path)
@@ -109,6 +111,8 @@ def test_decisions_are_reproduced(tmp_path_factory, goal, method):
     ('header.frame_id', 'odom', Grade.DIFFERENT),
     ('header.stamp.nanosec', 1, Grade.DIFFERENT),
     ('deployments', 99, Grade.DIFFERENT),
+    ('changes', 99, Grade.DIFFERENT),
+    ('author', '/other', Grade.DIFFERENT),
 ])  # fmt: skip
 def test_changed_decisions_are_reported(tmp_path_factory, sent, field, value, grade):
     original = on(sent, '/decision')[2]
@@ -139,10 +143,10 @@ def test_changed_lanes_are_reported(tmp_path_factory, sent, field, value):
 
 def test_a_decision_without_a_belief_is_reported(tmp_path, sent):
     original = on(sent, '/decision')[2]
-    forged = instead(sent, original, changed(original.message, 'deployments', ROBOTS + 1))
+    forged = instead(sent, original, changed(original.message, 'changes', ROBOTS + 1))
     report = replayed(tmp_path, forged)
     assert [str(each) for each in report.mismatches] == [
-        '/decision message 2: no belief on record has its stamp and its number of deployments'
+        '/decision message 2: no standings on record have its evidence'
     ]
 
 
@@ -154,7 +158,7 @@ def test_the_confidence_is_not_guessed(tmp_path, sent):
 
 def test_decisions_on_missing_beliefs_are_not_compared(tmp_path, sent):
     report = replayed(tmp_path, without(sent, on(sent, '/belief')[2]))
-    assert report.compared['/decision'] < ROBOTS
+    assert report.compared['/decision'] == ROBOTS
     left = [finding for finding in report.not_compared if finding.topic == '/decision']
     assert left
     assert 'is not on record, or differs from' in str(left[0])

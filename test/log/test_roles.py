@@ -14,6 +14,7 @@ from kbnitp_msgs.msg import (
     AgentStatus,
     Decision,
     DeploymentReport,
+    MissionStatus,
     ModelBelief,
     OperatorAction,
     Progress,
@@ -76,11 +77,11 @@ def read(path):
     taken = {
         'replay': [
             report.grade, report.compared, report.standing, report.not_yet_held,
-            report.evidence.reports, report.evidence.operator, report.evidence.departures,
+            report.evidence.standings, report.evidence.operator, report.evidence.statuses,
         ],
         'history': [history.observations, history.beliefs, history.models, history.decision,
                     history.world],
-        'resumed': [record.paths, record.outcomes, record.departures, record.operator,
+        'resumed': [record.paths, record.outcomes, record.statuses, record.operator,
                     record.mission],
         'ledger': read_ledger(log).belief.joint,
         'page': [[moment.held for moment in page.moments], page.deployments, page.world],
@@ -121,8 +122,8 @@ def of_all(whole):
         'scout_1/scout_1/report': back,
         'evil/path': path_message(GRID, NEAR, whole.now + 5),
         'evil/scout_1/path': path_message(GRID, [2, 7, 12, 7, 2], out.stamp),
-        'evil/belief': other.sent[0].message,
-        'belief/belief': other.sent[0].message,
+        'evil/belief': other.sent[1].message,
+        'belief/belief': other.sent[1].message,
         'evil/decision': Decision(header=header(first), goal='cell 4', reached=True),
         'evil/truth/hazard': occupancy_grid(GRID, np.ones(GRID.cells), whole.now),
         'evil/truth/target': occupancy_grid(GRID, np.ones(GRID.cells), whole.now),
@@ -175,13 +176,13 @@ NAN = float('nan')
     ('model', ModelBelief(header=header(9), name=['lethality'], mean=[]), 'mean has 0 values'),
     ('truth/hazard', occupancy_grid(GRID, np.ones(GRID.cells), 9), "frame_id is ''"),
     ('scout_1/truth/target', occupancy_grid(Grid(2, 2), np.ones(4), 9), 'it has 4 cells'),
-    ('progress', Progress(header=header(9), state=99), '99 is not a valid MissionState'),
+    ('mission', MissionStatus(header=header(9), author='/p', state=99), 'state is 99: it must'),
     ('operator', OperatorAction(header=header(9), action=99), 'action is 99'),
     ('operator', OperatorAction(action=4), 'header.frame_id'),
     ('scout_1/report', DeploymentReport(header=header(9), agent='scout_2'), "agent is 'scout_2'"),
     ('scout_1/status', AgentStatus(header=header(9), agent='scout_1', state=9), 'state is 9'),
     ('scout_1/path', path_message(GRID, [], 9), 'poses is empty'),
-    ('belief', Mission(grid=Grid(2, 2)).sent[0].message, 'joint has'),
+    ('belief', Mission(grid=Grid(2, 2)).sent[1].message, 'joint has'),
 ])  # fmt: skip
 def test_bad_messages_in_a_role_are_refused_by_all_readers(
     whole, expected, tmp_path, topic, message, told
@@ -222,7 +223,7 @@ def test_a_log_of_several_missions_is_read_by_the_namespace_that_is_named(tmp_pa
 
 @for_each('namespace, agents, remapped, told', [
     ('/m', ['scout_1'], {}, ''),
-    ('/', ['scout_1'], {}, 'belief is /belief, and not /m/belief'),
+    ('/', ['scout_1'], {}, 'standings is /standings, and not /m/standings'),
     ('/m', ['scout_2'], {}, 'agent scout_2 is not in the parameter agents, which names scout_1'),
     ('/m', ['scout_1'], {'belief': '/shared/belief'}, 'belief is /shared/belief, and not /m/b'),
 ])  # fmt: skip

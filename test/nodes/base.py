@@ -46,7 +46,9 @@ class Base:
         self.proposals = {each: field.listen(Path, f'/{each}/proposal') for each in agents}
         self.heard = {each: field.listen(DeploymentReport, f'/{each}/report') for each in agents}
         self.acknowledged = {each: field.listen(Recorded, f'/{each}/recorded') for each in agents}
-        self.actions = field.listen(OperatorAction, '/operator')
+        # Without the starts of planners.
+        self.actions = []
+        field.node.create_subscription(OperatorAction, '/operator', self.hear, qos.EVIDENCE)
         self.beliefs = field.listen(BeliefMaps, '/belief')
         self.reports = {
             each: field.node.create_publisher(DeploymentReport, f'/{each}/report', qos.EVIDENCE)
@@ -58,6 +60,10 @@ class Base:
         }
         self.lost_calls = []
         self.start(file=str(self.log))
+
+    def hear(self, action):
+        if action.action != OperatorAction.START:
+            self.actions.append(action)
 
     def start(self, **own):
         for node in NODES:

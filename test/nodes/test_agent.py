@@ -5,7 +5,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import DeploymentReport, Recorded
 from kbnitp_ros.core import Observation, Report, SensorModel, World
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.messages.deployments import read_report, report_message
+from kbnitp_ros.messages.deployments import read_report, report_message, Source
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import OccupancyGrid, Path
 import numpy as np
@@ -30,7 +30,8 @@ def expected_reports(world, model, seed, paths):
     for cells in paths:
         observation = world.traverse(cells, model, rng.spawn(1)[0])
         readings = () if observation.readings is None else observation.readings.tolist()
-        yield Report(observation.survived, tuple(zip(cells[1:], readings)))
+        seen = tuple(zip(cells[1:], readings))
+        yield Report(observation.survived, seen, field_id=GRID.id)
 
 
 def test_each_path_is_traversed_once_and_bad_ones_never(field):
@@ -90,8 +91,8 @@ def test_a_world_from_a_file_is_shown_only_on_request(field):
     paths.publish(path(2, [0, 4, 9, 10, 6, 1, 0]))
     field.until(lambda: len(reports) == 2 and readings, 'reports and readings')
     seen = ((1, True), (2, False), (1, True), (0, False))
-    assert read_report(reports[0]) == (key(1), Report(True, seen))
-    assert read_report(reports[1]) == (key(2), Report(False))
+    assert read_report(reports[0]) == (key(1), Report(True, seen, field_id=GRID.id))
+    assert read_report(reports[1]) == (key(2), Report(False, field_id=GRID.id))
     (marker,) = readings
     assert marker.header == reports[0].header
     assert [(point.x, point.y) for point in marker.points] == [
@@ -135,11 +136,11 @@ def test_a_robot_that_was_given_up_returns_to_a_resumed_agent(field):
     expected = list(expected_reports(None, SensorModel(**model), PARAMETERS['seed'], tours))
     assert all(report.survived for report in expected)
     back, *given_up = (
-        report_message(key(number), Observation(tours[number], *ended), 0)
-        for number, *ended in (
-            (0, True, [detected for _, detected in expected[0].readings]),
-            (1, False),
-            (2, False),
+        report_message(key(number), Observation(tours[number], *ended), 0, source, field_id)
+        for number, source, field_id, *ended in (
+            (0, Source.AGENT, GRID.id, True, [read for _, read in expected[0].readings]),
+            (1, Source.SILENCE, '', False),
+            (2, Source.SILENCE, '', False),
         )
     )
     with LogWriter(log) as writer:

@@ -88,7 +88,7 @@ def test_a_refused_return_stops_no_other_robot_and_is_never_a_loss(field):
         base.depart(agent)
     # A walk with a jump from cell 1 to cell 13.
     key = base.report([0, 1, 13, 1, 0])
-    base.until_told(f'{key} is held, and counts for nothing: its report is refused: readings of')
+    base.until_told(f'{key} is held, and counts for nothing')
     base.report([0, 1, 0], 'scout_2')
     base.until_sent(2, 'scout_2')
     base.depart('scout_2')
@@ -97,7 +97,7 @@ def test_a_refused_return_stops_no_other_robot_and_is_never_a_loss(field):
     base.depart('scout_2')
     base.report([0, 1, 0], 'scout_2')
     base.until_held(3)
-    base.until_state(f'the operator to decide on {key}: its report is refused')
+    base.until_state(f'the operator to decide on {key}: readings of')
     base.wait_past_deadline()
     assert len(base.sent()) == 1
     assert not base.lost
@@ -106,7 +106,7 @@ def test_a_refused_return_stops_no_other_robot_and_is_never_a_loss(field):
     assert not base.lost
     # Only the operator makes it a loss, and is told what that says.
     told = base.do('give_up', agent='scout_1', steps_survived=0)
-    assert f'{key} is held, since its report is refused' in told
+    assert f'{key} was held, since readings of' in told
     assert told.endswith('it counts as lost from now on')
     base.until_state('done: 4 of 4')
     assert [each.survived for each in base.lost] == [False]
@@ -132,7 +132,7 @@ def test_a_robot_that_stands_at_its_base_is_no_loss(field):
     base.depart()
     base.wait_past_deadline()
     base.until_state('done: 2 of 2')
-    assert len(base.replayed().evidence.reports) == 2
+    assert len(base.replayed().evidence.standings) == 2
 
 
 def test_robots_that_do_not_move_do_not_count_and_their_agent_waits(field):
@@ -176,7 +176,7 @@ def test_a_return_that_the_estimator_refuses_is_held(field):
     base.until_sent(1)
     base.depart()
     key = base.report([0, 1, 1, 0], readings=[True, False, False])
-    base.until_told(f'{key} is held, and counts for nothing: the estimator refuses its report')
+    base.until_told(f'{key} is held, and counts for nothing')
     base.wait_past_deadline()
     assert not base.lost
     base.until_state(f'the operator to decide on {key}')
@@ -197,7 +197,7 @@ def test_an_agent_of_an_earlier_version_is_named(field):
         lambda: 'has messages of another version of kbnitp_msgs' in field.said('/planner'),
         'refusal',
     )
-    assert 'must both be of version 1.9 or later' in field.said('/planner')
+    assert 'must both be of version 2.0 or later' in field.said('/planner')
     base.until_sent(1)
     strangers.leave()
 
@@ -208,7 +208,7 @@ def test_states_that_are_not_valid_are_refused_by_name(field):
     base.until_sent(1)
     for change, why in (
         ({'agent': 'scout_2'}, "agent is 'scout_2': on this topic it must be 'scout_1'"),
-        ({'state': 9}, 'state is 9: it must be from 1 to 3'),
+        ({'state': 9}, 'state is 9: it must be from 1 to 4'),
         ({'field_id': 'xyz'}, "field_id is 'xyz': it must be 16 hex digits"),
         ({'state': 2}, "reason is '' and state is WAITING"),
         ({'connectivity': 5}, 'connectivity is 5: it must be 4 or 8'),

@@ -64,11 +64,10 @@ def test_a_robot_at_its_base_is_never_lost(field):
     base.until_state('which its agent reports on /scout_1/status')
     key, cells = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
     base.reports['scout_1'].publish(report_message(key, Observation(cells, False), key.stamp + 1))
-    for node in ('/planner', '/estimator', '/recorder'):
-        refusal = 'is reported lost, but its agent has not reported its departure'
-        field.until(lambda name=node, said=refusal: said in field.said(name), f'refusal by {node}')
+    awaited = 'a loss counts once scout_1 reports the departure on /scout_1/status'
+    base.until_state(awaited)
     base.crash()
-    base.until_state('which its agent reports on /scout_1/status')
+    base.until_state(awaited)
     base.until_named(base.say(OrderState.DEPARTED))
     base.come_back()
     base.until_held(1)
@@ -83,7 +82,7 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base.say(OrderState.ACCEPTED)
     base.until_state('which its agent reports on /scout_1/status')
     told = base.refused('give_up', agent='scout_1', steps_survived=0)
-    assert 'has not reported its departure on scout_1/status, so it cannot be declared' in told
+    assert 'has not departed: its agent says on scout_1/status that its robot is at' in told
     # Longer than the deadline after a departure.
     begun = field.diagnosed_at('/planner')
     field.until(lambda: field.diagnosed_at('/planner') > begun + 2 * 10**9, 'two seconds')
@@ -109,9 +108,10 @@ def test_only_robots_that_departed_are_lost_and_refused_orders_are_sent_again(fi
     base.until_held(2)
     base.until_state('done: 2 of 2')
     report = base.replayed()
-    assert len(report.evidence.reports) == 2
+    assert report.evidence.ended == 2
     (refused,) = report.evidence.without_report
-    assert report.evidence.departures.status(refused).reason == 'the battery is low'
+    assert report.evidence.void == {refused}
+    assert report.evidence.status(refused).reason == 'the battery is low'
 
 
 @pytest.mark.full
@@ -137,7 +137,7 @@ def test_deadlines_start_with_recorded_departures_under_any_clock(system_clock, 
         field.until(lambda n=number: len(base.heard['scout_1']) == n, 'loss')
         assert time.monotonic() > begun + deadline
     base.until_state('done: 2 of 2')
-    assert len(base.replayed().evidence.reports) == 2
+    assert len(base.replayed().evidence.standings) == 2
 
 
 def test_bad_statuses_are_refused_by_name_and_counted(field):
@@ -150,31 +150,27 @@ def test_bad_statuses_are_refused_by_name_and_counted(field):
     other = status_message(DeploymentKey('scout_2', key.stamp), OrderState.DEPARTED, 6)
     base.statuses['scout_1'].publish(other)
     assert "agent is 'scout_2': on this topic" in field.until_refused('/planner', 2)
-    # The recorder waits for the path of an unknown departure, and then refuses the departure.
-    field.until(lambda: field.count('/recorder', 'refused') == 2, 'refusals by the recorder')
-    assert 'its path is not on record' in field.said('/recorder')
+    field.until(lambda: field.count('/recorder', 'refused') == 1, 'refusal by the recorder')
     # A report that does not fit the path blocks no departure.
     jump = Observation([0, GRID.cells - 1, 0], True, [False, False])
     base.reports['scout_1'].publish(report_message(key, jump, 1))
     assert 'path jumps at step 1' in field.until_refused('/planner', 3)
     base.until_named(base.say(OrderState.DEPARTED))
-    for number, (state, reason) in enumerate(
-        ((OrderState.DEPARTED, ''), (OrderState.REFUSED, 'too late'), (OrderState.ACCEPTED, '')),
-        start=4,
-    ):
-        base.say(state, reason, stamp=key.stamp + 1)
-        assert 'contradicts the earlier status DEPARTED' in field.until_refused('/planner', number)
+    base.say(OrderState.DEPARTED, stamp=key.stamp + 1)
+    assert f'another departure of deployment {key} counts' in field.until_refused('/planner', 4)
+    base.say(OrderState.REFUSED, 'too late', stamp=key.stamp + 1)
+    told = field.until_refused('/planner', 5)
+    assert 'was refused by its agent and has departed, which counts' in told
     # Only the first departure is confirmed to be on disk.
-    departures = [each for each in base.acknowledged['scout_1'] if from_stamp(each.stamp)]
-    assert len({departure.content for departure in departures}) == 2
+    acknowledged = base.acknowledged['scout_1']
+    departures = [each for each in acknowledged if each.kind == Recorded.DEPARTURE]
+    assert len({(each.stamp.sec, each.content) for each in departures if each.stamp.sec}) == 1
     base.come_back()
     base.until_state('done: 1 of 1')
-    base.say(OrderState.REFUSED, 'too late', stamp=key.stamp + 2)
-    field.until_refused('/planner', 7)
     # A duplicate is not news.
     base.say(OrderState.DEPARTED)
     field.talk(Bool, '/hold', qos.LATCHED).publish(Bool(data=True))
-    assert 'this planner publishes False, which counts' in field.until_refused('/planner', 8)
+    assert 'hold refused: another node contradicts this one' in field.until_refused('/planner', 6)
     assert base.beliefs[-1].deployments == 1
 
 
@@ -199,8 +195,8 @@ def test_a_pause_holds_before_it_is_recorded_and_against_strangers(field):
     stranger = field.node.create_publisher(Bool, '/hold', qos.LATCHED)
     # Before or after the planner's graph lists its publisher.
     stranger.publish(Bool(data=False))
-    why = 'hold refused: data is False, but this planner publishes True, which counts: nodes'
-    field.until(lambda: f'{why} /planner, /test/test publish hold' in field.said('/planner'), why)
+    why = 'hold refused: another node contradicts this one, which repeats its message: nodes'
+    field.until(lambda: f'{why} /planner, /test/test publish it' in field.said('/planner'), why)
     field.until(lambda: base.holds[-1].data, 'the planner to say it again')
     base.crash()
     # The resumed planner knows that the mission is paused.
@@ -214,7 +210,7 @@ def test_a_pause_holds_before_it_is_recorded_and_against_strangers(field):
     stranger.publish(Bool(data=True))
     field.until(lambda: [each.data for each in base.holds[heard:]] == [True, False], 'answer')
     bare.leave()
-    why = 'hold refused: data is True, but this planner publishes False, which counts: nodes'
+    why = 'hold refused: another node contradicts this one, which repeats its message: nodes'
     field.until(lambda: why in field.said('/planner'), 'name of the stranger')
 
 

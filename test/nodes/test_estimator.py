@@ -120,9 +120,13 @@ def test_bad_input_is_refused_counted_and_changes_nothing(estimator):
             refused += 1
             assert told in estimator.until_refused('/estimator', refused)
     assert len(estimator.beliefs) == 2
+    # Refused reports show that the robot is back, so that a loss would not count.
     estimator.reports.publish(lost(3))
+    estimator.reports.publish(returned(3))
     after = until_held(estimator, 2)
-    expected = update(Belief(before), MODEL, Observation(HOME, False))
+    refused += 1
+    seen = Observation(HOME, True, [True, False, True, False])
+    expected = update(Belief(before), MODEL, seen)
     assert after.tobytes() == expected.joint.tobytes()
     assert refused == estimator.count('/estimator', 'refused')
 

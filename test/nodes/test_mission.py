@@ -80,7 +80,13 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
         read = tuple(zip(observation.path[1:].tolist(), readings))
         known, lost_at = observation.steps_survived, observation.lost_at
         where = () if lost_at is None else tuple(lost_at.tolist())
-        assert outcome == Report(observation.survived, read, steps_survived=known, lost_at=where)
+        assert outcome == Report(
+            observation.survived,
+            read,
+            steps_survived=known,
+            lost_at=where,
+            field_id=report.field_id,
+        )
         assert read_belief_maps(belief).newest == key
         for name in (*MAPS, 'joint'):
             ours, core = getattr(belief, name), getattr(deployment.belief, name)

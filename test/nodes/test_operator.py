@@ -311,6 +311,6 @@ def test_operator_actions_survive_any_crash(field, crashes, at_once):
             holds(base)
     report = base.replayed()
     assert [action.action.name for action in report.evidence.actions] == [*STEPS]
-    assert len(report.evidence.reports) == 1
+    assert len(report.evidence.standings) == 1
     assert [report.evidence.paths[key].tolist() for key in report.evidence.paths] == [base.second]
     assert not any(call.done() for call in base.lost_calls)

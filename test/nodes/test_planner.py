@@ -6,7 +6,15 @@ import time
 
 from base import Base
 from base import GRID as FIVE_BY_FIVE
-from kbnitp_msgs.msg import BeliefMaps, Decision, DeploymentReport, Progress, Recorded
+from kbnitp_msgs.msg import (
+    BeliefMaps,
+    Decision,
+    DeploymentReport,
+    MissionStatus,
+    Progress,
+    Recorded,
+    Standings,
+)
 from kbnitp_ros.core import (
     Belief,
     DeploymentKey,
@@ -32,7 +40,7 @@ import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from samples import changed, in_frame, on_disk
+from samples import belief, changed, in_frame, on_disk, standings
 
 GRID = Grid(3, 3)
 MODEL = SensorModel(0.5)
@@ -51,12 +59,18 @@ class Mission:
         )
         field.stand('scout_1', GRID)
         self.beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
+        self.standings = field.node.create_publisher(Standings, '/standings', qos.STANDINGS)
         field.start('planner', {**PARAMETERS, **parameters})
         field.until(lambda: self.beliefs.get_subscription_count(), 'reader of belief')
         self.ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
 
+    def show_standings(self):
+        self.standings.publish(standings(self.ledger, author='/test/test'))
+
     def show_belief(self):
-        self.beliefs.publish(belief_maps(self.ledger, 0))
+        """Publish all standings, and the belief with their evidence."""
+        self.show_standings()
+        self.beliefs.publish(belief(self.ledger, 0))
 
     def lose(self, number):
         """Report a deployment's robot lost, and assimilate the loss."""
@@ -83,17 +97,20 @@ def test_a_robot_is_sent_when_the_last_one_is_in_the_belief(field):
     mission.show_belief()
     assert mission.until_sent(0) == mission.planned()
 
-    report = mission.lose(0)
-    mission.show_belief()
     mission.until_state('waiting for the report of')
-    assert len(mission.paths) == 1
+    report = mission.lose(0)
     mission.reports.publish(report)
+    mission.until_state('waiting for the estimator to judge the report of')
+    assert len(mission.paths) == 1
+    mission.show_belief()
     assert mission.until_sent(1) == mission.planned()
 
     report = mission.lose(1)
     mission.reports.publish(report)
     mission.reports.publish(report)
-    mission.until_state('waiting for a belief that holds 2 deployments')
+    mission.until_state('waiting for the estimator to judge the report of')
+    mission.show_standings()
+    mission.until_state('waiting for a belief that holds all that counts on /belief')
     assert len(mission.paths) == 2
     mission.show_belief()
     assert mission.until_sent(2) == mission.planned()
@@ -182,9 +199,6 @@ def test_a_restarted_planner_keeps_the_path_of_a_robot_in_flight(field):
     field.start('planner', {**PARAMETERS, 'robots': 3})
     mission.until_sent(2)
     assert mission.paths[2] == mission.paths[1]
-    assert 'the belief holds 1 deployment that this planner does not know' in field.said(
-        '/planner'
-    )
     mission.reports.publish(mission.lose(1))
     mission.show_belief()
     assert mission.until_sent(3) == mission.planned()
@@ -229,8 +243,10 @@ def test_a_pending_report_prevents_giving_up_its_robot(field, monkeypatch, reque
     reports = field.listen(DeploymentReport, '/scout_1/report')
     agent = field.node.create_publisher(DeploymentReport, '/scout_1/report', qos.EVIDENCE)
     beliefs = field.node.create_publisher(BeliefMaps, '/belief', qos.LATCHED)
+    judged = field.node.create_publisher(Standings, '/standings', qos.STANDINGS)
     ledger = Ledger(GRID, 4, Estimator(Belief.prior(GRID, 0.5, 0.45, 0.8), MODEL))
-    beliefs.publish(belief_maps(ledger, 0))
+    judged.publish(standings(ledger, author='/test/test'))
+    beliefs.publish(belief(ledger, 0))
     # The planner is in the test, with a clock of the test in nanoseconds.
     clock = [1]
     for name in ('now', 'elapsed'):
@@ -259,7 +275,8 @@ def test_a_pending_report_prevents_giving_up_its_robot(field, monkeypatch, reque
     time.sleep(2 * POLL)
     ledger.record_path(key, cells)
     ledger.record_report(*read_report(report))
-    beliefs.publish(belief_maps(ledger, 0))
+    judged.publish(standings(ledger, author='/test/test'))
+    beliefs.publish(belief(ledger, 0))
     until(lambda: len(paths) == 2, 'next path')
     until(lambda: clock.append(clock[-1] + 10**9) or len(reports) == 2, 'loss of the next robot')
     assert [read_report(report)[0] for report in reports] == [
@@ -294,19 +311,21 @@ def test_waiting_for_plans_is_stated_once(field):
     assert 'reduce beam_width, or set planner to relaxed' in said
 
 
-def test_a_planner_that_waits_for_a_belief_states_the_estimator_s_refusal(field):
-    base = Base(field, **{'prior.hazard': 0.0, 'sensor.malfunction': 0.0})
+def test_a_loss_that_the_model_rules_out_is_held_and_can_be_given_up(field):
+    """The estimator refuses it, and the planner waits for nobody but the operator."""
+    base = Base(field, robots=1, **{'prior.hazard': 0.0, 'sensor.malfunction': 0.0})
+    told = field.listen(MissionStatus, '/mission')
     base.until_sent(1)
     sent, cells = read_path(FIVE_BY_FIVE, 'scout_1', base.paths['scout_1'][0])
     base.reports['scout_1'].publish(report_message(sent, Observation(cells, False), 1))
-    # Whichever of path and report comes second is refused.
-    base.until_state(
-        'refused: the outcome is impossible under this belief and sensor model: allow'
-    )
-    wait = 'waiting for a belief that holds 1 deployment on /belief; /estimator says: scout_1/'
-    assert field.state('/planner').startswith(wait)
-    told = field.listen(Progress, '/progress')
-    field.until(lambda: told and 'impossible' in told[-1].reason, 'reason on record')
+    base.until_state('the outcome is impossible under this belief and sensor model: allow')
+    field.until(lambda: told[-1].held == 1, 'held deployment')
+    assert told[-1].ends_by == MissionStatus.OPERATOR
+    assert 'impossible' in told[-1].reason
+    answer = base.do('give_up', agent='scout_1')
+    assert 'it counts as lost from now on' in answer
+    field.until(lambda: told[-1].state == MissionStatus.DONE, 'end')
+    assert (told[-1].lost, told[-1].held) == (1, 0)
 
 
 AGENTS = ['scout_1', 'scout_2']

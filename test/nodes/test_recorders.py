@@ -63,7 +63,7 @@ def test_a_second_recorder_counts_when_the_first_has_ended(field):
     base.until_sent(4)
     first.kill()
     base.log = second
-    assert len(base.replayed().evidence.reports) == 3
+    assert len(base.replayed().evidence.standings) == 3
 
 
 @pytest.mark.processes

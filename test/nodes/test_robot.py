@@ -15,8 +15,8 @@ from fleet import FIELD, Fleet, GRID, moves, TARGETS
 from kbnitp_msgs.msg import AgentState, AgentStatus, BeliefMaps
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.roles import REPORT
 from kbnitp_ros.messages.deployments import read_report
+from kbnitp_ros.messages.topics import REPORT
 from launches import interrupt, launched, node_pids
 from nav_msgs.msg import Path
 import numpy as np

@@ -52,7 +52,7 @@ def test_each_robot_that_was_out_of_reach_is_reported_once(tmp_path, robots, lon
     told = replay(mission.log)
     assert told.reproduced
     assert not told.evidence.refused
-    assert len(told.evidence.reports) == robots
+    assert len(told.evidence.standings) == robots
 
 
 @pytest.mark.full
@@ -72,7 +72,7 @@ def test_a_robot_cut_off_for_30_seconds_is_given_up_and_its_return_counts(tmp_pa
     told = replay(mission.log)
     assert told.reproduced
     assert not told.evidence.refused
-    assert [each.survived for each in told.evidence.reports.values()] == [True, True]
+    assert [each.survived for each in told.evidence.standings.values()] == [True, True]
 
 
 @pytest.mark.full

@@ -55,7 +55,7 @@ def test_the_agent_as_printed_completes_a_mission(field, minimal_agent):
     field.processes.stop()
     replayed = replay(log)
     assert replayed.reproduced
-    assert len(replayed.evidence.reports) == 3
+    assert len(replayed.evidence.standings) == 3
 
 
 # Subscribes like nav2_costmap_2d 1.3, and prints the effect of the mask's values.

@@ -319,7 +319,7 @@ def test_a_base_stays_for_robots_that_were_given_up(field):
     field.until(lambda: planner.poll() is not None, 'end', may_end=True)
     assert planner.returncode == 0
     report = base.replayed()
-    assert [each.survived for each in report.evidence.reports.values()] == [True]
+    assert [each.survived for each in report.evidence.outcomes.values()] == [True]
 
 
 def test_console_and_replay_state_the_end_of_a_mission(field):

@@ -11,9 +11,9 @@ from kbnitp_ros.cli.report import main
 from kbnitp_ros.configuration import make_estimator, node_parameters
 from kbnitp_ros.core import Belief, Grid, log_loss, Observation, path_information
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.roles import BELIEF
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.maps import quantise_belief, read_probabilities
+from kbnitp_ros.messages.topics import BELIEF
 from kbnitp_ros.report import page
 from kbnitp_ros.report.facts import mission_facts
 from kbnitp_ros.report.mission import read_mission

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, cast
+from typing import Any, cast, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import generator, shallow_copy, typed, whole_number
@@ -39,7 +40,23 @@ from kbnitp_ros.core.inference.methods import (
 from kbnitp_ros.core.inference.model_check import Alternatives, Checker, ModelCheck
 from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.prior_maps import told_numbers, with_number
-from kbnitp_ros.core.inference.record import deployment_order, DeploymentKey, MissionRecord, Report
+from kbnitp_ros.core.inference.record import (
+    Cause,
+    deployment_order,
+    DeploymentKey,
+    ending_key,
+    HeardReport,
+    is_back,
+    is_same_outcome,
+    MissionRecord,
+    OPEN,
+    OrderState,
+    outcome_rank,
+    Refusal,
+    Report,
+    Standing,
+    Verdict,
+)
 from kbnitp_ros.plugins import entry_name, PluginError
 import numpy as np
 from numpy.typing import NDArray
@@ -468,11 +485,16 @@ DENSE = 2
 
 class Ledger(MissionRecord):
     """
-    The record of a mission and its belief, with each deployment counted exactly once.
+    The record of a mission and its belief, with each deployment judged and counted exactly once.
 
-    The belief assimilates, in deployment order, all deployments whose path and report are known:
-    it is the same, bit for bit, whatever their order of arrival. A report that is impossible given
-    the assimilated deployments is refused.
+    What counts of a deployment depends only on what was heard, and not on the order of arrival.
+    Deployments are judged in their order, each given the evidence of those before it. Of the
+    reports of a deployment the best one that is possible counts: a return before a loss, since the
+    robot was only late; of two losses the one with the later contact or, at equal contacts, the
+    narrower `lost_at`; of two returns (of robots that share a name) the one with more readings;
+    of equal ones the newest. A refused report that shows that its robot is back takes back a loss,
+    unless the operator knew of it and gave the robot up all the same (`Report.settled`). A loss
+    counts once the departure of its robot is reported, or the operator gave it up.
 
     Parameters
     ----------
@@ -483,14 +505,16 @@ class Ledger(MissionRecord):
 
     Attributes
     ----------
+    outcomes : dict of DeploymentKey to Observation
+        Outcomes of the deployments in the belief.
     deployments : list of DeploymentKey
         Deployments in the belief, in deployment order.
     newest : DeploymentKey or None
-        Deployment assimilated last; None before the first.
+        Deployment whose evidence changed last; None before the first.
     newest_stamp : int
-        Stamp of its report, nanoseconds of ROS time.
-    report_contents : dict of DeploymentKey to int
-        Hashes of the messages of the reports in the belief; 0 for a report without a message.
+        Greatest stamp of its reports that were judged, nanoseconds of ROS time.
+    events, changes : int
+        Number of standings that changed, and of judgements that changed the evidence.
     assimilations : int
         Number of deployments assimilated, including repetitions after late deployments.
 
@@ -504,18 +528,22 @@ class Ledger(MissionRecord):
         robot_types: Mapping[str, RobotType] = MappingProxyType({}),
     ) -> None:
         super().__init__(grid, max_steps, robot_types)
+        self.outcomes: dict[DeploymentKey, Observation] = {}
         self.deployments: list[DeploymentKey] = []
         self.newest: DeploymentKey | None = None
         self.newest_stamp = 0
-        self.report_contents: dict[DeploymentKey, int] = {}
+        self.events = self.changes = 0
         self.assimilations = 0
-        # Estimators kept, by number of deployments.
+        # Judged deployments, in deployment order, and those whose standings changed lately.
+        self._judged: list[DeploymentKey] = []
+        self._changed: dict[DeploymentKey, None] = {}
+        # Estimators kept, by number of judged deployments.
         self._estimators = {0: estimator}
 
     @property
     def estimator(self) -> Estimator:
         """Return the estimator after all assimilated deployments."""
-        return self._estimators[len(self.deployments)]
+        return self._estimators[len(self._judged)]
 
     @property
     def belief(self) -> Belief:
@@ -525,35 +553,95 @@ class Ledger(MissionRecord):
     def copy(self) -> Ledger:
         """Return an independent copy."""
         other = super().copy()
+        other.outcomes = self.outcomes.copy()
         other.deployments = self.deployments.copy()
-        other.report_contents = self.report_contents.copy()
+        other._judged, other._changed = self._judged.copy(), self._changed.copy()
         return other
 
-    def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        # Refer to the new message: the first one may be in no log if its publisher was lost.
-        self.report_contents[key] = report.content
+    @property
+    def judged(self) -> list[DeploymentKey]:
+        """Return the deployments of which anything was heard, in order."""
+        return [*self._judged]
 
-    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Assimilate a deployment, and assimilate all later deployments again."""
-        place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
+    @property
+    def changed(self) -> list[DeploymentKey]:
+        """Return the deployments whose standings changed since `take_changed`, in order."""
+        return sorted(self._changed, key=deployment_order)
+
+    def take_changed(self) -> list[DeploymentKey]:
+        """Return the deployments whose standings changed since the last call, in order."""
+        changed, self._changed = self.changed, {}
+        return changed
+
+    def record_report(self, key: DeploymentKey, report: Report) -> bool:
+        """
+        Record a report; return whether the evidence changes.
+
+        Raises
+        ------
+        ValueError
+            If the report is refused. Its deployment is judged all the same, and may be held.
+        PluginError
+            If a method of another package breaks the rules; nothing then changes.
+
+        """
+        if key not in self.paths:
+            return super().record_report(key, report)
+        is_equal = report in self.heard.get(key, ())
+        if (heard := self._hear(key, report)) is None:
+            return False
+        before, known = self.changes, self.outcomes.get(key)
+        is_lesser = heard.outcome is None or (
+            known is not None and outcome_rank(heard.outcome) < outcome_rank(known)
+        )
+        if known is not None and known.survived and is_lesser:
+            refusal = self._add_lesser(key, heard)
+        else:
+            refusal = self._judge(key).get(report)
+        if refusal:
+            raise ValueError(refusal.why)
+        self.duplicates += is_equal or (is_lesser and self.changes == before)
+        return self.changes > before
+
+    def record_status(self, key: DeploymentKey, state: OrderState, stamp: int = 0) -> bool:
+        """Record the state of an order, at a time in ns; return whether the evidence changes."""
+        before, was_known = self.changes, state in self.statuses.get(key, ())
+        super().record_status(key, state, stamp)
+        is_heard = key in self.standings or key in self.heard or self.is_refused(key)
+        if key in self.paths and not was_known and is_heard:
+            self._judge(key)
+        return self.changes > before
+
+    def _add_lesser(self, key: DeploymentKey, heard: HeardReport) -> Refusal | None:
+        """Add a report beside a return that counts; return its refusal, if any."""
+        standing, known = self.standings[key], self.outcomes[key]
+        refusal = heard.refusal or contradiction(key, heard, known)
+        refusals = [*standing.refusals, *([refusal] if refusal else [])]
+        judged = standing.judged | {heard.report.content}
+        self._change(key, replace(standing, refusals=in_order(refusals), judged=judged))
+        return refusal
+
+    def _judge(self, key: DeploymentKey) -> dict[Report, Refusal]:
+        """Judge a deployment, and later ones if its evidence changes; return its refusals."""
+        place = bisect_left(self._judged, deployment_order(key), key=deployment_order)
+        later = self._judged[place:]
+        if not (is_new := later[:1] != [key]):
+            later = later[1:]
         start = max(count for count in self._estimators if count <= place)
         estimators = {count: each for count, each in self._estimators.items() if count <= start}
-        first_later = place + (key in self.outcomes)
-        later = self.deployments[first_later:]
-        deployments = [*self.deployments[start:place], key, *later]
-        for count, each in enumerate(deployments, start + 1):
-            self.assimilations += 1
-            estimator = estimators[count - 1].copy()
-            try:
-                estimator.assimilate(
-                    outcome if each == key else self.outcomes[each], self.robot_type(each)
-                )
-            except ValueError as error:
-                if each == key:
-                    raise
-                raise ValueError(
-                    f'report of deployment {key} contradicts the counted report of {each}: {error}'
-                ) from error
+        estimator = estimators[start]
+        rulings: dict[DeploymentKey, Ruling] = {}
+        for count, each in enumerate((*self._judged[start:place], key, *later), start + 1):
+            if count <= place:
+                if each in self.outcomes:
+                    estimator = self._assimilated(estimator, each, self.outcomes[each])
+            else:
+                rulings[each] = ruling = self._rule(each, estimator)
+                estimator = ruling.estimator
+                if each == key and not is_new and ruling.outcome == self.outcomes.get(key):
+                    # The evidence is the same, so that nothing else can change.
+                    self._change(key, ruling.standing)
+                    return ruling.refused
             estimators[count] = estimator
             estimators = {
                 kept: estimators[kept]
@@ -561,6 +649,149 @@ class Ledger(MissionRecord):
                 if kept % 2 ** max(0, (count - kept).bit_length() - DENSE) == 0
             }
         self._estimators = estimators
-        self.deployments[start:] = deployments
-        self.newest, self.newest_stamp = key, report.stamp
-        self.report_contents[key] = report.content
+        if is_new:
+            self._judged.insert(place, key)
+        before = self.changes
+        for each, ruling in rulings.items():
+            self._change(each, ruling.standing)
+            self._count(each, ruling.outcome)
+        if self.changes > before:
+            self.changes = before + 1
+            judged = rulings[key].standing.judged
+            stamps = [each.stamp for each in self.heard.get(key, ()) if each.content in judged]
+            self.newest, self.newest_stamp = key, max(stamps, default=self.newest_stamp)
+        return rulings[key].refused
+
+    def _change(self, key: DeploymentKey, standing: Standing) -> None:
+        """Set what counts of a deployment."""
+        if self.standings.get(key, OPEN) != standing:
+            self.stand(key, standing)
+            self.events += 1
+            self._changed[key] = None
+
+    def _count(self, key: DeploymentKey, outcome: Observation | None) -> None:
+        """Set the outcome of a deployment; None takes it out of the belief."""
+        if outcome == (known := self.outcomes.get(key)):
+            return
+        self.changes += 1
+        if outcome is None:
+            del self.outcomes[key]
+        else:
+            self.outcomes[key] = outcome
+        place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
+        if known is None:
+            self.deployments.insert(place, key)
+        elif outcome is None:
+            del self.deployments[place]
+
+    def _assimilated(
+        self, estimator: Estimator, key: DeploymentKey, outcome: Observation
+    ) -> Estimator:
+        """Return an estimator with one more outcome; raise ValueError if it is impossible."""
+        self.assimilations += 1
+        after = estimator.copy()
+        after.assimilate(outcome, self.robot_type(key))
+        return after
+
+    def _rule(self, key: DeploymentKey, estimator: Estimator) -> Ruling:
+        """Judge a deployment by what was heard, given the evidence of earlier deployments."""
+        heard = self.heard.get(key, {}).values()
+        refused = {each.report: each.refusal for each in heard if each.refusal}
+        # Refused reports that show that the robot is back.
+        signs = {each.content for each in refused if is_back(each, self.grid)}
+        waiting: set[int] = set()
+        is_void = self.is_refused(key)
+        is_awaited = self.is_at_base(key) and not is_void
+        counted: HeardReport | None = None
+        closed: HeardReport | None = None
+        valid = [each for each in heard if not each.refusal]
+        for by_rank in sorted(valid, key=attrgetter('rank'), reverse=True):
+            report, outcome = by_rank.report, by_rank.outcome
+            assert outcome is not None
+            cause = Cause.NONE
+            if not report.survived:
+                if is_void:
+                    cause = Cause.ORDER_REFUSED
+                elif is_awaited and report.settled is None:
+                    waiting.add(report.content)
+                    continue
+                elif signs - {*(report.settled or ())}:
+                    cause = Cause.IS_BACK
+            if cause:
+                refused[report] = Refusal(report.content, cause, LOSS_REFUSED[cause].format(key))
+                continue
+            try:
+                estimator = self._assimilated(estimator, key, outcome)
+            except ValueError as error:
+                refused[report] = Refusal(report.content, Cause.IMPOSSIBLE, str(error))
+                if report.survived:
+                    signs.add(report.content)
+                elif by_rank.is_settled:
+                    closed = closed or by_rank
+            else:
+                counted = by_rank
+                break
+        if counted is not None:
+            assert counted.outcome is not None
+            for valid_report in valid:
+                if refusal := contradiction(key, valid_report, counted.outcome):
+                    refused.setdefault(valid_report.report, refusal)
+        verdict = Verdict.OPEN
+        if counted is not None:
+            outcome = counted.outcome
+            assert outcome is not None
+            verdict = Verdict.RETURN if outcome.survived else Verdict.LOSS
+            verdict = Verdict.UNMOVED if outcome.is_unmoved else verdict
+        elif is_void:
+            verdict = Verdict.VOID
+        elif closed is not None:
+            verdict = Verdict.CLOSED
+        elif refused:
+            verdict = Verdict.HELD
+        stands = counted or closed
+        judged = frozenset(each.report.content for each in heard)
+        standing = Standing(
+            verdict,
+            stands.report.content if stands else 0,
+            in_order(refused.values()),
+            judged if stands else judged - waiting,
+            frozenset(self.statuses.get(key, ())),
+        )
+        if verdict is Verdict.OPEN:
+            standing = OPEN
+        return Ruling(standing, counted.outcome if counted else None, estimator, refused)
+
+
+class Ruling(NamedTuple):
+    """The standing of a deployment, its outcome, and the estimator after it."""
+
+    standing: Standing
+    outcome: Observation | None
+    estimator: Estimator
+    refused: dict[Report, Refusal]
+
+
+# Reasons why a reported loss is refused.
+LOSS_REFUSED = {
+    Cause.ORDER_REFUSED: 'deployment {} is reported lost, but its agent refused the order',
+    Cause.IS_BACK: 'deployment {} is reported lost, but a refused report shows that it is back',
+}
+
+
+def contradiction(key: DeploymentKey, heard: HeardReport, counted: Observation) -> Refusal | None:
+    """Return the refusal of a valid report that contradicts the outcome that counts."""
+    outcome = heard.outcome
+    assert outcome is not None
+    if ending_key(outcome) != ending_key(counted) or is_same_outcome(outcome, counted):
+        return None
+    return Refusal(
+        heard.report.content,
+        Cause.CONTRADICTED,
+        f'reports of deployment {key} differ: the one with more readings counts (do two robots '
+        f'have the name {key.agent}?)',
+    )
+
+
+def in_order(refusals: Iterable[Refusal]) -> tuple[Refusal, ...]:
+    """Return refusals in the order of their causes: those of robots that are back come last."""
+    return tuple(sorted(refusals, key=lambda each: (each.cause, each.content, each.why)))

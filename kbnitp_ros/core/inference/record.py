@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record of a mission's evidence: paths, reports and outcomes."""
+"""The record of a mission: paths, reports, statuses, and the standing of each deployment."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
+from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
@@ -22,6 +24,11 @@ Self = TypeVar('Self', bound='MissionRecord')
 MAX_PENDING, LEFT_PENDING = 50_000_000, 45_000_000
 # Approximate bytes of a report, and of each of its readings.
 REPORT, READING = 1000, 100
+
+# Maximum number of statuses kept until their paths arrive, and of different reports of a
+# deployment.
+MAX_STATUSES = 1000
+MAX_REPORTS = 20
 
 # Maximum steps of a robot's walk, in multiples of the maximum steps of its paths.
 MAX_WALK = 10
@@ -52,6 +59,14 @@ def deployment_order(key: DeploymentKey) -> tuple[int, str]:
     return key.stamp, key.agent
 
 
+class OrderState(IntEnum):
+    """The state of an order, as in kbnitp_msgs/AgentStatus."""
+
+    ACCEPTED = 1
+    DEPARTED = 2
+    REFUSED = 3
+
+
 @dataclass(frozen=True)
 class Report:
     """
@@ -69,13 +84,20 @@ class Report:
     steps_survived : int
         Number of steps that a lost robot is known to have survived.
     content : int
-        Hash of the report's message, which identifies it in a log; 0 without a message.
+        Hash of the report's message, which identifies it in a log; 0 without a message. Ignored in
+        comparisons.
     lost_at : tuple of float
         Likelihood of a loss in each step of a lost robot's path; empty if all are alike.
     entered : tuple of bool
         For each step whether the robot vouches for its cell; empty if it vouches for all.
     field_id : str
-        `Grid.id` of the agent's field; '' if it is not stated. Ignored in comparisons.
+        `Grid.id` of the agent's field; '' if it is not stated.
+    settled : tuple of int, optional
+        Of a robot that the operator gives up: hashes of the refused reports that the operator
+        knew of. None for all other reports.
+    unreadable : str
+        Why the message cannot be read; '' for a message that can. An unreadable report counts for
+        nothing, but it may show that its robot is back.
 
     """
 
@@ -86,18 +108,134 @@ class Report:
     content: int = field(default=0, compare=False)
     lost_at: tuple[float, ...] = ()
     entered: tuple[bool, ...] = ()
-    field_id: str = field(default='', compare=False)
+    field_id: str = ''
+    settled: tuple[int, ...] | None = None
+    unreadable: str = ''
+
+
+class Verdict(IntEnum):
+    """The evidence of a deployment, as in kbnitp_msgs/Standing."""
+
+    # Nothing yet: a reported loss waits for the departure of its robot.
+    OPEN = 0
+    # The robot came back, with or without a step into another cell.
+    RETURN = 1
+    UNMOVED = 2
+    # The robot was lost.
+    LOSS = 3
+    # The robot was given up, and the model rules out a loss: it is lost, and no evidence.
+    CLOSED = 4
+    # A report is refused, and nothing else counts: the deployment is not over.
+    HELD = 5
+    # The agent refused the order, so that the robot stayed at the base.
+    VOID = 6
+
+    @property
+    def is_over(self) -> bool:
+        """Return whether the deployment has ended."""
+        return self not in (Verdict.OPEN, Verdict.HELD)
+
+    @property
+    def is_evidence(self) -> bool:
+        """Return whether the belief holds the deployment."""
+        return self in (Verdict.RETURN, Verdict.UNMOVED, Verdict.LOSS)
+
+    @property
+    def is_loss(self) -> bool:
+        """Return whether the robot counts as lost."""
+        return self in (Verdict.LOSS, Verdict.CLOSED)
+
+
+class Cause(IntEnum):
+    """Why a report is refused, as in kbnitp_msgs/Standing."""
+
+    NONE = 0
+    # The message cannot be read.
+    UNREADABLE = 1
+    # The robot was in another field.
+    FIELD = 2
+    # The report does not fit its path.
+    PATH = 3
+    # The model rules it out, given the evidence of earlier deployments.
+    IMPOSSIBLE = 4
+    # Another report of the same deployment counts.
+    CONTRADICTED = 5
+    # The agent refused the order, so that the robot cannot have been lost.
+    ORDER_REFUSED = 6
+    # The robot is reported lost, and a refused report shows that it is back.
+    IS_BACK = 7
+
+
+class Refusal(NamedTuple):
+    """A report that does not count, by the hash of its message, and the reason."""
+
+    content: int
+    cause: Cause
+    why: str
+
+
+@dataclass(frozen=True)
+class Standing:
+    """
+    The evidence that counts of a deployment, given all that was heard.
+
+    Attributes
+    ----------
+    verdict : Verdict
+        How the deployment ended, or that it is held.
+    report : int
+        Hash of the report by which it stands; 0 without a message.
+    refusals : tuple of Refusal
+        Reports that were refused, the one that decides why a deployment is held first.
+    judged : frozenset of int
+        Hashes of all reports that were judged.
+    order : frozenset of OrderState
+        States of the order by then.
+
+    """
+
+    verdict: Verdict
+    report: int = 0
+    refusals: tuple[Refusal, ...] = ()
+    judged: frozenset[int] = frozenset()
+    order: frozenset[OrderState] = frozenset()
+
+    @property
+    def why(self) -> str:
+        """Return the reason of the first refusal; '' without one."""
+        return self.refusals[0].why if self.refusals else ''
+
+
+# The standing of a deployment of which nothing was judged, which no record keeps.
+OPEN = Standing(Verdict.OPEN)
+
+
+class HeardReport(NamedTuple):
+    """A report of a deployment with a known path, and the observation that it makes."""
+
+    report: Report
+    # None if the report is refused whatever else is known; `refusal` then has the reason.
+    outcome: Observation | None
+    refusal: Refusal | None
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """Return a sort key of a deployment's valid reports: the greatest counts."""
+        assert self.outcome is not None
+        return outcome_rank(self.outcome), self.report.stamp, self.report.content
+
+    @property
+    def is_settled(self) -> bool:
+        """Return whether the operator gave up the robot."""
+        return self.report.settled is not None
 
 
 class MissionRecord:
     """
-    The paths and reports of a mission, in any order, with one outcome for each deployment.
+    The paths, reports and statuses of a mission, in any order, and the standings of deployments.
 
-    The first valid path of a deployment counts. If reports differ, whichever came first, a return
-    counts rather than a loss, since the robot was only late; of two losses the one with the later
-    contact or, at equal contacts, the narrower `lost_at`; of two returns (of robots that share a
-    name) the one with more readings. All evidence is validated here: a refused report changes
-    nothing.
+    The first valid path of a deployment counts. `Ledger` judges what counts of each deployment;
+    other records follow its standings.
 
     Parameters
     ----------
@@ -112,19 +250,20 @@ class MissionRecord:
     ----------
     paths : dict of DeploymentKey to ndarray of int, shape (steps + 1,)
         Known paths, in order of arrival.
-    outcomes : dict of DeploymentKey to Observation
-        Outcomes of the deployments with a known path and report.
     path_contents : dict of DeploymentKey to int
         Hashes of the messages of the known paths; 0 without a message.
-    contradicted : dict of DeploymentKey to str
-        Deployments with contradicting returns, each with a sentence that explains it.
+    heard : dict of DeploymentKey to dict of Report to HeardReport
+        Reports of the deployments with a known path; of equal reports the newest.
+    statuses : dict of DeploymentKey to set of OrderState
+        States of the orders with a known path.
+    standings : dict of DeploymentKey to Standing
+        What counts of each deployment that was judged.
     held : dict of DeploymentKey to str
-        Deployments without an outcome whose robots were not lost in this field, although their
-        reports are refused, each with the reason.
+        Held deployments, each with the reason.
+    lost : int
+        Number of robots that count as lost.
     duplicates : int
         Number of duplicate paths and reports.
-    lost : int
-        Number of robots known to be lost.
     pending : int
         Number of reports whose path is not known yet.
 
@@ -145,12 +284,14 @@ class MissionRecord:
         of_each(len(robot_types), [*robot_types.values()])
         self.robot_types = dict(robot_types)
         self.paths: dict[DeploymentKey, NDArray[np.intp]] = {}
-        self.outcomes: dict[DeploymentKey, Observation] = {}
         self.path_contents: dict[DeploymentKey, int] = {}
-        self.contradicted: dict[DeploymentKey, str] = {}
+        self.heard: dict[DeploymentKey, dict[Report, HeardReport]] = {}
+        self.statuses: dict[DeploymentKey, set[OrderState]] = {}
+        self.standings: dict[DeploymentKey, Standing] = {}
         self.held: dict[DeploymentKey, str] = {}
         self.duplicates = self.lost = self.pending = 0
-        self._pending: dict[DeploymentKey, dict[Report, None]] = {}
+        self._pending: dict[DeploymentKey, dict[Report, Report]] = {}
+        self._pending_statuses: OrderedDict[tuple[DeploymentKey, OrderState], int] = OrderedDict()
         self._pending_bytes = 0
         self._newest_path = 0
 
@@ -169,23 +310,46 @@ class MissionRecord:
         return grid.check_path(path, self.most_steps(key))
 
     def copy_pending(self, other: MissionRecord) -> None:
-        """Copy the pending reports of another record."""
+        """Copy the pending reports and statuses of another record."""
         self._pending = {key: reports.copy() for key, reports in other._pending.items()}
+        self._pending_statuses = other._pending_statuses.copy()
         self.pending, self._pending_bytes = other.pending, other._pending_bytes
 
     def copy(self: Self) -> Self:
         """Return an independent copy."""
         other = copy(self)
-        other.paths, other.outcomes = self.paths.copy(), self.outcomes.copy()
-        other.path_contents = self.path_contents.copy()
-        other.contradicted = self.contradicted.copy()
+        other.paths, other.standings = self.paths.copy(), self.standings.copy()
         other.held = self.held.copy()
+        other.path_contents = self.path_contents.copy()
+        other.heard = {key: reports.copy() for key, reports in self.heard.items()}
+        other.statuses = {key: states.copy() for key, states in self.statuses.items()}
         other.copy_pending(self)
         return other
 
+    def stand(self, key: DeploymentKey, standing: Standing) -> None:
+        """Set what counts of a deployment."""
+        before = self.standings.pop(key, OPEN)
+        if standing.verdict is not Verdict.OPEN:
+            self.standings[key] = standing
+        self.lost += standing.verdict.is_loss - before.verdict.is_loss
+        self.held.pop(key, None)
+        if standing.verdict is Verdict.HELD:
+            self.held[key] = standing.why
+
+    def is_refused(self, key: DeploymentKey) -> bool:
+        """Return whether an agent refused an order, so that its robot is at the base."""
+        # A robot that departed after all outranks the refusal.
+        states = self.statuses.get(key, set())
+        return OrderState.REFUSED in states and OrderState.DEPARTED not in states
+
+    def is_at_base(self, key: DeploymentKey) -> bool:
+        """Return whether the statuses of an order say that its robot is at the base."""
+        states = self.statuses.get(key, set())
+        return bool(states) and OrderState.DEPARTED not in states
+
     @typed
     def record_path(self, key: DeploymentKey, path: ArrayLike, content: int = 0) -> bool:
-        """Record a path; return whether a pending report now gives the deployment an outcome."""
+        """Record a path; return whether a pending report now counts."""
         cells = self.check_path(key, path)
         if key in self.paths:
             if not np.array_equal(cells, self.paths[key]):
@@ -195,69 +359,92 @@ class MissionRecord:
         self.paths[key] = cells
         self.path_contents[key] = content
         refusals = []
+        changed = False
         self._newest_path = max(self._newest_path, key.stamp)
+        for state in OrderState:
+            if (stamp := self._pending_statuses.pop((key, state), None)) is not None:
+                self.record_status(key, state, stamp)
         for report in self._take_pending(key):
             try:
-                self.record_report(key, report)
+                changed |= self.record_report(key, report)
             except ValueError as error:
                 refusals.append(error)
-        if refusals and key not in self.outcomes:
+        if refusals and not changed:
             raise refusals[0]
-        return key in self.outcomes
+        return changed
 
     @typed
     def record_report(self, key: DeploymentKey, report: Report) -> bool:
-        """Record a report; return whether the outcome changes. Refused reports change nothing."""
+        """
+        Record a report; return whether the evidence changes.
+
+        Raises
+        ------
+        ValueError
+            If the report is refused. The deployment is then held unless another report counts.
+
+        """
         if key not in self.paths:
             self._keep_pending(key, report)
             return False
-        try:
-            return self._record(key, report)
-        except ValueError as error:
-            if key not in self.outcomes and is_back(report, self.grid):
-                self.held[key] = str(error)
-            raise
-
-    def _record(self, key: DeploymentKey, report: Report) -> bool:
-        """Record the report of a known path; return whether the outcome changes."""
-        outcome = self._outcome(key, report)
-        known = self.outcomes.get(key)
-        differs = (
-            known is not None
-            and ending_key(known) == ending_key(outcome)
-            and not is_same_outcome(known, outcome)
-        )
-        if differs:
-            self.contradicted[key] = (
-                f'reports of deployment {key} differ: the one with more readings counts '
-                f'(do two robots have the name {key.agent}?)'
-            )
-        if known is not None and outcome_rank(outcome) <= outcome_rank(known):
-            if differs:
-                raise ValueError(self.contradicted[key])
-            self.duplicates += 1
-            if known == outcome:
-                self._hear_again(key, report)
+        if (heard := self._hear(key, report)) is None:
             return False
-        self._assimilate(key, outcome, report)
-        self.outcomes[key] = outcome
-        self.held.pop(key, None)
-        self.lost += (not outcome.survived) - (known is not None and not known.survived)
-        return True
+        if heard.refusal:
+            raise ValueError(heard.refusal.why)
+        return False
 
-    def forget(self, key: DeploymentKey) -> None:
-        """Forget the outcome of a deployment, so that its next report counts."""
-        if outcome := self.outcomes.pop(key, None):
-            self.lost -= not outcome.survived
-        self.contradicted.pop(key, None)
+    def record_status(self, key: DeploymentKey, state: OrderState, stamp: int = 0) -> bool:
+        """Record the state of an order, at a time in ns; return whether the evidence changes."""
+        if key in self.paths:
+            self.statuses.setdefault(key, set()).add(state)
+        else:
+            self._pending_statuses[key, state] = stamp
+            if len(self._pending_statuses) > MAX_STATUSES:
+                self._pending_statuses.popitem(last=False)
+        return False
+
+    def _hear(self, key: DeploymentKey, report: Report) -> HeardReport | None:
+        """Keep the report of a known path; return None for a duplicate."""
+        reports = self.heard.setdefault(key, {})
+        known = reports.get(report)
+        name = report.stamp, report.content
+        if known is not None and name <= (known.report.stamp, known.report.content):
+            self.duplicates += 1
+            return None
+        if known is None and len(reports) >= MAX_REPORTS:
+            raise ValueError(
+                f'report of deployment {key}: {MAX_REPORTS} different reports were heard, and no '
+                'further one is kept'
+            )
+        # The key has to be the newest of equal reports, too.
+        reports.pop(report, None)
+        reports[report] = heard = self._read(key, report)
+        return heard
+
+    def _read(self, key: DeploymentKey, report: Report) -> HeardReport:
+        """Return a report with its observation, or with the reason why it makes none."""
+        cause = Cause.PATH
+        if report.unreadable:
+            cause = Cause.UNREADABLE
+        elif report.field_id not in ('', self.grid.id):
+            cause = Cause.FIELD
+        try:
+            outcome = make_observation(
+                report, key, self.paths[key], self.grid, self.most_steps(key)
+            )
+        except ValueError as error:
+            return HeardReport(report, None, Refusal(report.content, cause, str(error)))
+        return HeardReport(report, outcome, None)
 
     def _keep_pending(self, key: DeploymentKey, report: Report) -> None:
         """Keep a report until its path is known."""
         pending = self._pending.setdefault(key, {})
         if report in pending:
             self.duplicates += 1
+            if (report.stamp, report.content) > (pending[report].stamp, pending[report].content):
+                pending[report] = report
             return
-        pending[report] = None
+        pending[report] = report
         self.pending += 1
         self._pending_bytes += report_size(report)
         if self._pending_bytes <= MAX_PENDING:
@@ -276,20 +463,10 @@ class MissionRecord:
 
     def _take_pending(self, key: DeploymentKey) -> list[Report]:
         """Return and remove the pending reports of a deployment."""
-        reports = list(self._pending.pop(key, ()))
+        reports = [*self._pending.pop(key, {}).values()]
         self.pending -= len(reports)
         self._pending_bytes -= sum(map(report_size, reports))
         return reports
-
-    def _assimilate(self, key: DeploymentKey, outcome: Observation, report: Report) -> None:
-        """Assimilate a new outcome before it is recorded; may raise ValueError."""
-
-    def _hear_again(self, key: DeploymentKey, report: Report) -> None:
-        """Handle a duplicate report."""
-
-    def _outcome(self, key: DeploymentKey, report: Report) -> Observation:
-        """Return the outcome of a report; raise ValueError if the report is impossible."""
-        return make_observation(report, key, self.paths[key], self.grid, self.most_steps(key))
 
 
 def ending_key(outcome: Observation) -> tuple[bool, int, float, list[float]]:
@@ -333,6 +510,8 @@ def make_observation(
     report: Report, key: DeploymentKey, path: NDArray[np.intp], grid: Grid, max_steps: int
 ) -> Observation:
     """Return the observation from a report and a path; ValueError if the report is impossible."""
+    if report.unreadable:
+        raise ValueError(report.unreadable)
     if report.field_id not in ('', grid.id):
         raise ValueError(
             f'deployment {key} was made in another field: field_id is {report.field_id!r}, and '

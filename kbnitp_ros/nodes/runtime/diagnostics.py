@@ -17,15 +17,8 @@ TOPIC = '/diagnostics'
 
 PERIOD = 1.0  # Seconds.
 
-# Keys for the state of the mission and its reason, published by the planner.
-MISSION_STATE = 'mission_state'
-MISSION_REASON = 'mission_reason'
-
 # Key for the last refusal.
 LAST_REFUSAL = 'last_refusal'
-
-# Key of an estimator, before the name of a deployment whose report it refuses.
-HELD = 'held '
 
 # Maximum number of refusals published per period, and of characters of each. Further refusals are
 # only counted, so that a flood of messages does not become a flood of diagnostics.

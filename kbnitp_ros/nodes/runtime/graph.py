@@ -9,8 +9,8 @@ from functools import cache, wraps
 from pathlib import Path
 from typing import Any
 
-from kbnitp_ros.log.roles import BELIEF, PATH, RECORDED, REPORT
 from kbnitp_ros.messages.headers import SHOWN
+from kbnitp_ros.messages.topics import BELIEF, PATH, RECORDED, REPORT
 from rclpy.node import Node
 
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'

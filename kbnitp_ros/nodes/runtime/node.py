@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent import futures
 from functools import partial, wraps
 import os
@@ -12,7 +12,6 @@ import time
 import traceback
 from typing import Any, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
 from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import make_grid, value_for
 from kbnitp_ros.configuration.agents import own_base
@@ -26,7 +25,7 @@ from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
-from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, TOPIC, WAITING, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, WAITING, waiting_for
 from kbnitp_ros.nodes.runtime.graph import (
     decodable,
     discovery_warning,
@@ -160,15 +159,6 @@ class MissionNode(Node):
                 callback(message, *([info['source_timestamp']] if is_timed else ()))
 
         return self.create_subscription(kind, topic, read, kept, raw=True)
-
-    def subscribe_to_diagnostics(self, take: Callable[[str, Mapping[str, str]], None]) -> None:
-        """Subscribe to diagnostics; call `take` with the full name and the values of each node."""
-
-        def read(array: DiagnosticArray) -> None:
-            for status in array.status:
-                take(status.name, {each.key: each.value for each in status.values})
-
-        self.subscribe(DiagnosticArray, TOPIC, read, qos.DIAGNOSTICS, keeps_all=False)
 
     def refuse_once(self, what: str, why: object) -> None:
         """Refuse something in the graph, unless it was refused with this reason before."""
@@ -438,31 +428,6 @@ class FieldNode(MissionNode):
             self.diagnostics.refuse(self._topic, error)
         else:
             self._grid, self._map = grid, read
-
-
-class PendingMessages:
-    """Messages that refer to a message not yet received; each is retried until its deadline."""
-
-    def __init__(self, node: MissionNode, take: Callable[..., object]) -> None:
-        self._take = take
-        # Arguments of the callback, with the deadline last.
-        self._waiting: list[tuple[Any, ...]] = []
-        node.create_poll(self.try_again)
-
-    def keep(self, deadline: float | None, *message: object) -> bool:
-        """Keep a message; return False if its deadline has passed, or too many wait."""
-        now = time.monotonic()
-        deadline = now + PATIENCE if deadline is None else deadline
-        is_kept = now < deadline and len(self._waiting) < MAX_EARLY
-        if is_kept:
-            self._waiting.append((*message, deadline))
-        return is_kept
-
-    def try_again(self, *, is_last: bool = False) -> None:
-        """Pass waiting messages to the callback, with their deadlines, or 0 if `is_last`."""
-        waiting, self._waiting = self._waiting, []
-        for *message, deadline in waiting:
-            self._take(*message, 0.0 if is_last else deadline)
 
 
 def spin_once(node: MissionNode, executor: Executor, seconds: float) -> None:

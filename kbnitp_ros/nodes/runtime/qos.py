@@ -23,6 +23,12 @@ EVIDENCE = kept(depth=DEPTH)
 # Beliefs and maps, as in REP-2003: nodes that join late receive the newest.
 LATCHED = kept(depth=1)
 
+# Standings: a reader that misses some subscribes again, and then receives all.
+STANDINGS = kept(depth=100)
+
+# Signs of life of recorders.
+ALIVE = QoSProfile(depth=10)
+
 DIAGNOSTICS = QoSProfile(depth=10)
 
 # Poses, as in tf2; static poses are kept for nodes that join late.

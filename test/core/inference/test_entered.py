@@ -136,7 +136,7 @@ def test_a_later_version_repeats_a_report_without_contradicting_it():
     # The agent now says which of its steps it vouches for.
     again = Report(True, READINGS, content=2, entered=(True, False, True, True))
     assert not record.record_report(KEY, again)
-    assert not record.contradicted
+    assert not record.standings[KEY].refusals
     # Another reading is a contradiction still.
     read = tuple((cell, 1 - reading) for cell, reading in READINGS)
     with pytest.raises(ValueError, match='reports of deployment .* differ'):

@@ -20,6 +20,7 @@ from kbnitp_ros.core import (
     SensorModel,
     update,
 )
+from kbnitp_ros.core.inference.record import Cause, Verdict
 from laws import for_each
 import numpy as np
 import pytest
@@ -125,7 +126,9 @@ def test_the_return_with_more_readings_counts_in_any_order(first, second):
         assert state(ledger) == before
     else:
         assert ledger.record_report(A, RETURNS[second]) is (first < second)
-    assert ledger.contradicted.keys() == ({A} if first != second else set())
+    causes = [each.cause for each in ledger.standings[A].refusals]
+    assert causes == [Cause.CONTRADICTED] * (first != second)
+    assert ledger.standings[A].verdict is Verdict.RETURN
     counts = RETURNS[max(first, second)].readings
     walk, readings = zip((4, 0), *counts)
     assert ledger.belief.joint.tobytes() == folded(Observation(walk, True, readings[1:]))
@@ -198,20 +201,26 @@ BLANK = Report(True, ((0, False), (4, False)))
     *((BLANK, RIGHT, method) for method in METHODS),
     *((LOST, DEADLY, method) for method in LEARN_FROM_LOSSES),
 ])  # fmt: skip
-def test_a_report_that_makes_later_returns_impossible_is_refused(impossible, model, method):
+def test_an_earlier_deployment_takes_back_what_it_makes_impossible(impossible, model, method):
+    """Deployments are judged in their order, whatever arrives first."""
     ledger = Ledger(GRID, 4, Estimator(PRIOR, model, method))
     back = Report(True, ((0, True), (4, False)))
     for key in (A, B, C):
         ledger.record_path(key, [4, 0, 4])
     ledger.record_report(B, back)
     ledger.record_report(C, back)
-    before = state(ledger)
-    with pytest.raises(ValueError, match='impossible'):
-        ledger.record_report(A, impossible)
-    assert state(ledger) == before
-    assert ledger.record_report(A, back)
+    assert ledger.record_report(A, impossible)
+    assert ledger.deployments == [A]
+    assert ledger.held.keys() == {B, C}
+    assert all('impossible' in why for why in ledger.held.values())
+    # A return with more readings, or one in place of the loss, makes the others possible again.
+    seen = Report(True, ((0, True), (1, False), (4, False)))
+    assert ledger.record_report(A, seen)
+    assert ledger.deployments == [A, B, C]
+    assert not ledger.held
     again = Estimator(PRIOR, model, method)
-    for _ in range(3):
+    again.assimilate(Observation(PATH, True, [True, False, False]))
+    for _ in range(2):
         again.assimilate(Observation([4, 0, 4], True, [True, False]))
     assert ledger.belief.joint.tobytes() == again.belief.joint.tobytes()
 

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of planner, estimator and recorder as one loop: crashes, repetitions, refused reports."""
+
+from extent import FULL
+from kbnitp_ros.base.state import BaseState, EvidenceName
+from kbnitp_ros.core import Ledger
+from kbnitp_ros.core.inference import estimator as estimator_module
+from kbnitp_ros.core.inference.record import MissionRecord
+from kbnitp_ros.log.replay import replay
+from kbnitp_ros.log.replayed import Grade
+from laws import for_each
+from loop import check, Loop, run
+from mission_log import record, Sent
+import pytest
+
+
+@pytest.mark.slow
+@for_each('seed', range(500))
+def test_a_base_agrees_on_what_counts(seed):
+    check(run(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.full
+@for_each('seed', range(500, 20_000 if FULL else 501))
+def test_a_base_agrees_on_what_counts_in_many_missions(seed):
+    check(run(seed))
+
+
+@pytest.mark.slow
+@for_each('seed', range(0, 60, 4))
+def test_replay_judges_the_same(seed, tmp_path):
+    loop = run(seed)
+    loop.settle()
+    sent = [
+        Sent(f'/{topic}', message, 10**12 + 1000 * number)
+        for number, (topic, message) in enumerate(loop.log)
+    ]
+    found = replay(record(tmp_path / 'mission.mcap', sent))
+    assert found.grade is Grade.IDENTICAL, found.mismatches
+    assert found.evidence.standings.keys() == loop.ledger.standings.keys()
+
+
+# Faults of one of the nodes, each of which breaks a law.
+
+
+def forget_what_is_taken_back(patch):
+    """Leave a robot out of those in flight when its outcome is taken back."""
+
+    def stand(state, key, standing):
+        state._over.pop(key, None)
+        original(state, key, standing)
+
+    original = BaseState.stand
+    patch.setattr(BaseState, 'stand', stand)
+
+
+def believe_lost_who_is_back(patch):
+    """Ignore that a refused report shows that its robot is back."""
+    patch.setattr(estimator_module, 'is_back', lambda *_: False)
+
+
+def ignore_refusals_of_orders(patch):
+    """Judge orders as if no agent refused any."""
+    patch.setattr(MissionRecord, 'is_refused', lambda *_: False)
+
+
+def judge_in_order_of_arrival(patch):
+    """Judge no later deployment again when an earlier one changes."""
+
+    def judge(ledger, key):
+        if ledger._judged and key in ledger._judged[:-1]:
+            return {}
+        return original(ledger, key)
+
+    original = Ledger._judge
+    patch.setattr(Ledger, '_judge', judge)
+
+
+def follow_stale_standings(patch):
+    """Follow standings whatever their number."""
+
+    def follow(state, said):
+        state.evidence, state.events = EvidenceName(said.epoch, said.changes), said.events
+        for key, standing in said.standings.items():
+            state.stand(key, standing)
+        return True
+
+    patch.setattr(BaseState, 'follow', follow)
+
+
+def send_before_judgement(patch):
+    """Take every report for judged."""
+    patch.setattr(BaseState, '_note_unjudged', lambda *_: None)
+
+
+def judge_what_is_not_on_record(patch):
+    """Judge reports without the recorder's acknowledgement."""
+
+    def hears(loop, topic, message):
+        loop.judge(topic, message) if topic.endswith('/report') else original(loop, topic, message)
+
+    original = Loop.estimator_hears
+    patch.setattr(Loop, 'estimator_hears', hears)
+
+
+def read_no_log_again(patch):
+    """Never read what was recorded after the start of a planner."""
+    patch.setattr(Loop, 'read_again', lambda _: False)
+
+
+@pytest.mark.slow
+@for_each('plant', [
+    forget_what_is_taken_back,
+    believe_lost_who_is_back,
+    ignore_refusals_of_orders,
+    judge_in_order_of_arrival,
+    follow_stale_standings,
+    send_before_judgement,
+    judge_what_is_not_on_record,
+    read_no_log_again,
+])  # fmt: skip
+def test_each_planted_fault_is_found(plant, monkeypatch):
+    plant(monkeypatch)
+    with pytest.raises((AssertionError, LookupError, ValueError)):
+        check_many(range(300))
+
+
+def check_many(seeds):
+    for seed in seeds:
+        check(run(seed))
