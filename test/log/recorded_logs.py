@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write logs of test_recorded.py: kinds of hazards, located losses, sampling, a late return."""
 
+import json
 from pathlib import Path
 import sys
 
+from kbnitp_ros.configuration.known import node_parameters
 from kbnitp_ros.core import Clustering, Dynamics, Execution, Observation, Unknowns
 from kbnitp_ros.log.configuration import run_record
-from kbnitp_ros.log.read import RUN
+from kbnitp_ros.log.read import PARAMETERS, RUN
 from kbnitp_ros.log.write import LogWriter
-from mission_log import GRID, Mission, mission, record_to
+from mission_log import GRID, MAX_STEPS, Mission, mission, record_to
 
 # Probability that each survived step is received.
 HEARD = Execution(contact=0.5)
@@ -32,6 +34,9 @@ KINDS = {
 }
 
 
+# Number of robots of each mission, apart from `late_return`.
+ROBOTS = 8
+
 METHODS = ('kappa_bnitp', 'kappa_bnitp_published', 'relaxed_bnitp', 'relaxed_itp')
 
 
@@ -49,11 +54,15 @@ def late_return():
 
 
 def main(folder):
+    defaults = {name: each.default for name, each in node_parameters('planner').items()}
+    planner = defaults | {'max_steps': MAX_STEPS, 'robots': ROBOTS}
     missions = {method: mission(method=method) for method in METHODS}
     missions |= {kind: mission(**options) for kind, options in KINDS.items()}
     for name, whole in {**missions, 'late_return': late_return()}.items():
         with LogWriter(folder / f'{name}.mcap') as log:
             log.add_metadata(RUN, run_record('rmw_fastrtps_cpp'))
+            record = {key: json.dumps(value) for key, value in planner.items()}
+            log.add_metadata(f'{PARAMETERS}/planner', record)
             record_to(log, whole.sent)
 
 
