@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from math import isnan
 from pathlib import Path
+from typing import Any
 
 from kbnitp_ros.cli.output import command, complain, say
-from kbnitp_ros.cli.parameters import asked_on_record
+from kbnitp_ros.cli.parameters import asked_on_record, recorded_planner
+from kbnitp_ros.configuration.mission import make_stop
+from kbnitp_ros.files import counted
 from kbnitp_ros.log.configuration import numerical_environment
 from kbnitp_ros.log.files import LogError, part_note
 from kbnitp_ros.log.read import log_size, LoggedMessage, read_metadata, RUN
@@ -18,7 +22,7 @@ from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade, ReplayReport, TOLERANCE
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.headers import in_seconds
-from kbnitp_ros.messages.progress import NOT_KNOWN
+from kbnitp_ros.messages.progress import MissionState, NOT_KNOWN
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from tqdm import tqdm
 
@@ -64,7 +68,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 def replayed(log: Path, namespace: str | None = None) -> ReplayReport:
     """Replay a log, with a progress bar on a terminal."""
     mission, progress = MissionLog(log, namespace), partial(with_progress, log_size(log))
-    return replay(mission, progress, asked_on_record(mission))
+    report = replay(mission, progress, asked_on_record(mission))
+    with suppress(ValueError):
+        report.computed = state_by_evidence(report, recorded_planner(mission))
+    return report
+
+
+def state_by_evidence(report: ReplayReport, planner: Mapping[str, Any]) -> MissionState:
+    """Return the state of a mission by its evidence and the parameters of its planner."""
+    evidence, decision = report.evidence, report.decision
+    values = {**planner, **evidence.operator.settings}
+    if evidence.operator.is_ended:
+        return MissionState.ENDED
+    if decision is not None:
+        decision = decision.judged(values['stop.confidence'] or None)
+    # Robots that came back without a step are sent again.
+    is_over = evidence.ended >= values['robots'] + len(evidence.unmoved)
+    # Plans are not computed again, so that the planner alone knows whether one is worth a robot.
+    is_worthless = values['stop.gain'] > 0.0 and report.standing.state is MissionState.DONE
+    if is_over or is_worthless or make_stop(values).why(decision, evidence.lost):
+        return MissionState.DONE
+    return MissionState.PAUSED if evidence.operator.is_paused else MissionState.RUNNING
 
 
 def with_progress(size: int, items: Iterator[LoggedMessage]) -> Iterator[LoggedMessage]:
@@ -91,6 +115,8 @@ def lines(report: ReplayReport) -> Iterator[str]:
     if report.standing is not NOT_KNOWN:
         state, reason = report.standing.state, report.standing.reason
         yield f'the mission was {state.name} when the log ended{": " * bool(reason)}{reason}'
+        if report.computed not in (None, state):
+            yield f'by its evidence the mission was {report.computed.name}'
     if len(report.kinds) > 1:
         yield 'hazards: ' + ', '.join(
             f'{kind.replace("_", " ")} {probability:.2f}'
@@ -108,6 +134,11 @@ def lines(report: ReplayReport) -> Iterator[str]:
     yield from first_few('not reproduced', report.mismatches)
     yield from first_few('not compared', report.not_compared)
     yield from first_few('repeated', report.repeated)
+    if missing := report.beliefs.missing:
+        yield (
+            f'{counted(len(missing), "belief")} not on record, the first after '
+            f'{counted(missing[0][1], "change")} of the evidence'
+        )
     for key in report.not_yet_held:
         yield f'deployment {key} is in no belief yet'
     for key in report.passed_over:

@@ -20,10 +20,12 @@ from kbnitp_ros.core.inference.record import OPEN, OrderState, Standing, Verdict
 from kbnitp_ros.log.read import Bookmark, is_finished, LoggedMessage, parameter_changes
 from kbnitp_ros.log.record import begun, is_of_mission, record, RecordedMission, required_belief
 from kbnitp_ros.log.replayed import (
+    ACKNOWLEDGED,
     belief_name,
     BeliefFinding,
     Difference,
     differences,
+    ReplayedAcknowledgements,
     ReplayedViews,
     ReplayReport,
     TOLERANCE,
@@ -36,13 +38,14 @@ from kbnitp_ros.log.replayed_decisions import (
 )
 from kbnitp_ros.log.roles import MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import belief_fields, Snapshot
-from kbnitp_ros.messages.headers import Fields, MAX_REASON
+from kbnitp_ros.messages.headers import Fields, MAX_REASON, NO_MISSION
 from kbnitp_ros.messages.standings import Standings
 from kbnitp_ros.messages.topics import VIEWS
 
 # Roles that are computed from the beliefs, and all other roles that are read.
 COMPUTED = (*(f'belief/{name}' for name in VIEWS), 'model', *DECISIONS)
-READ = ('belief', 'mission', 'operator', 'path', 'report', 'standings', 'status')
+READ = ('belief', 'mission', 'operator', 'path', 'report', 'standings', 'state', 'status')
+ACKNOWLEDGEMENTS = 'recorded', 'operator/recorded'
 
 # Maximum number of standings and beliefs that wait for evidence recorded after them.
 MAX_WAITING = 100
@@ -69,13 +72,18 @@ def replay(
         else:
             fold.views.note(role, logged)
     fold.decisions.confidences = recorded_confidences(log, bookmark)
-    for role, logged in log.read(*READ, corrupt=[], progress=progress):
+    for role, logged in log.read(*READ, *ACKNOWLEDGEMENTS, corrupt=[], progress=progress):
         if role.name == 'mission':
             report.standing = logged.said
-            continue
-        with log.leaving_out(logged):
-            evidence.take(role, logged)
-        fold.take(role, logged)
+        elif role.name == 'state':
+            own = first.grid.at(first.agent_base(role.agent)) if role.agent else first.grid
+            if differs := logged.said.difference(own):
+                evidence.refused.append(f'{logged.topic}: {differs}')
+        else:
+            if role.name not in ACKNOWLEDGEMENTS:
+                with log.leaving_out(logged):
+                    evidence.take(role, logged)
+            fold.take(role, logged)
     report.changes = list(parameter_changes(bookmark.records, log.roles.is_node))
     fold.finish()
     for (topic, index), why in log.left_out.items():
@@ -102,7 +110,8 @@ class Fold:
 
     def __init__(self, report: ReplayReport, asked: RecordedGoal | None) -> None:
         self.report = report
-        self.views = ReplayedViews()
+        self.views = ReplayedViews(report)
+        self.acknowledgements = ReplayedAcknowledgements(report)
         self.decisions = ReplayedDecisions(report, asked)
         self._ledger: Ledger | None = None
         # Paths, reports and statuses on record, in order, and the indices of reports and statuses.
@@ -128,9 +137,13 @@ class Fold:
         self._is_forced = False
         # The prior of the ledger.
         self._prior: Snapshot | None = None
+        # Author and rules of the standings of this epoch.
+        self._author, self._rules = '', 0
 
     def take(self, role: Role, logged: LoggedMessage) -> None:
         """Take evidence, or standings and beliefs, which may wait for evidence."""
+        if role.name in (*ACKNOWLEDGED, *ACKNOWLEDGEMENTS):
+            self.acknowledgements.take(role, logged)
         if role.name in ('path', 'report', 'status'):
             if not is_of_mission(role, logged, self.report.evidence.mission):
                 return
@@ -142,6 +155,8 @@ class Fold:
                 self._statuses.setdefault((key, status.state), len(self._said))
             self._said.append((role, logged))
         elif role.name in ('standings', 'belief'):
+            if role.name == 'belief':
+                self.report.beliefs.note(logged.said)
             self._queue.append((role, logged))
         self._drain()
 
@@ -168,13 +183,14 @@ class Fold:
         if digest in self._seen:
             # A recorder that was restarted receives the last ones again.
             return True
-        self.decisions.note_standings(said.epoch, said.changes)
+        self.report.beliefs.note_standings(said.epoch, said.changes)
         epoch, changes = self._evidence
         if said.epoch < epoch:
             return self._refuse_numbers(logged, 'epoch', said.epoch, epoch)
         if said.epoch > epoch:
             self._evidence, self._events = (said.epoch, said.changes), said.events
             self._is_lost, self._is_compared = not said.is_complete, False
+            self._author, self._rules = said.author, said.rules
             self._seen.add(digest)
             # The estimator publishes its prior next, unless an earlier one had the same.
             self._first = (logged, said) if said.is_complete else None
@@ -243,9 +259,13 @@ class Fold:
 
     def _judge(self, logged: LoggedMessage, said: Standings) -> None:
         """Judge the reports that standings judged, in the order of the log; compare them."""
-        ledger = self._ledger
+        ledger, prior = self._ledger, self._prior
         assert ledger is not None
-        found = []
+        assert prior is not None
+        origin = Fields(author=self._author, rules=self._rules)
+        if said.mission != NO_MISSION:
+            origin.mission = prior.mission
+        found = [*differences(said, origin, TOLERANCE)]
         places = []
         for key, standing in said.standings.items():
             new = standing.judged - self._judged.get(key, frozenset())
@@ -256,11 +276,17 @@ class Fold:
             if len(known) < len(new) or None in states:
                 text = 'judges reports or states of the order that are not on record'
                 found.append(Difference(f'standing of {key}', text))
+        before = ledger.changes
         for place in sorted(places):
             key = self._said[place][1].said[0]
             if key not in ledger.paths and (path := self._path(key)) is not None:
                 self._record(path)
             self._record(place)
+        # The first standings of an epoch may hold judgements of earlier ones.
+        is_change = said.changes > self._evidence[1]
+        if said.events > self._events and is_change != (ledger.changes > before):
+            words = 'more' if is_change else 'as before'
+            found.append(Difference('changes', f'is {words}, unlike the computed evidence'))
         for key, standing in said.standings.items():
             if text := standing_difference(standing, ledger.standings.get(key, OPEN)):
                 found.append(Difference(f'standing of {key}', text))
@@ -396,22 +422,26 @@ class Fold:
         belief = belief_name(logged.said.newest)
         self.report.compared[logged.topic] += 1
         self.report.mismatches.append(self._finding(logged, belief)(reason=why))
+        self._expect_views(logged)
+
+    def _expect_views(self, logged: LoggedMessage) -> None:
+        """Expect the grids of a belief that cannot be computed."""
+        self.views.expect(logged.said.grid, logged.message, logged.said)
+        self.views.unknown.add(logged.said.stamp)
 
     def _leave(self, logged: LoggedMessage, why: str) -> None:
         """Report a belief that cannot be computed."""
         belief = belief_name(logged.said.newest)
         self.report.not_compared.append(self._finding(logged, belief)(reason=why))
-        self.views.unknown[logged.said.stamp] += 1
-        self.decisions.note_belief(logged.said)
+        self._expect_views(logged)
 
     def _compare(self, logged: LoggedMessage, ledger: Ledger) -> None:
         """Compare a belief with that of a ledger; compute its views."""
         said: Snapshot = logged.said
         self.report.compared[logged.topic] += 1
         mission = self._prior.mission if self._prior else said.mission
-        computed = belief_fields(
-            ledger, said.stamp, mission, said.author, said.epoch, said.changes
-        )
+        author = self._author if said.epoch == self._evidence[0] else said.author
+        computed = belief_fields(ledger, said.stamp, mission, author, said.epoch, said.changes)
         learnt = ledger.estimator.unknowns.priors
         found = tuple(differences(logged.message, computed, TOLERANCE, learnt))
         is_equal = all(each.is_rounding for each in found)
@@ -422,8 +452,8 @@ class Fold:
             found += tuple(differences(logged.message, own, 0.0))
         # Grids were made from the recorded belief, so they have the same rounding difference.
         is_same = all(each.is_rounding for each in found)
-        self.views.expect(ledger, logged.message if is_same else ledger.belief, said)
-        self.decisions.note_belief(said)
+        self.views.expect(ledger.grid, logged.message if is_same else ledger.belief, said)
+        self.views.expect_model(ledger, said)
         if found:
             self.report.add(self._finding(logged, belief_name(said.newest))(found))
         else:
@@ -439,8 +469,9 @@ class Fold:
             report.kinds = ledger.estimator.kinds
             if self.views.checked:
                 report.check = ledger.estimator.check
-        self.views.compare(report)
-        self.decisions.finish()
+        self.views.compare()
+        self.decisions.finish(ledger)
+        self.acknowledgements.compare()
         judged = [
             place
             for (key, content), place in self._places.items()

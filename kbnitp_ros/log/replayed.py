@@ -12,21 +12,25 @@ from math import nan
 from operator import attrgetter
 from typing import Any
 
-from kbnitp_ros.core import DeploymentKey, Grid, Ledger
+from kbnitp_ros.core import Decision, DeploymentKey, Grid, Ledger
 from kbnitp_ros.core.inference.model_check import ModelCheck
+from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role
 from kbnitp_ros.messages.beliefs import Snapshot
+from kbnitp_ros.messages.deployments import Acknowledged
 from kbnitp_ros.messages.grids import occupancy_fields
-from kbnitp_ros.messages.headers import Fields, from_stamp, shown
+from kbnitp_ros.messages.headers import content_hash, Fields, from_stamp, NO_MISSION, shown
 from kbnitp_ros.messages.progress import (
     check_fields,
     Checked,
     checked_belief,
+    MissionState,
     MissionStatus,
     model_fields,
+    NOT_CHECKED,
     NOT_KNOWN,
 )
 from kbnitp_ros.messages.topics import VIEWS
@@ -118,6 +122,20 @@ def _array_differences(
 TOLERANCE = 1e-9
 
 
+# Reasons why a message differs or is not compared.
+NO_BELIEF = 'no standings on record have its evidence'
+NOT_COMPUTED = 'its belief is not on record, or differs from the computed belief'
+NOT_ON_RECORD = 'the message that it acknowledges is not on record'
+
+# Kinds of messages that a recorder acknowledges, by role; a status may be a departure.
+ACKNOWLEDGED = {
+    'path': Acknowledged.PATH,
+    'status': Acknowledged.STATUS,
+    'report': Acknowledged.REPORT,
+    'operator': Acknowledged.ACTION,
+}
+
+
 class Grade(IntEnum):
     """The result of comparing a log's beliefs with computed beliefs."""
 
@@ -160,6 +178,8 @@ class ReplayReport:
     evidence: RecordedMission
     # The last recorded state of the mission.
     standing: MissionStatus = NOT_KNOWN
+    # The state by the evidence; None without the parameters of the planner.
+    computed: MissionState | None = None
     # Changes of parameters, in words.
     changes: list[str] = field(default_factory=list)
     # Final probability of each kind of hazard, and the check of the model.
@@ -167,6 +187,10 @@ class ReplayReport:
     check: ModelCheck | None = None
     # Number of messages compared, by topic: beliefs, views and decisions.
     compared: Counter[str] = field(default_factory=Counter)
+    # Evidence of the beliefs on record.
+    beliefs: RecordedBeliefs = field(default_factory=lambda: RecordedBeliefs())
+    # The decision on the last belief; None without a goal on record.
+    decision: Decision | None = None
     # Messages that differ, and messages equal within `TOLERANCE` but not to the bit.
     mismatches: list[BeliefFinding] = field(default_factory=list)
     roundings: list[BeliefFinding] = field(default_factory=list)
@@ -205,19 +229,48 @@ class ReplayReport:
         return self.grade == Grade.IDENTICAL
 
 
+class RecordedBeliefs:
+    """The evidence of the beliefs on record, and that of the missing ones."""
+
+    def __init__(self) -> None:
+        # Stamps of the beliefs on record by the evidence that they name: epoch and changes.
+        self.stamps: dict[tuple[int, int], int] = {}
+        # The first and the last changes of each epoch that standings on record name.
+        self._changes: dict[int, tuple[int, int]] = {}
+
+    def note(self, said: Snapshot) -> None:
+        """Note a belief on record."""
+        self.stamps[said.evidence] = said.stamp
+
+    def note_standings(self, epoch: int, changes: int) -> None:
+        """Note the evidence of standings on record."""
+        first, last = self._changes.get(epoch, (changes, changes))
+        self._changes[epoch] = first, max(changes, last)
+
+    @property
+    def missing(self) -> list[tuple[int, int]]:
+        """Return the evidence whose beliefs may have been published, and are not on record."""
+        return [
+            (epoch, changes)
+            for epoch, (first, last) in self._changes.items()
+            # A resumed estimator publishes its prior, and then all that it resumes at once.
+            for changes in range(first if (epoch, 0) in self.stamps else 0, last + 1)
+            if (epoch, changes) not in self.stamps
+        ]
+
+
 class ReplayedViews:
     """The recorded views, and the views of the computed beliefs."""
 
-    def __init__(self) -> None:
-        # Index and content of recorded views, by role and topic, and by stamp.
-        self._recorded = defaultdict[tuple[str, str], dict[int, list[tuple[int, Any]]]](
-            lambda: defaultdict(list)
-        )
+    def __init__(self, report: ReplayReport) -> None:
+        self._report = report
+        # Stamp, index and content of recorded views, by role and topic.
+        self._recorded = defaultdict[tuple[str, str], list[tuple[int, int, Any]]](list)
         # Computed views by role and stamp, which beliefs may share: the deployment assimilated
         # last, and the fields of a model or the digest of a grid.
         self._expected = defaultdict[tuple[str, int], list[tuple[DeploymentKey | None, Any]]](list)
-        # Number of recorded beliefs that were not computed, by stamp.
-        self.unknown: Counter[int] = Counter()
+        # Stamps of recorded beliefs that were not computed, so that their models are not known.
+        self.unknown: set[int] = set()
         # Beliefs whose check was recorded, by deployments and stamp, and the computed checks.
         self.checked: dict[tuple[int, int], ModelCheck | None] = {}
 
@@ -227,42 +280,60 @@ class ReplayedViews:
         if role.name == 'model':
             self.checked[checked_belief(message)] = None
         kept = message if role.name == 'model' else grid_digest(message)
-        views = self._recorded[role.name, logged.topic]
-        views[from_stamp(message.header.stamp)].append((logged.index, kept))
+        stamp = from_stamp(message.header.stamp)
+        self._recorded[role.name, logged.topic].append((stamp, logged.index, kept))
 
-    def expect(self, ledger: Ledger, seen: Any, said: Snapshot) -> None:
-        """Keep the views expected of a ledger's belief; `seen` has its maps."""
-        stamp, newest = said.stamp, said.newest
+    def expect(self, grid: Grid, maps: Any, said: Snapshot) -> None:
+        """Keep the grids that are expected of a belief with these maps."""
         for name in VIEWS:
-            grid = occupancy_fields(ledger.grid, getattr(seen, name), stamp)
-            self._expected[f'belief/{name}', stamp].append((newest, grid_digest(grid)))
-        key = len(ledger.deployments), stamp
+            view = occupancy_fields(grid, getattr(maps, name), said.stamp)
+            self._expected[f'belief/{name}', said.stamp].append((said.newest, grid_digest(view)))
+
+    def expect_model(self, ledger: Ledger, said: Snapshot) -> None:
+        """Keep the model and the check that are expected of a ledger's belief."""
+        key = len(ledger.deployments), said.stamp
         if key in self.checked:
             self.checked[key] = ledger.estimator.check
         if self.checked:
-            self._expected['model', stamp].append((newest, model_fields(ledger, stamp)))
+            expected = said.newest, model_fields(ledger, said.stamp)
+            self._expected['model', said.stamp].append(expected)
 
-    def compare(self, report: ReplayReport) -> None:
-        """Compare each recorded view with the computed views of its stamp, if any."""
+    def compare(self) -> None:
+        """Compare each recorded view with the computed views of its stamp."""
+        report, missing = self._report, len(self._report.beliefs.missing)
+        if (before := checked_belief(check_fields(NOT_CHECKED))) in self.checked:
+            self.checked[before] = NOT_CHECKED.check
         for (role, topic), views in self._recorded.items():
-            for stamp, indexed in views.items():
-                expected = self._expected.get((role, stamp), [])
-                unseen, others = [*expected], []
-                for index, view in indexed:
-                    alike = [
-                        n for n, each in enumerate(unseen) if not self._differs(view, each[1])
-                    ]
-                    if alike:
-                        del unseen[alike[0]]
-                    elif all(self._differs(view, computed) for _, computed in expected):
-                        others.append((index, view))
-                        continue
-                    report.compared[topic] += 1
-                del others[: self.unknown[stamp]]
-                for (index, view), (newest, computed) in zip(others, unseen):
-                    report.compared[topic] += 1
-                    found = self._differs(view, computed)
-                    report.add(BeliefFinding(topic, index, belief_name(newest), found))
+            lacking = [self._lacking(role, stamp, view) for stamp, _, view in views]
+            # Any missing belief may have an unknown stamp.
+            is_missing = len({*lacking} - {None} - self.unknown) <= missing
+            for (stamp, index, view), lacks in zip(views, lacking):
+                if lacks is not None and (is_missing or lacks in self.unknown):
+                    finding = BeliefFinding(topic, index, reason=NOT_COMPUTED)
+                    report.not_compared.append(finding)
+                    continue
+                report.compared[topic] += 1
+                if lacks is not None:
+                    finding = BeliefFinding(topic, index, reason=NO_BELIEF)
+                    report.mismatches.append(finding)
+                    continue
+                found, belief = min(
+                    (
+                        (self._differs(view, computed), belief_name(newest))
+                        for newest, computed in self._expected[role, stamp]
+                    ),
+                    key=lambda each: len(each[0]),
+                )
+                if found:
+                    report.add(BeliefFinding(topic, index, belief, found))
+
+    def _lacking(self, role: str, stamp: int, view: Any) -> int | None:
+        """Return the stamp of a view's belief, or of the checked one, if it was not computed."""
+        if (role, stamp) not in self._expected:
+            return stamp
+        if role == 'model' and self.checked[key := checked_belief(view)] is None:
+            return key[1]
+        return None
 
     def _differs(self, view: Any, computed: Any) -> tuple[Difference, ...]:
         """Return the differences of a recorded view from the computed one; of grids, digests."""
@@ -270,12 +341,49 @@ class ReplayedViews:
             return () if view == computed else (Difference('data', 'does not match the belief'),)
         found = tuple(differences(view, computed, TOLERANCE))
         key = checked_belief(view)
-        if check := self.checked[key]:
-            fields = check_fields(Checked(check, *key))
-            # The reason contains rounded numbers, which processors may round differently.
-            del fields.reason
-            found += tuple(differences(view, fields, TOLERANCE))
-        return found
+        check = self.checked[key]
+        assert check is not None
+        fields = check_fields(Checked(check, *key))
+        reason = Fields(reason=fields.reason)
+        del fields.reason
+        found += tuple(differences(view, fields, TOLERANCE))
+        # The reason has numbers of the check, which processors may round differently.
+        return found or tuple(differences(view, reason, TOLERANCE))
+
+
+class ReplayedAcknowledgements:
+    """The acknowledgements of a recorder, and the messages on record that they name."""
+
+    def __init__(self, report: ReplayReport) -> None:
+        self._report = report
+        # Kind, agent, stamp, mission and hash of each message on record.
+        self._on_record: set[tuple[int, str, int, int, int]] = set()
+        self._said: list[LoggedMessage] = []
+
+    def take(self, role: Role, logged: LoggedMessage) -> None:
+        """Keep an acknowledgement, or note a message that may be acknowledged."""
+        if role.name not in ACKNOWLEDGED:
+            self._said.append(logged)
+            return
+        kind, mission, stamp = ACKNOWLEDGED[role.name], NO_MISSION, logged.said
+        if role.name != 'operator':
+            (_, stamp), said = logged.said
+            if role.name == 'path':
+                mission = said
+            elif role.name == 'status' and said.state is OrderState.DEPARTED:
+                kind = Acknowledged.DEPARTURE
+        content = content_hash(logged.message)
+        self._on_record.add((kind, role.agent, stamp, mission, content))
+
+    def compare(self) -> None:
+        """Report each acknowledgement of a message that is not on record."""
+        for logged in self._said:
+            said = logged.message
+            stamp, mission = from_stamp(said.stamp), from_stamp(said.mission)
+            self._report.compared[logged.topic] += 1
+            if (said.kind, said.agent, stamp, mission, said.content) not in self._on_record:
+                finding = BeliefFinding(logged.topic, logged.index, reason=NOT_ON_RECORD)
+                self._report.mismatches.append(finding)
 
 
 def field_names(fields: Fields) -> Iterator[str]:

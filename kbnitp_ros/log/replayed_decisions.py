@@ -17,6 +17,8 @@ from kbnitp_ros.log.replayed import (
     BeliefFinding,
     Difference,
     differences,
+    NO_BELIEF,
+    NOT_COMPUTED,
     ReplayReport,
     TOLERANCE,
 )
@@ -37,9 +39,7 @@ ROUNDED = (
 # The parameter by which an estimator judges its decisions.
 CONFIDENCE = 'stop.confidence'
 
-# Reasons why a decision differs or is not compared.
-NO_BELIEF = 'no standings on record have its evidence'
-NOT_COMPUTED = 'its belief is not on record, or differs from the computed belief'
+# Why a decision is not compared.
 NO_GOAL = 'the goal is not on record, or is not valid'
 
 
@@ -64,9 +64,6 @@ class ReplayedDecisions:
         # Recorded lanes by stamp, and computed lanes by stamp and belief.
         self._lanes = defaultdict[int, list[LoggedMessage]](list)
         self._computed_lanes = defaultdict[int, dict[str, Fields]](dict)
-        # Evidence and stamps of the beliefs on record, and the last changes of each epoch.
-        self._beliefs: dict[tuple[int, int], int] = {}
-        self._changes: dict[int, int] = {}
 
     def note(self, logged: LoggedMessage) -> None:
         """Keep a decision or its lane until its belief is computed."""
@@ -76,22 +73,12 @@ class ReplayedDecisions:
             evidence = from_stamp(logged.message.epoch), logged.message.changes
             self._decisions[evidence].append(logged)
 
-    def note_standings(self, epoch: int, changes: int) -> None:
-        """Note the evidence of standings on record, of which a belief may be missing."""
-        self._changes[epoch] = max(changes, self._changes.get(epoch, 0))
-
-    def note_belief(self, said: Snapshot) -> None:
-        """Note a belief on record."""
-        self._beliefs[said.evidence] = said.stamp
-
     def compare(self, ledger: Ledger, said: Snapshot) -> None:
         """Compare the recorded decisions on the ledger's belief, which is identical to `said`."""
         key, belief = said.evidence, belief_name(said.newest)
         if self._asked is None or not (key in self._decisions or said.stamp in self._lanes):
             return
-        goal, max_steps, cells = self._asked
-        hazards = joint_hazards(ledger.estimator, said.deployments)
-        decision = goal.decide(ledger.grid, hazards, ledger.estimator.model, max_steps)
+        decision = self._decide(ledger)
         for logged in self._decisions.pop(key, []):
             # Without a confidence on record a decision may be reached by any.
             is_told = logged.message.reached and (self.confidences or logged.message.told)
@@ -100,7 +87,7 @@ class ReplayedDecisions:
             stated = decision if is_told else replace(decision, told={})
             of_belief = said.deployments, said.stamp, said.mission
             computed = decision_fields(
-                ledger.grid, stated, *of_belief, cells, said.author, *said.evidence
+                ledger.grid, stated, *of_belief, self._asked.cells, said.author, *said.evidence
             )
             # These follow from the numbers of the message, which may be rounded differently.
             del computed.reached, computed.reason
@@ -109,6 +96,13 @@ class ReplayedDecisions:
             self._add(logged, belief, found)
         lane = decision_fields(ledger.grid, decision, 0, said.stamp, said.mission).path
         self._computed_lanes[said.stamp][belief] = lane
+
+    def _decide(self, ledger: Ledger) -> Decision:
+        """Return the decision on the ledger's belief."""
+        assert self._asked is not None
+        hazards = joint_hazards(ledger.estimator, len(ledger.deployments))
+        model = ledger.estimator.model
+        return self._asked.goal.decide(ledger.grid, hazards, model, self._asked.max_steps)
 
     def _misjudged(self, decision: Decision, message: Any) -> Iterator[Difference]:
         """Yield a difference if `reached` and `reason` follow from no confidence on record."""
@@ -123,8 +117,10 @@ class ReplayedDecisions:
                 f'from no {CONFIDENCE} on record ({known})',
             )
 
-    def finish(self) -> None:
-        """Compare lanes, and report the decisions and lanes left over."""
+    def finish(self, ledger: Ledger | None) -> None:
+        """Compare lanes, report the decisions and lanes left over, and decide on a ledger."""
+        if self._asked and ledger is not None:
+            self._report.decision = self._decide(ledger)
         for stamp in self._lanes.keys() & self._computed_lanes.keys():
             for logged in self._lanes.pop(stamp):
                 found = {
@@ -134,16 +130,11 @@ class ReplayedDecisions:
                 # Beliefs may share a stamp.
                 belief = min(found, key=lambda each: len(found[each]))
                 self._add(logged, belief, found[belief])
+        stamps, missing = self._report.beliefs.stamps, self._report.beliefs.missing
         for evidence, decisions in self._decisions.items():
-            epoch, changes = evidence
-            self._leave(decisions, changes <= self._changes.get(epoch, -1))
-        is_any_missing = any(
-            (epoch, changes) not in self._beliefs
-            for epoch, last in self._changes.items()
-            for changes in range(last + 1)
-        )
+            self._leave(decisions, evidence in stamps or evidence in missing)
         for stamp, lanes in self._lanes.items():
-            self._leave(lanes, is_any_missing or stamp in self._beliefs.values())
+            self._leave(lanes, bool(missing) or stamp in stamps.values())
 
     def _leave(self, left: Sequence[LoggedMessage], may_have_belief: bool) -> None:
         """Report decisions or lanes left over: they differ if they can have no belief."""

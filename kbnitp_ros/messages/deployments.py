@@ -45,6 +45,16 @@ class Source(IntEnum):
     OPERATOR = 2
 
 
+class Acknowledged(IntEnum):
+    """The kind of a message that is on record, as in kbnitp_msgs/Recorded."""
+
+    PATH = 1
+    DEPARTURE = 2
+    ACTION = 3
+    REPORT = 4
+    STATUS = 5
+
+
 def path_fields(grid: Grid, cells: ArrayLike, stamp: int, mission: int) -> Fields:
     """Return the fields of the message of `path_message`."""
     begun, orientation = header_fields(mission or stamp), orientation_fields(grid.yaw)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a mission, made without running ROS, and logs of them."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,8 +13,10 @@ from kbnitp_ros.core import (
     Dynamics,
     Estimator,
     Grid,
+    Lane,
     Learning,
     Ledger,
+    RobotType,
     run_mission,
     SearchOptions,
     SensorModel,
@@ -21,6 +24,8 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
+from kbnitp_ros.core.decision.hazard_draws import joint_hazards
+from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.core.field.unknowns import STATIC
 from kbnitp_ros.core.field.world import AS_ORDERED
 from kbnitp_ros.log.schema import qos_profiles_yaml
@@ -29,7 +34,7 @@ from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import path_message, read_report, report_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import content_hash, from_stamp, NO_MISSION
-from kbnitp_ros.messages.progress import Checked, model_belief
+from kbnitp_ros.messages.progress import Checked, decision_fields, decision_message, model_belief
 from kbnitp_ros.messages.standings import standings_fields, standings_message
 import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -81,6 +86,7 @@ class Mission:
     dynamics: Dynamics = STATIC
     clustering: Clustering | None = None
     hazard: float = 0.3
+    robot_types: Mapping[str, RobotType] = field(default_factory=dict)
 
     def __post_init__(self):
         self.sent = []
@@ -98,7 +104,7 @@ class Mission:
             dynamics=self.dynamics,
             clustering=self.clustering,
         )
-        self.ledger = Ledger(self.grid, MAX_STEPS, estimator)
+        self.ledger = Ledger(self.grid, MAX_STEPS, estimator, self.robot_types)
         self.started = self.epoch = self.now
         self.events = 0
         self.publish_standings()
@@ -134,8 +140,9 @@ class Mission:
         return key
 
     def come_back(self, key, observation):
-        self.publish(f'{key.agent}/report', report_message(key, observation, self.now))
-        return read_report(self.sent[-1].message)
+        report = report_message(key, observation, self.now)
+        self.publish(f'{key.agent}/report', report)
+        return read_report(report)
 
     def assimilate(self, path, key, report):
         self.hear_path(key, path)
@@ -163,6 +170,33 @@ class Mission:
         key = self.send_out(orders, agent)
         self.assimilate(orders, *self.come_back(key, observation))
         return key
+
+
+class Deciding(Mission):
+    """A mission whose planner decides after each belief."""
+
+    def __init__(self, goal, **options):
+        self.goal = goal
+        super().__init__(**options)
+
+    def publish_belief(self):
+        super().publish_belief()
+        held = len(self.ledger.deployments)
+        stamp = from_stamp(on(self.sent, '/belief')[-1].message.header.stamp)
+        estimator = self.ledger.estimator
+        hazards = joint_hazards(estimator, held)
+        decision = self.goal.decide(GRID, hazards, estimator.model, MAX_STEPS)
+        if decision.reached:
+            decision = with_told(decision, estimator, held)
+        evidence = AUTHOR, self.epoch, self.ledger.changes
+        fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal), *evidence)
+        message = decision_message(fields)
+        self.publish('decision', message)
+        self.publish('decision/lane', message.path)
+
+
+def cells(goal):
+    return [goal.to] if isinstance(goal, Lane) else goal.cells
 
 
 def observations(

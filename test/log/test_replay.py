@@ -39,6 +39,7 @@ from kbnitp_ros.messages.deployments import (
     report_message,
 )
 from kbnitp_ros.messages.grids import occupancy_grid
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.messages.topics import BELIEF, PATH, REPORT
 from laws import for_each
 from mcap_ros2 import writer as ros2
@@ -226,8 +227,11 @@ def test_the_catch_up_of_a_restarted_estimator_is_reproduced(tmp_path_factory, s
     again = [message for message in whole.sent[first_run:] if message.topic == '/belief']
     # The last belief is latched, so a recorder receives it.
     gone = [again[index] for index in data.draw(st.sets(st.integers(0, len(again) - 2)))]
+    places = [next(n for n, each in enumerate(whole.sent) if each is one) for one in gone]
+    views = [whole.sent[place + n] for place in places for n in range(1, 1 + len(VIEWS))]
+    assert {view.topic for view in views} <= {*VIEWS}
     evidence = [each for each in whole.sent if re.search('path|report', each.topic)]
-    sent = [*without(whole.sent, *gone), *evidence]
+    sent = [*without(whole.sent, *gone, *views), *evidence]
     path = tmp_path_factory.mktemp('caught_up') / 'mission.mcap'
     report = replay(record(path, sent))
     assert report.mismatches == report.evidence.refused == report.not_compared == []
@@ -295,6 +299,44 @@ def test_a_changed_field_is_found(learnt_mission, replayed, field, value, told):
     report = replayed(instead(learnt_mission.sent, original, spoiled))
     assert told in str(report.mismatches[indices(report.mismatches).index(5)])
     assert not report.reproduced
+
+
+def is_refused(path):
+    return main([str(path)]) == 1
+
+
+@for_each('topic, shift', [(topic, shift) for topic in VIEWS for shift in (0, 1, 10**9)])
+def test_grids_of_no_belief_are_reported(whole_mission, tmp_path, topic, shift):
+    """All of them are zeros, and their stamps are none of a belief, or that of one."""
+    sent = whole_mission.sent
+    for original in on(sent, topic):
+        stamp = from_stamp(original.message.header.stamp) + shift
+        sent = instead(sent, original, occupancy_grid(GRID, np.zeros(20), stamp))
+    assert is_refused(record(tmp_path / 'mission.mcap', sent))
+
+
+@for_each('topic', [*VIEWS, '/model'])
+def test_a_second_view_of_a_belief_is_compared_too(tmp_path, topic):
+    whole = mission(2, unknowns=Unknowns(lethality=(0.1, 0.9)))
+    forged = deepcopy(on(whole.sent, topic)[1].message)
+    if topic == '/model':
+        forged.mean[0] = 0.5
+    else:
+        forged.data[0] = 99
+    path = record(tmp_path / 'mission.mcap', [*whole.sent, Sent(topic, forged, START)])
+    assert is_refused(path)
+
+
+@for_each('checked, stamp', [(0, 0), (1, None), (2, 0), (99, None), (99, 1)])
+def test_a_check_of_no_belief_is_reported(tmp_path, checked, stamp):
+    """The last model is said to be in doubt."""
+    whole = mission(3, unknowns=Unknowns(lethality=(0.1, 0.9)))
+    original = on(whole.sent, '/model')[-1]
+    assert original.message.checked == 2
+    stamp = original.message.checked_stamp if stamp is None else to_stamp(stamp)
+    forged = {'in_doubt': True, 'checked': checked, 'checked_stamp': stamp}
+    sent = instead(whole.sent, original, changed(original.message, **forged))
+    assert is_refused(record(tmp_path / 'mission.mcap', sent))
 
 
 @for_each('field, value', [
@@ -474,7 +516,7 @@ CHANGES = {
     'the last belief twice': (heard_again(8), 0, 9, [], [], ['repeated: ']),
     'the prior': (drop('/belief', 0), 1, 8, [*range(8)], [], [
         'method not on record', 'prior of its estimator is not on record',
-        'not compared: 5 more']),
+        'not compared: 8 more']),
     'a path': (drop('/scout_1/path', 3), 1, 9, [*range(4, 9)], [], [
         'not reproduced: /standings message 4: standing of {3} is RETURN, computed is OPEN',
         'deployment {3} has no path on record']),

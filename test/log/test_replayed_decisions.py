@@ -4,61 +4,36 @@
 from copy import deepcopy
 from functools import reduce
 
+from kbnitp_ros.cli.replay import main
+from kbnitp_ros.configuration.known import node_parameters
 from kbnitp_ros.core import Area, Lane
-from kbnitp_ros.core.decision.hazard_draws import joint_hazards
-from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import decision_fields, decision_message
+from kbnitp_ros.messages.operator_actions import Action, operator_action_message, OperatorAction
+from kbnitp_ros.messages.progress import mission_status_message, MissionState, MissionStatus
 from laws import for_each
 from mission_log import (
-    AUTHOR,
+    cells,
+    Deciding,
     GRID,
     instead,
     MAX_STEPS,
-    Mission,
     observations,
     on,
     record,
     record_to,
+    Sent,
+    START,
     without,
 )
 import pytest
 
 ROBOTS = 4
 LANE = Lane(to=19, confidence=0.6)
-
-
-class Deciding(Mission):
-    """A mission whose planner decides after each belief."""
-
-    def __init__(self, goal, **options):
-        self.goal = goal
-        super().__init__(**options)
-
-    def publish_belief(self):
-        super().publish_belief()
-        held = len(self.ledger.deployments)
-        stamp = from_stamp(on(self.sent, '/belief')[-1].message.header.stamp)
-        estimator = self.ledger.estimator
-        hazards = joint_hazards(estimator, held)
-        decision = self.goal.decide(GRID, hazards, estimator.model, MAX_STEPS)
-        if decision.reached:
-            decision = with_told(decision, estimator, held)
-        evidence = AUTHOR, self.epoch, self.ledger.changes
-        fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal), *evidence)
-        message = decision_message(fields)
-        self.publish('decision', message)
-        self.publish('decision/lane', message.path)
-
-
-def cells(goal):
-    return [goal.to] if isinstance(goal, Lane) else goal.cells
 
 
 @pytest.fixture(scope='module')
@@ -171,3 +146,46 @@ def test_without_a_goal_on_record_no_decision_is_compared(tmp_path, sent):
     left = [finding for finding in report.not_compared if finding.topic == '/decision']
     assert len(left) == ROBOTS + 1
     assert 'the goal is not on record' in str(left[0])
+
+
+def say(sent, state):
+    """Return messages with the last state of their planner."""
+    status = MissionStatus(START, '/planner', state)
+    return [*sent, Sent('/mission', mission_status_message(status), START)]
+
+
+def end(sent, action):
+    message = operator_action_message(GRID, OperatorAction(START, action, 0))
+    return [*sent, Sent('/operator', message, START)]
+
+
+@for_each('planner, said, action, computed', [
+    ({}, 'RUNNING', None, 'RUNNING'),
+    ({'stop.confidence': 0.3}, 'RUNNING', None, 'DONE'),
+    ({'stop.confidence': 0.3}, 'DONE', None, 'DONE'),
+    ({'robots': ROBOTS}, 'RUNNING', None, 'DONE'),
+    ({'robots': ROBOTS}, 'PAUSED', None, 'DONE'),
+    ({'stop.losses': 1}, 'RUNNING', None, 'DONE'),
+    ({}, 'DONE', None, 'RUNNING'),
+    # Whether a plan is worth a robot is not computed.
+    ({'stop.gain': 0.1}, 'DONE', None, 'DONE'),
+    ({}, 'RUNNING', Action.END, 'ENDED'),
+    ({}, 'RUNNING', Action.PAUSE, 'PAUSED'),
+])  # fmt: skip
+def test_the_state_of_the_mission_follows_from_its_evidence(
+    tmp_path, capsys, sent, planner, said, action, computed
+):
+    """Its planner may have been killed before it said so."""
+    assert on(sent, '/decision')[-1].message.probability > 0.3
+    values = {name: each.default for name, each in node_parameters('planner').items()}
+    values |= {'goal.kind': 'lane', 'goal.cells': [19], 'max_steps': MAX_STEPS, 'robots': 20}
+    path = tmp_path / 'mission.mcap'
+    with LogWriter(path) as log:
+        log.add_metadata(f'{PARAMETERS}/planner', parameters_record(values | planner))
+        record_to(log, say(sent if action is None else end(sent, action), MissionState[said]))
+    assert main([str(path)]) == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if 'the mission was' in line]
+    assert told == [
+        f'the mission was {said} when the log ended',
+        *[f'by its evidence the mission was {computed}'] * (said != computed),
+    ]
