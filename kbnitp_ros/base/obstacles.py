@@ -3,21 +3,18 @@
 
 from __future__ import annotations
 
-from kbnitp_ros.base.protocol import PlannerState
+from kbnitp_ros.base.protocol import PlannerState, VERSION
 from kbnitp_ros.base.state import MAX_STILL
 from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.progress import Obstacle
-
-# Version whose messages this base exchanges with agents.
-VERSION = '2.0'
 
 
 def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
     """Describe the planner's wait, or the end of the mission."""
     match obstacle:
         case Obstacle.ACTION_UNRECORDED:
-            return now.unrecorded_action
+            return now.unrecorded_action or ''
         case Obstacle.NO_BELIEF:
             start = 'its estimator waits for the nodes in its parameter await_nodes'
             return f'the belief on {belief_topic(now)}: ' + (
@@ -37,7 +34,7 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
                 'parameters goal.* computes'
             )
         case Obstacle.NO_SUBSCRIBER:
-            return now.missing_listeners()
+            return now.missing_listeners() or ''
         case Obstacle.ALL_LEFT:
             out = [key for key in now.base.in_flight if key not in now.base.held]
             last = f'the last robots in flight: {some(out)} (parameter robots)' if out else ''
@@ -77,7 +74,7 @@ def deployed(now: PlannerState) -> str:
 def judgement(now: PlannerState) -> str:
     """Describe the wait for standings."""
     topic = now.topic('standings')
-    if now.why_unfollowed:
+    if now.why_unfollowed is not None:
         return f'standings on {topic}, which are not followed: {now.why_unfollowed}'
     key = next(iter(now.base.unjudged))
     what = 'refusal' if now.base.is_refused(key) else 'report'

@@ -27,6 +27,9 @@ from kbnitp_ros.core.inference.record import deployment_order
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.progress import Helper, MissionState, Obstacle
 
+# Version whose messages this base exchanges with agents.
+VERSION = '2.0'
+
 # Who can end a condition, where that is always the same.
 ENDED_BY = {
     Obstacle.ACTION_UNRECORDED: Helper.RECORDER,
@@ -49,20 +52,20 @@ class PlannerState:
     base: BaseState
     # What the agents say of themselves.
     states: AgentStates
-    # Description of the pending operator action; empty if none is pending.
-    unrecorded_action: str
+    # Description of the pending operator action; None if none is pending.
+    unrecorded_action: str | None
     # Name of the evidence in the newest belief; None before the first belief.
     newest: EvidenceName | None
-    # Why the standings of an estimator are not followed; empty if they are.
-    why_unfollowed: str
+    # Why the standings of an estimator are not followed; None if they are.
+    why_unfollowed: str | None
     # Number of nodes that publish beliefs.
     estimators: int
     # Whether the decision on the newest belief has arrived, so that robots can be planned.
     is_decided: bool
-    # Return why the goal or the stops end the mission; empty if they do not.
-    why_over: Callable[[], str]
-    # Describe the missing subscribers before the first departure; empty if none is missing.
-    missing_listeners: Callable[[], str]
+    # Return why the goal or the stops end the mission; None if they do not.
+    why_over: Callable[[], str | None]
+    # Describe the missing subscribers before the first departure; None if none is missing.
+    missing_listeners: Callable[[], str | None]
     # Return the full name of a topic and of a service.
     topic: Callable[[str], str]
     service: Callable[[str], str]
@@ -126,7 +129,7 @@ class PlannerState:
     def obstacle(self) -> Obstacle:
         """Return the condition that blocks the next deployment; NONE if there is none."""
         base = self.base
-        if self.unrecorded_action:
+        if self.unrecorded_action is not None:
             return Obstacle.ACTION_UNRECORDED
         if self.newest is None and not base.operator.is_ended:
             return Obstacle.NO_BELIEF
@@ -135,7 +138,7 @@ class PlannerState:
             return Obstacle.UNREPORTED
         # Without an estimator the operator can still end the mission.
         if not base.operator.is_ended or self.estimators:
-            if base.unjudged or self.why_unfollowed:
+            if base.unjudged or self.why_unfollowed is not None:
                 return Obstacle.UNJUDGED
             if self.newest != base.evidence:
                 return Obstacle.BELIEF_BEHIND
@@ -143,9 +146,9 @@ class PlannerState:
             return Obstacle.ALL_DEPLOYED
         if not self.is_decided:
             return Obstacle.DECIDING
-        if self.why_over():
+        if self.why_over() is not None:
             return Obstacle.UNREPORTED if unreported else Obstacle.OVER
-        if self.missing_listeners():
+        if self.missing_listeners() is not None:
             return Obstacle.NO_SUBSCRIBER
         if self.sent >= self.robots:
             return Obstacle.ALL_LEFT
@@ -171,7 +174,7 @@ class PlannerState:
     def is_plain(self, obstacle: Obstacle) -> bool:
         """Return whether a condition is normal, so that progress gives no reason for it."""
         if obstacle is Obstacle.UNJUDGED:
-            return not self.why_unfollowed
+            return self.why_unfollowed is None
         if obstacle is Obstacle.ALL_LEFT:
             return not self.base.held
         return obstacle in (

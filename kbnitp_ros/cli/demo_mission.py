@@ -46,7 +46,7 @@ from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAM
 from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.messages.progress import Helper, MissionStatus, read_mission_status
+from kbnitp_ros.messages.progress import Helper, MissionStatus, Obstacle, read_mission_status
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
 from kbnitp_ros.report.folder import check_is_free
@@ -305,10 +305,10 @@ def watch(observer: Node, received: Observed, robots: int, processes: Processes)
             entropy = f'{now.hazard_entropy + now.target_entropy:.1f} nats'
             bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
             bar.update(now.deployments - bar.n)
-            stands = (status.obstacle, status.reason) if status else ()
+            stands = (status.obstacle, status.ordered, status.out) if status else ()
             if known != (known := (now.deployments, *stands)):
                 since = time.monotonic()
-    if received.status is not None and received.status.reason:
+    if received.status is not None and received.status.obstacle is not Obstacle.NONE:
         say(received.status.reason)
 
 

@@ -398,7 +398,8 @@ class AgentNode(FieldNode):
     def _look(self) -> None:
         """Subscribe to paths once the reports have subscribers; publishers keep earlier paths."""
         if not self._agents[0].is_listening:
-            if missing := self.missing_listeners([agent.reports for agent in self._agents]):
+            missing = self.missing_listeners([agent.reports for agent in self._agents])
+            if missing is not None:
                 self.diagnostics.state = waiting_for(missing)
                 for agent in self._agents:
                     agent.publish_state(missing)

@@ -130,7 +130,7 @@ class EstimatorNode(FieldNode):
 
     def _publish_first(self) -> None:
         missing, now = self.missing_listeners([self._belief]), self.now()
-        if missing or now <= 0:
+        if missing is not None or now <= 0:
             self.diagnostics.state = waiting_for(missing or CLOCK)
         else:
             if log := self.values['resume']:

@@ -46,10 +46,10 @@ class GoalState:
         self._asked: EvidenceName | None = None
         # Time of the next request after one without draws, seconds.
         self._ask_at = 0.0
-        # Reason why the plans for the newest belief end the mission, empty if they do not; and the
+        # Reason why the plans for the newest belief end the mission, None if they do not; and the
         # reason logged last.
-        self.not_worth = ''
-        self._said = ''
+        self.not_worth: str | None = None
+        self._said: str | None = None
         if self.goal is not None:
             node.subscribe(DecisionMessage, 'decision', self._on_decision, qos.LATCHED)
             self._draws = node.create_client(Draws, 'draws')
@@ -57,7 +57,7 @@ class GoalState:
     def take(self, newest: Snapshot) -> None:
         """Await the decision on the newest belief."""
         self._newest, self._asked = EvidenceName(*newest.evidence), None
-        self.not_worth = ''
+        self.not_worth = None
         self._act()
 
     def _on_decision(self, message: DecisionMessage) -> None:
@@ -105,13 +105,13 @@ class GoalState:
             return None
         return self._decided[1].judged(self._node.values['stop.confidence'] or None)
 
-    def why_over(self) -> str:
-        """Return the reason why no more robots leave; empty if robots may leave."""
+    def why_over(self) -> str | None:
+        """Return the reason why no more robots leave; None if robots may leave."""
         decision = self._decision if self.goal is not None else None
         why = make_stop(self._node.values).why(decision, self._state.lost) or self.not_worth
         if why != self._said:
             self._said = why
-            if why:
+            if why is not None:
                 self._node.get_logger().info(f'no more robots leave: {why}')
         return why
 

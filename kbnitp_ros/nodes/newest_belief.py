@@ -46,7 +46,7 @@ class NewestBelief:
         # Hash of the rules of the estimator that is followed.
         self._rules = 0
         # Why the last standings were not followed; empty if they were.
-        self.why_unfollowed = ''
+        self.why_unfollowed: str | None = None
         self._beliefs: Subscription | None = None
         self._standings: Subscription | None = None
 
@@ -70,7 +70,7 @@ class NewestBelief:
         )
 
     def _on_standings(self, message: StandingsMessage) -> None:
-        why = ''
+        why: str | None = None
         try:
             said = read_standings(message)
             self._check_author(said)

@@ -103,10 +103,10 @@ class Operator:
         self.proposed = {}
 
     @property
-    def awaited(self) -> str:
-        """Describe the acknowledgement that an action waits for; empty if none is pending."""
+    def awaited(self) -> str | None:
+        """Describe the acknowledgement that an action waits for; None if none is pending."""
         if not self._pending:
-            return ''
+            return None
         topic = self._node.resolve_topic_name('operator/recorded')
         action, _, _ = next(iter(self._pending.values()))
         return (

@@ -162,7 +162,7 @@ class PlannerNode(FieldNode):
     def _note_change(self, changes: Sequence[Parameter]) -> None:
         """Discard plans made with other parameters, and put the changes on record."""
         self._changes += 1
-        self._goal.not_worth = ''
+        self._goal.not_worth = None
         if values := {each.name: each.value for each in changes if each.name in self._given}:
             self._operator.record_settings(
                 {name: as_plain(value) for name, value in values.items()}
@@ -227,22 +227,22 @@ class PlannerNode(FieldNode):
             left_alone=self._dispatch.left_alone,
         )
 
-    def _missing_listeners(self) -> str:
-        """Describe the missing subscribers; empty once all have subscribed."""
+    def _missing_listeners(self) -> str | None:
+        """Describe the missing subscribers; None once all have subscribed."""
         if self._has_subscribers:
-            return ''
+            return None
         missing = self.missing_listeners(self._dispatch.paths.values())
         # Subscribers alone do not prove that an agent has a node: with changing hazards, nodes of
         # simulated agents subscribe to the paths of all agents.
         absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
-        if not missing and absent:
+        if missing is None and absent:
             missing = f'a node of agent {some(absent)} (parameter await_nodes)'
-        if not missing and 'agent' in self.values['await_nodes']:
+        if missing is None and 'agent' in self.values['await_nodes']:
             # Otherwise the first robots would leave without the agents whose states come later.
             states = self._dispatch.states.unstated
             if unstated := [each for each in states if each not in self._peers.outdated]:
                 missing = f'the field of agent {some(unstated)} (parameter await_nodes)'
-        self._has_subscribers = not missing
+        self._has_subscribers = missing is None
         return missing
 
     def _deploy(self) -> None:
@@ -262,7 +262,7 @@ class PlannerNode(FieldNode):
             plans = self._next_plans(newest, now.free_agents[: now.robots - now.sent])
         except NoPathError as error:
             self._goal.not_worth = str(error)
-        if self._goal.why_over():
+        if self._goal.why_over() is not None:
             self._deploy()
             return
         if not plans:
@@ -348,7 +348,7 @@ class PlannerNode(FieldNode):
         assert search.found is not None
         planned = search.found.result()
         self._rounds.warn_if_slow(planned)
-        self._goal.not_worth = planned.why_not_worth
+        self._goal.not_worth = planned.why_not_worth or None
         if planned.why_worthless:
             self._worthless_for = search
             self._why_worthless = planned.why_worthless

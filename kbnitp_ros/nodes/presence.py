@@ -11,7 +11,7 @@ from typing import Any
 from uuid import uuid4
 
 from kbnitp_msgs.msg import AgentState, RecorderState
-from kbnitp_ros.base.obstacles import VERSION
+from kbnitp_ros.base.protocol import VERSION
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.schema import describe
 from kbnitp_ros.messages.headers import content_hash, from_stamp, to_stamp

@@ -27,7 +27,7 @@ from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_det
 from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import WAITING, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import Waiting, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot.journal import Deployment, Journal
@@ -289,7 +289,7 @@ class RobotNode(FieldNode):
         trip, place = self._trip, self._place
         tolerance = self.values['arrival_tolerance']
         is_at_base = place is not None and distance_home(self.grid, place) <= tolerance
-        awaited = state.removeprefix(WAITING) if state.startswith(WAITING) else ''
+        awaited = state.what if isinstance(state, Waiting) else ''
         if trip is not None:
             # A robot without a step is still at its base if it was not sent, or is seen there.
             is_at_base = not trip.deployment.steps and (not trip.has_driven or is_at_base)
@@ -306,7 +306,7 @@ class RobotNode(FieldNode):
     def _wait(self) -> str:
         """Start the next deployment unless a condition blocks it; return the robot's state."""
         if not self._pending.is_listening:
-            if missing := self.missing_listeners([self._reports]):
+            if (missing := self.missing_listeners([self._reports])) is not None:
                 return waiting_for(missing)
             self._pending.listen()
         # A base with another field sends no path.

@@ -251,7 +251,7 @@ class Loop:
         self.beliefs = None
         # What the recorder has acknowledged lately.
         self.seen = set()
-        self.why_unfollowed = ''
+        self.why_unfollowed = None
         for key in self.base.orders:
             path = path_message(GRID, self.base.paths[key], key.stamp)
             self.publish('planner', f'{key.agent}/path', path)
@@ -287,7 +287,7 @@ class Loop:
     def follow(self, message):
         try:
             self.base.follow(read_standings(message))
-            self.why_unfollowed = ''
+            self.why_unfollowed = None
         except MissingError:
             # The planner subscribes again, upon which all standings are published.
             self.publish_standings(is_whole=True)
@@ -341,13 +341,13 @@ class Loop:
             agents=AGENTS,
             base=self.base,
             states=States(),
-            unrecorded_action='',
+            unrecorded_action=None,
             newest=self.beliefs,
             why_unfollowed=self.why_unfollowed,
             estimators=1,
             is_decided=True,
-            why_over=lambda: '',
-            missing_listeners=lambda: '',
+            why_over=lambda: None,
+            missing_listeners=lambda: None,
             topic=str,
             service=str,
         )

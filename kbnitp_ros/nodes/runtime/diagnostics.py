@@ -29,12 +29,18 @@ SHOWN = 1000
 LAST_WORDS = 2.0
 
 
-WAITING = 'waiting for '
+class Waiting(str):
+    """The state of a node that waits for something, in words."""
+
+    # The condition that it waits for, in words.
+    what: str
 
 
-def waiting_for(what: str) -> str:
-    """Return the state text of a node that waits for something."""
-    return f'{WAITING}{what}'
+def waiting_for(what: str) -> Waiting:
+    """Return the state of a node that waits for something."""
+    state = Waiting(f'waiting for {what}')
+    state.what = what
+    return state
 
 
 class Diagnostics:

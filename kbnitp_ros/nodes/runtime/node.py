@@ -25,7 +25,7 @@ from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
-from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, WAITING, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, Waiting, waiting_for
 from kbnitp_ros.nodes.runtime.graph import (
     decodable,
     discovery_warning,
@@ -205,8 +205,8 @@ class MissionNode(Node):
             self._author_counts[topic] = sum(each.topic_type == type_name for each in known)
         return self._author_counts[topic]
 
-    def missing_listeners(self, publishers: Iterable[Publisher]) -> str:
-        """Describe the nodes in `await_nodes` that do not subscribe yet; empty if all do."""
+    def missing_listeners(self, publishers: Iterable[Publisher]) -> str | None:
+        """Describe the nodes in `await_nodes` that do not subscribe yet; None if all do."""
         unread: dict[str, list[str]] = {}
         topics = [publisher.topic_name for publisher in publishers]
         for topic, listening in listening_roles(self, topics).items():
@@ -216,12 +216,12 @@ class MissionNode(Node):
         missing = [
             f'{awaited} to subscribe to {some(topics)}' for awaited, topics in unread.items()
         ]
-        return f'{" and ".join(missing)} (parameter await_nodes)' if missing else ''
+        return f'{" and ".join(missing)} (parameter await_nodes)' if missing else None
 
     def _log_wait(self) -> None:
         """Log the state of a waiting node after `LOG_FIRST`, then every `LOG_AGAIN`."""
         state = self.diagnostics.state
-        awaited = state if state.startswith(WAITING) else ''
+        awaited = state if isinstance(state, Waiting) else ''
         now = time.monotonic()
         if awaited != self._awaited:
             self._awaited, self._log_at = awaited, now + LOG_FIRST
