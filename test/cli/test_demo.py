@@ -35,9 +35,10 @@ from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.read import is_finished, read_log, read_recorded, RecordedMetadata
 from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
-from kbnitp_ros.log.roles import MissionLog, PROGRESS
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.progress import Helper, MissionState, Obstacle
+from kbnitp_ros.messages.topics import PROGRESS
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
 from launches import nodes_of_demo, reports_in, run_on_terminal
