@@ -18,6 +18,8 @@ class AgentStates:
         self._fields = fields
         self._values = values
         self._states: dict[str, AgentState] = {}
+        # Time at which each agent first stated another journal than before, nanoseconds.
+        self._replaced: dict[str, int] = {}
         # Differences between the field of an agent and the field of the base, by agent.
         self.foreign: dict[str, str] = {}
 
@@ -25,6 +27,8 @@ class AgentStates:
         """Keep a state; return whether the agent withdraws the reason of its last state."""
         known = self._states.get(agent)
         self._states[agent] = state
+        if known is not None and known.journal != state.journal:
+            self._replaced[agent] = state.stamp
         self.foreign.pop(agent, None)
         if differs := state.difference(self._fields[agent]):
             self.foreign[agent] = differs
@@ -58,6 +62,19 @@ class AgentStates:
             return f'a loss in another field is no evidence: {self.foreign[agent]}'
         state = self._states.get(agent)
         # A state from before the departure says nothing about the robot after it.
-        if state is None or not state.is_at_base or state.stamp < departed:
+        if state is None or state.stamp < departed:
             return ''
-        return f'its robot stands at its base{f" ({state.reason})" if state.reason else ""}'
+        if state.readiness is Readiness.NO_JOURNAL:
+            return state.reason
+        if not state.is_at_base:
+            return ''
+        why = f' ({state.reason})' if state.reason else ''
+        if self._replaced.get(agent, 0) > departed:
+            why += ', with another journal than at the departure: give it up if it was replaced'
+        return f'its robot stands at its base{why}'
+
+    def is_left_to_operator(self, agent: str) -> bool:
+        """Return whether a robot that is not lost may only be given up by the operator."""
+        state = self._states.get(agent)
+        has_no_journal = state is not None and state.readiness is Readiness.NO_JOURNAL
+        return has_no_journal or agent in self.foreign

@@ -72,7 +72,8 @@ class Robot:
     due: int | None = None
     # Whether the deployment had timed out at the last check.
     is_overdue: bool = False
-    # Whether only the operator can declare the robot lost: it was in another field.
+    # Whether only the operator can declare the robot lost: it was in another field, or away from
+    # its base without its journal.
     is_left_to_operator: bool = False
 
     def await_again(self) -> None:

@@ -14,13 +14,12 @@ from typing import Any
 
 from kbnitp_ros.core import Decision, DeploymentKey, Grid, Ledger
 from kbnitp_ros.core.inference.model_check import ModelCheck
-from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.log.files import LogError
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.record import RecordedMission
 from kbnitp_ros.log.roles import Role
 from kbnitp_ros.messages.beliefs import Snapshot
-from kbnitp_ros.messages.deployments import Acknowledged
+from kbnitp_ros.messages.deployments import Acknowledged, STATUS_KINDS
 from kbnitp_ros.messages.grids import occupancy_fields
 from kbnitp_ros.messages.headers import content_hash, Fields, from_stamp, NO_MISSION, shown
 from kbnitp_ros.messages.progress import (
@@ -127,10 +126,11 @@ NO_BELIEF = 'no standings on record have its evidence'
 NOT_COMPUTED = 'its belief is not on record, or differs from the computed belief'
 NOT_ON_RECORD = 'the message that it acknowledges is not on record'
 
-# Kinds of messages that a recorder acknowledges, by role; a status may be a departure.
+# Kinds of messages that a recorder acknowledges, by role.
 ACKNOWLEDGED = {
     'path': Acknowledged.PATH,
-    'status': Acknowledged.STATUS,
+    # By its state, as in `STATUS_KINDS`.
+    'status': Acknowledged.DEPARTURE,
     'report': Acknowledged.REPORT,
     'operator': Acknowledged.ACTION,
 }
@@ -370,8 +370,8 @@ class ReplayedAcknowledgements:
             (_, stamp), said = logged.said
             if role.name == 'path':
                 mission = said
-            elif role.name == 'status' and said.state is OrderState.DEPARTED:
-                kind = Acknowledged.DEPARTURE
+            elif role.name == 'status':
+                kind = STATUS_KINDS[said.state]
         content = content_hash(logged.message)
         self._on_record.add((kind, role.agent, stamp, mission, content))
 

@@ -52,7 +52,15 @@ class Acknowledged(IntEnum):
     DEPARTURE = 2
     ACTION = 3
     REPORT = 4
-    STATUS = 5
+    ACCEPTANCE = 5
+    REFUSAL = 6
+
+
+STATUS_KINDS = {
+    OrderState.ACCEPTED: Acknowledged.ACCEPTANCE,
+    OrderState.DEPARTED: Acknowledged.DEPARTURE,
+    OrderState.REFUSED: Acknowledged.REFUSAL,
+}
 
 
 def path_fields(grid: Grid, cells: ArrayLike, stamp: int, mission: int) -> Fields:

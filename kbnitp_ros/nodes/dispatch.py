@@ -205,8 +205,8 @@ class Dispatch:
             return
         for key in self._state.overdue(self._node.elapsed(), self._longest_absence):
             if why := self._why_not_lost(key):
-                is_foreign = key.agent in self.states.foreign
-                self._state.hold(key, why, is_left_to_operator=is_foreign)
+                is_left = self.states.is_left_to_operator(key.agent)
+                self._state.hold(key, why, is_left_to_operator=is_left)
             else:
                 self.give_up(key, Source.SILENCE)
 

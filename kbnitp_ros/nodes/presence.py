@@ -329,24 +329,33 @@ class HoldSubscription:
 class StatePublisher:
     """The publisher of the state of an agent, or of the base: on change, and while it waits."""
 
-    def __init__(self, node: MissionNode, grid: Grid, agent: str = '', journal: str = '') -> None:
+    def __init__(self, node: MissionNode, grid: Grid, agent: str = '') -> None:
         self._node = node
         self._grid = grid
         self._agent = agent
-        self._journal = journal
-        self._said: tuple[Readiness, str, bool] | None = None
+        self._said: tuple[Readiness, str, bool, str] | None = None
         self._said_at = -inf
         topic = f'{node.above}/{agent}/state' if agent else f'{node.above}/state'
         self._publisher = Repeated(node, AgentState, topic, qos.LATCHED)
 
-    def publish(self, readiness: Readiness, reason: str = '', is_at_base: bool = False) -> None:
+    def publish(
+        self, readiness: Readiness, reason: str = '', is_at_base: bool = False, journal: str = ''
+    ) -> None:
         """Publish a state if it differs from the last one, and each second of a wait."""
         now = time.monotonic()
         is_due = readiness is not Readiness.READY and now > self._said_at + AGAIN
-        if self._said != (said := (readiness, reason, is_at_base)) or is_due:
+        if self._said != (said := (readiness, reason, is_at_base, journal)) or is_due:
             self._said, self._said_at = said, now
             self._publisher.publish(
-                state_message(self._grid, self._agent, *said, self._node.now(), self._journal)
+                state_message(
+                    self._grid,
+                    self._agent,
+                    readiness,
+                    reason,
+                    is_at_base,
+                    self._node.now(),
+                    journal,
+                )
             )
 
 

@@ -15,6 +15,7 @@ from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_pat
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.robot.journal import Deployment, Journal
+from kbnitp_ros.robot.orders import Orders
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
 
@@ -123,10 +124,14 @@ class RecordedPaths(Generic[P]):
         except ValueError as error:
             self._node.diagnostics.refuse(f'{self.agent}/recorded', error)
             return
+        self._note_recorded(message.kind, stamp)
         name = stamp, int(message.content)
         if name not in self._early:
             remember(self._early, name, time.monotonic())
         self._take_recorded(*name)
+
+    def _note_recorded(self, kind: int, stamp: int) -> None:
+        """Note the kind of a message of a deployment that is on record."""
 
     def _take_recorded(self, stamp: int, content: int) -> None:
         """Pass on the message that is on record, if it has arrived."""
@@ -179,28 +184,25 @@ class PendingPaths(RecordedPaths[Deployment]):
     """The recorded paths on which a real robot has not departed yet."""
 
     # Paths arrive again after a restart of the robot or the base. The base sends no path while the
-    # robot is in flight, so the robot follows the newest path that is not in its journal.
+    # robot is in flight, so the robot follows the newest path that is open.
 
     def __init__(
         self,
         node: FieldNode,
         agent: str,
         journal: Journal,
-        accept: Callable[[Deployment], None],
         refuse: Callable[[Deployment, str], object],
     ) -> None:
         super().__init__(node, agent, self._read_path, self._take_path)
         self._journal = journal
-        self._accept = accept
         self._refuse_order = refuse
-        self._pending: dict[int, Deployment] = {}
+        self.orders = Orders(journal)
         self._last = 0.0
 
     def _read_path(self, message: Path) -> Deployment | None:
         key, path = self._node.read_path(self.agent, message)
         deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
-        driven = (each for each in self._journal.deployments if each.stamp == key.stamp)
-        known = self._pending.get(key.stamp) or next(driven, None)
+        known = self.orders.find(key.stamp)
         if known is not None and known.path != deployment.path:
             raise ValueError(f'deployment {key} already has another path: the first path counts')
         if known is not None or deployment.stamp in self._journal.refusals:
@@ -220,41 +222,34 @@ class PendingPaths(RecordedPaths[Deployment]):
                 'the earlier mission, set the parameter journal to another file',
             )
             return
-        self._pending[deployment.stamp] = deployment
-        self._accept(deployment)
+        self.orders.take(deployment)
+
+    def _note_recorded(self, kind: int, stamp: int) -> None:
+        if kind == Recorded.DEPARTURE:
+            self.orders.note_departure(stamp)
+        elif kind in (Recorded.REFUSAL, Recorded.REPORT):
+            self.orders.note_end(stamp)
+        if self.orders.forgotten:
+            # The acknowledgement of its report may follow.
+            self._last = time.monotonic()
 
     @property
     def newest(self) -> Deployment | None:
-        """Return the newest deployment, which comes next; None if there is none."""
-        return self._pending[max(self._pending)] if self._pending else None
+        """Return the newest open order, which comes next; None if there is none."""
+        return self.orders.open_orders[-1] if self.orders.open_orders else None
 
     @property
     def pending(self) -> int:
         """Return the number of paths on which the robot has not departed."""
-        return len(self._pending) + super().pending
+        return len(self.orders.open_orders) + super().pending
 
     @property
     def awaited(self) -> str:
-        """Describe the paths that a departure waits for; empty if it need not wait."""
-        if not self._pending:
+        """Describe the messages that a departure waits for; empty if it need not wait."""
+        if not (self.orders.open_orders or self.orders.forgotten):
             return super().awaited
         # Acknowledgements that arrived before their paths are requested again, which takes time.
         settled = 2 * ASK_FIRST if super().pending else SETTLED
         if time.monotonic() < self._last + settled:
             return 'paths that may still arrive'
         return ''
-
-    def superseded(self) -> list[Deployment]:
-        """Return the pending deployments that the newest deployment supersedes."""
-        driven = (
-            self._journal.deployments[-1].stamp
-            if self._journal.deployments
-            else max(self._pending)
-        )
-        return [self._pending[stamp] for stamp in sorted(self._pending)[:-1] if stamp > driven]
-
-    def close(self, deployment: Deployment) -> None:
-        """Remove a deployment that is in the journal, and all earlier ones."""
-        self._pending = {
-            stamp: each for stamp, each in self._pending.items() if stamp > deployment.stamp
-        }

@@ -21,7 +21,6 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
-from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -50,11 +49,6 @@ class RecordedTopic:
     subscriptions: dict[tuple[Any, Any], Subscription] = field(default_factory=dict)
     # The last messages: source time and hash of the bytes.
     recent: dict[tuple[int, int], None] = field(default_factory=dict)
-    # Publisher of acknowledgements of paths or operator actions; None for other topics.
-    recorded: Publisher | None = None
-    # Messages written and not acknowledged yet: stamp in nanoseconds, hash of the content, start
-    # of the mission in nanoseconds, and kind as in kbnitp_msgs/Recorded.
-    unacknowledged: list[tuple[int, int, int, int]] = field(default_factory=list)
 
     def is_new(self, sent: int, data: bytes) -> bool:
         """Return whether no other subscription has delivered this message; remember it."""

@@ -25,7 +25,7 @@ from kbnitp_ros.log.record import read_mission
 from kbnitp_ros.log.roles import read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
-from kbnitp_ros.messages.deployments import AgentStatus
+from kbnitp_ros.messages.deployments import Acknowledged, AgentStatus, STATUS_KINDS
 from kbnitp_ros.messages.headers import (
     check_mission,
     check_texts,
@@ -47,6 +47,7 @@ from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from kbnitp_ros.nodes.runtime.process import run
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
@@ -59,12 +60,11 @@ LEFT_OUT = ('/parameter_events', '/rosout')
 # Roles that nodes act on: messages are synced at once, statuses if an acknowledgement is due.
 ACTED_ON = ('path', 'report', 'status', 'operator')
 
-# Kinds of the messages that are acknowledged, by role.
+# Kinds of the messages that are acknowledged, by role; those of statuses differ.
 KINDS = {
-    'path': Recorded.PATH,
-    'status': Recorded.STATUS,
-    'operator': Recorded.ACTION,
-    'report': Recorded.REPORT,
+    'path': Acknowledged.PATH,
+    'operator': Acknowledged.ACTION,
+    'report': Acknowledged.REPORT,
 }
 
 # Roles whose authors repeat a message while anybody waits: only changes are recorded.
@@ -124,9 +124,12 @@ class RecorderNode(MissionNode):
         self._is_awaited = False
         # Hash of the first departure of each deployment.
         self._departed: dict[DeploymentKey, int] = {}
-        # Messages on record before this start, which are acknowledged again, by topic.
-        self._restored: dict[str, deque[tuple[int, int, int, int]]] = defaultdict(
-            lambda: deque(maxlen=qos.DEPTH)
+        # By agent ('' for the operator) and role: publishers of acknowledgements; and messages on
+        # record, also of before this start, that are not acknowledged yet: stamp in nanoseconds,
+        # hash of the content, start of the mission in nanoseconds, and kind.
+        self._recorded = {('', 'operator'): self._operators}
+        self._unacknowledged: dict[tuple[str, str], deque[tuple[int, int, int, int]]] = (
+            defaultdict(deque)
         )
         # Hash of the last message of each role that is repeated, without its header, by topic.
         self._repeated: dict[str, int] = {}
@@ -134,7 +137,7 @@ class RecorderNode(MissionNode):
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
-            for role, logged in recorded.read(*KINDS):
+            for role, logged in recorded.read(*ACTED_ON):
                 self._restore(role, logged)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
@@ -155,21 +158,24 @@ class RecorderNode(MissionNode):
     def _restore(self, role: Role, logged: LoggedMessage) -> None:
         """Note a message on record, to acknowledge it again to those who missed it."""
         stamp, mission, content = logged.said, NO_MISSION, content_hash(logged.message)
-        kind = KINDS[role.name]
+        if role.name == 'status':
+            key, status = logged.said
+            stamp, kind = key.stamp, STATUS_KINDS[status.state]
+            is_departure = status.state is OrderState.DEPARTED
+            if is_departure and self._departed.setdefault(key, content) != content:
+                return
+        else:
+            kind = KINDS[role.name]
         if role.name == 'path':
             (_, stamp), mission = logged.said
             if self._note(logged.topic, role, stamp, mission, content) != content:
                 return
         elif role.name == 'report':
             (_, stamp), _ = logged.said
-        elif role.name == 'status':
-            key, status = logged.said
-            stamp = key.stamp
-            if status.state is OrderState.DEPARTED:
-                kind = Recorded.DEPARTURE
-                if self._departed.setdefault(key, content) != content:
-                    return
-        self._restored[logged.topic].append((stamp, content, mission, kind))
+        restored = self._unacknowledged[role.agent, role.name]
+        restored.append((stamp, content, mission, kind))
+        if len(restored) > qos.DEPTH:
+            restored.popleft()
 
     def finish(self) -> None:
         """Record the messages that have arrived."""
@@ -301,15 +307,20 @@ class RecorderNode(MissionNode):
         message_class(type_name)
         self._log.add_topic(name, type_name, offered_by(publishers, type_name))
         topic = self._topics[name] = RecordedTopic(name, type_name, role)
-        if role is not None and role.name in ('path', 'status', 'report'):
-            # Each agent has its own publisher, since DDS limits the depth of a history.
-            name = f'{role.agent}/recorded'
-            topic.recorded = self.create_publisher(Recorded, name, qos.EVIDENCE)
-        elif role is not None and role.name == 'operator':
-            topic.recorded = self._operators
-        topic.unacknowledged += self._restored.pop(topic.name, ())
+        if role is not None and role.name in ACTED_ON:
+            self._add_acknowledgements(role.agent)
         self.diagnostics.state = self._state()
         return topic
+
+    def _add_acknowledgements(self, agent: str) -> None:
+        """Add the publishers of the acknowledgements of an agent, unless they are known."""
+        # Each agent and role has its own publisher, since DDS limits the depth of a history. A
+        # robot has to know of a departure as soon as of its path, so that paths come last.
+        for name in ('status', 'report', 'path'):
+            if agent and (agent, name) not in self._recorded:
+                self._recorded[agent, name] = self.create_publisher(
+                    Recorded, f'{agent}/recorded', qos.EVIDENCE
+                )
 
     def _state(self) -> str:
         """Describe the topics recorded and the nodes awaited."""
@@ -392,8 +403,8 @@ class RecorderNode(MissionNode):
             self._check_status(topic, *said)
         elif role.name == 'report':
             key, report = said
-            self._await_acknowledgement(topic, key.stamp, report.content, kind=Recorded.REPORT)
-        elif topic.recorded:
+            self._await_acknowledgement(topic, key.stamp, report.content, kind=Acknowledged.REPORT)
+        elif role.name in ACTED_ON:
             stamp, mission = said, NO_MISSION
             if role.name == 'path':
                 (_, stamp), mission = said
@@ -432,35 +443,35 @@ class RecorderNode(MissionNode):
     ) -> None:
         """Acknowledge a message once it is on disk, which is at once if it is urgent."""
         self._is_awaited |= is_urgent
-        topic.unacknowledged.append((stamp, content, mission, kind))
-        if len(topic.unacknowledged) > qos.DEPTH:
+        assert topic.role is not None
+        waiting = self._unacknowledged[topic.role.agent, topic.role.name]
+        waiting.append((stamp, content, mission, kind))
+        if len(waiting) > qos.DEPTH:
             self.diagnostics.refuse(
                 topic.name,
                 f'more than {qos.DEPTH} messages wait for their mission or their paths: the '
                 'oldest one will not be acknowledged',
             )
-            del topic.unacknowledged[0]
+            waiting.popleft()
 
     def _check_status(self, topic: RecordedTopic, key: DeploymentKey, status: AgentStatus) -> None:
         """Acknowledge a status once it is on disk."""
-        if status.state is not OrderState.DEPARTED:
+        if status.state is OrderState.DEPARTED:
+            # If two robots with the same name report a departure, only the first is acknowledged.
+            first = self._departed.setdefault(key, status.content)
+            if first != status.content:
+                raise ValueError(
+                    f'another departure of deployment {key} was recorded first and counts (do two '
+                    f'robots have the name {key.agent}?)'
+                )
+        self._await_acknowledgement(
+            topic,
+            key.stamp,
+            status.content,
+            kind=STATUS_KINDS[status.state],
             # Most orders are departures a moment later.
-            self._await_acknowledgement(
-                topic,
-                key.stamp,
-                status.content,
-                kind=Recorded.STATUS,
-                is_urgent=status.state is OrderState.REFUSED,
-            )
-            return
-        # If two robots with the same name report a departure, only the first is acknowledged.
-        first = self._departed.setdefault(key, status.content)
-        if first != status.content:
-            raise ValueError(
-                f'another departure of deployment {key} was recorded first and counts (do two '
-                f'robots have the name {key.agent}?)'
-            )
-        self._await_acknowledgement(topic, key.stamp, status.content, kind=Recorded.DEPARTURE)
+            is_urgent=status.state is not OrderState.ACCEPTED,
+        )
 
     def _note(self, name: str, role: Role, stamp: int, mission: int, content: int) -> int:
         """Note a path or action; return the hash of the first with this stamp and mission."""
@@ -474,38 +485,36 @@ class RecorderNode(MissionNode):
         """Acknowledge all messages on disk, if this recorder's acknowledgements count."""
         if self._differing or self._why_silent:
             return
-        for topic in self._topics.values():
-            if topic.recorded is not None:
-                topic.unacknowledged = [
-                    each for each in topic.unacknowledged if not self._acknowledge(topic, *each)
-                ]
+        for (agent, role), publisher in self._recorded.items():
+            waiting = self._unacknowledged[agent, role]
+            self._unacknowledged[agent, role] = deque(
+                each for each in waiting if not self._acknowledge(publisher, agent, *each)
+            )
 
     def _acknowledge(
-        self, topic: RecordedTopic, stamp: int, content: int, mission: int, kind: int
+        self, publisher: Publisher, agent: str, stamp: int, content: int, mission: int, kind: int
     ) -> bool:
         """Acknowledge a message on disk; return False if its mission is not known yet."""
-        assert topic.role is not None
-        order = DeploymentKey(topic.role.agent, stamp)
-        if kind == Recorded.DEPARTURE and order not in self._ordered:
+        order = DeploymentKey(agent, stamp)
+        if kind == Acknowledged.DEPARTURE and order not in self._ordered:
             # A departure may arrive before the path of its deployment.
             return False
-        if kind == Recorded.PATH:
+        if kind == Acknowledged.PATH:
             try:
                 self._tracker.check_path(mission)
             except ValueError as error:
                 # A path may arrive before the belief that it was planned on.
                 if self._tracker.mission is None:
                     return False
-                self.diagnostics.refuse(topic.name, error)
+                self.diagnostics.refuse(self.resolve_topic_name(f'{agent}/path'), error)
                 return True
             self._tracker.begin(mission)
-        assert topic.recorded is not None
-        topic.recorded.publish(
+        publisher.publish(
             Recorded(
                 stamp=to_stamp(stamp),
                 content=content,
                 mission=to_stamp(mission),
-                agent=topic.role.agent,
+                agent=agent,
                 kind=kind,
             )
         )

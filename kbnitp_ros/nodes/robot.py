@@ -30,7 +30,7 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.diagnostics import Waiting, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.robot.journal import Deployment, Journal
+from kbnitp_ros.robot.journal import Deployment, Journal, Step
 from kbnitp_ros.robot.track import BY_ODOMETRY, BY_POSES
 from kbnitp_ros.robot.trip import distance_home, Trip, USUAL_SPEED
 from kbnitp_ros.robot.whereabouts import Fixes, Place, Transforms
@@ -70,7 +70,7 @@ class RobotNode(FieldNode):
         self._states = StatePublisher(self, self.grid, self._agent)
         self._base_field = BaseField(self, self.grid)
         self._hold = HoldSubscription(self)
-        self._pending = PendingPaths(self, self._agent, self._journal, self._accept, self._refuse)
+        self._pending = PendingPaths(self, self._agent, self._journal, self._refuse)
         self._driver = Driver(
             self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
         )
@@ -96,6 +96,8 @@ class RobotNode(FieldNode):
         self._trip: Trip | None = None
         # Whether the robot waits for its reported departure to be on record.
         self._is_at_gate = False
+        # Stamp of the newest order that was accepted.
+        self._accepted = 0
         # Why the last deployment came back without a step; empty if it did not.
         self._why_unmoved = ''
         # Maximum speed and source of positions that were logged.
@@ -151,7 +153,9 @@ class RobotNode(FieldNode):
         for stamp, (time_refused, reason) in self._journal.refusals.items():
             self._publish_status(stamp, OrderState.REFUSED, time_refused, reason)
         for deployment in self._journal.deployments:
-            self._publish_status(deployment.stamp, OrderState.DEPARTED, deployment.departed)
+            # What was said of a departure that the journal lost is not known.
+            if deployment.departed:
+                self._publish_status(deployment.stamp, OrderState.DEPARTED, deployment.departed)
             if deployment.is_home:
                 self._report(deployment)
         if under_way := self._journal.under_way:
@@ -191,9 +195,6 @@ class RobotNode(FieldNode):
         """Publish the status of an order."""
         key = DeploymentKey(self._agent, stamp)
         self._statuses.publish(status_message(key, state, time_said, reason))
-
-    def _accept(self, deployment: Deployment) -> None:
-        self._publish_status(deployment.stamp, OrderState.ACCEPTED, self.now())
 
     def _take_place(self, take: Callable[[Any], None], message: TFMessage | NavSatFix) -> None:
         try:
@@ -290,18 +291,27 @@ class RobotNode(FieldNode):
         tolerance = self.values['arrival_tolerance']
         is_at_base = place is not None and distance_home(self.grid, place) <= tolerance
         awaited = state.what if isinstance(state, Waiting) else ''
+        publish = partial(self._states.publish, journal=self._journal.id)
         if trip is not None:
             # A robot without a step is still at its base if it was not sent, or is seen there.
             is_at_base = not trip.deployment.steps and (not trip.has_driven or is_at_base)
-            self._states.publish(Readiness.OUT, trip.failure or awaited, is_at_base)
+            publish(Readiness.OUT, trip.failure or awaited, is_at_base)
+            return
+        forgotten = self._pending.orders.forgotten
+        if forgotten and not is_at_base:
+            publish(
+                Readiness.NO_JOURNAL,
+                f'journal {self._journal.path} does not know the departure of '
+                f'{self._key(forgotten)}: bring the robot to its base',
+            )
             return
         if self._why_unmoved and self._driver.is_down:
             self._why_unmoved = ''
         awaited = awaited or self._base_field.awaited or self._why_away() or self._driver.awaited
         if awaited:
-            self._states.publish(Readiness.WAITING, awaited, is_at_base)
+            publish(Readiness.WAITING, awaited, is_at_base)
         else:
-            self._states.publish(Readiness.READY, self._why_unmoved, is_at_base)
+            publish(Readiness.READY, self._why_unmoved, is_at_base)
 
     def _wait(self) -> str:
         """Start the next deployment unless a condition blocks it; return the robot's state."""
@@ -312,16 +322,22 @@ class RobotNode(FieldNode):
         # A base with another field sends no path.
         if awaited := self._pending.awaited or self._base_field.awaited:
             return waiting_for(awaited)
+        forgotten = self._pending.orders.forgotten
+        if forgotten and self._journal.may_lack(forgotten) and not self._why_away():
+            self._report_forgotten(forgotten)
         if (deployment := self._pending.newest) is None:
             return f'taking paths of {self._agent}'
         if not self._keep(partial(self._journal.begin, deployment.mission)):
             return self._no_room
-        for superseded in self._pending.superseded():
+        for superseded in self._pending.orders.superseded:
             if not self._refuse(
                 superseded, f'the newer path {self._key(deployment)} came before the robot left'
             ):
                 return self._no_room
-            self._pending.close(superseded)
+            self._pending.orders.close(superseded)
+        if self._accepted != deployment.stamp:
+            self._accepted = deployment.stamp
+            self._publish_status(deployment.stamp, OrderState.ACCEPTED, self.now())
         if awaited := self._hold.awaited or self._not_ready():
             return waiting_for(awaited)
         if not self._depart(deployment):
@@ -330,6 +346,21 @@ class RobotNode(FieldNode):
             f'leaving on {self._key(deployment)}'
             if self._trip is None
             else self._go_on(self._trip)
+        )
+
+    def _report_forgotten(self, deployment: Deployment) -> None:
+        """Report a return from a deployment that the journal lost, and vouch for no step."""
+        if not self._keep(partial(self._journal.depart, deployment)):
+            return
+        self._pending.orders.close(deployment)
+        now = self.now()
+        deployment.steps = [Step(cell, now, is_entered=False) for cell in deployment.path[1:]]
+        for number in range(1, len(deployment.path)):
+            self._keep(partial(self._journal.step, deployment, number))
+        self._keep(partial(self._journal.arrive, deployment, now))
+        self._report(deployment)
+        self.get_logger().warning(
+            f'home from {self._key(deployment)}, which the journal lost: no step is vouched for'
         )
 
     def _refuse(self, deployment: Deployment, reason: str) -> bool:
@@ -346,7 +377,7 @@ class RobotNode(FieldNode):
         deployment.departed = self.now()
         if not self._keep(partial(self._journal.depart, deployment)):
             return False
-        self._pending.close(deployment)
+        self._pending.orders.close(deployment)
         self._log_limits()
         self._trip = trip = self._set_out(deployment, deployment.path)
         self._is_at_gate = True

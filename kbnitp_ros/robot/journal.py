@@ -6,12 +6,15 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field
+from errno import ENOENT
 import fcntl
 from hashlib import sha256
 import json
 import os
 from pathlib import Path
+import re
 from typing import Any
+from uuid import uuid4
 import zlib
 
 from kbnitp_ros.core import Grid, Observation
@@ -70,7 +73,8 @@ class Deployment:
         return Observation(walk, True, readings, entered=entered)
 
 
-VERSION = 2
+# Version of the lines; kbnitp_ros 1.x wrote 1 and 2.
+VERSION = 3
 
 # Properties of the field that are recorded; blocked cells are recorded as a hash.
 FIELD = ('width', 'height', 'base', 'resolution', 'origin', 'connectivity', 'through_corners')
@@ -88,7 +92,7 @@ class Journal:
         }
         if grid.yaw:
             field['yaw'] = grid.yaw
-        # Content of the first line.
+        # Content of the first line, apart from the identifier.
         self._heading = {'journal': VERSION, 'agent': agent, 'grid': field}
         self._open()
 
@@ -99,6 +103,10 @@ class Journal:
         self.refusals: dict[int, tuple[int, str]] = {}
         # Description of the bytes cut off on opening; empty if the file was whole.
         self.corruption = ''
+        # Identifier of this file, by which a base tells robots of one name apart.
+        self.id = uuid4().hex
+        # Whether lines after the last deployment were corrupt.
+        self._is_damaged = False
         # Records that could not be written yet.
         self._unwritten: deque[dict[str, Any]] = deque()
         self._check = 0
@@ -147,7 +155,7 @@ class Journal:
             f'{self.path} is not the journal of a robot: set the parameter journal to another '
             'file, or move this one away'
         )
-        heading = self._heading
+        heading: dict[str, Any] = {**self._heading, 'id': self.id}
         with naming(self.path):
             content = os.pread(self._file, os.fstat(self._file).st_size, 0)
         *lines, rest = content.split(b'\n')
@@ -158,18 +166,26 @@ class Journal:
                     raise ValueError('the checksum differs')
                 if number:
                     self._take(entry)
+                elif 'journal' in entry:
+                    heading = entry
                 else:
-                    heading = {name: entry[name] for name in self._heading}
+                    raise ValueError('it is the first line of another file')
             except (ValueError, KeyError, TypeError, IndexError) as error:
                 if not number:
                     raise ValueError(no_journal) from error
                 break
             self._check = int(line[:8], 16)
             self._size += len(line) + 1
-        # After a power loss the first line may be cut, or continue with zeros.
-        if not lines and not journal_line(heading, 0)[0].startswith(rest.rstrip(b'\0')):
+        if not lines and not self._is_torn_heading(rest.rstrip(b'\0')):
             raise ValueError(no_journal)
-        differing = [name for name, wanted in self._heading.items() if heading[name] != wanted]
+        differing = [name for name, wanted in self._heading.items() if heading.get(name) != wanted]
+        if 'journal' in differing:
+            raise ValueError(
+                f'journal {self.path} is of version {heading["journal"]}, and this node reads '
+                f'version {VERSION}: end its mission with the kbnitp_ros that wrote it (1.9 or '
+                'earlier), or move it away'
+            )
+        self.id = heading['id']
         # A robot that is at home may begin on another field.
         if differing and (differing != ['grid'] or self.under_way):
             name = differing[0]
@@ -179,17 +195,30 @@ class Journal:
                 'another file, or move this one away'
             )
         whole = self._size
-        self._cut(content[whole:])
+        is_damaged = self._cut(content[whole:])
         if self._size == 0:
             self._append(heading)
             # A new file survives a power loss only if its folder is synced, too.
             sync_folder(self.path.parent)
+        if is_damaged:
+            self._append({'corrupt': len(content) - whole})
+            self._is_damaged = True
         return not differing
+
+    def _is_torn_heading(self, rest: bytes) -> bool:
+        """Return whether bytes begin like a first line: a power loss may cut it."""
+        heading = json.dumps(self._heading, separators=(',', ':')).encode()[:-1]
+        # The checksum and the identifier of that line are not known.
+        check, text = rest[:9], rest[9:]
+        return bool(re.fullmatch(rb'[0-9a-f]{0,8}|[0-9a-f]{8} ', check)) and (
+            heading.startswith(text) or text.startswith(heading)
+        )
 
     def _take(self, entry: dict[str, Any]) -> None:
         """Apply a line of the file."""
         if 'deployment' in entry:
             path = tuple(entry['orders'])
+            self._is_damaged = False
             self.deployments.append(
                 Deployment(entry['deployment'], entry['mission'], path, entry['departed'])
             )
@@ -204,21 +233,22 @@ class Journal:
             steps[before:number] = [step]
         elif 'home' in entry:
             deployment = self.deployments[-1]
-            # Journals of 1.0 do not have the evidence of steps here.
-            for step, reading in zip(deployment.steps, entry.get('evidence', ())):
+            for step, reading in zip(deployment.steps, entry['evidence']):
                 step.is_entered = reading != NOT_ENTERED
                 step.reading = max(reading, NOT_LOOKED)
-            deployment.is_home = entry['home'] >= 0
-        elif 'doubted' not in entry:
-            # Written by 1.0; its readings after it are not recorded.
+            deployment.is_home = True
+        elif 'corrupt' in entry:
+            self._is_damaged = True
+        else:
             raise ValueError('the line is of no known kind')
 
-    def _cut(self, corrupt: bytes) -> None:
-        """Cut off corrupt bytes at the end; keep them in a file if they are more than one line."""
+    def _cut(self, corrupt: bytes) -> bool:
+        """Cut off corrupt bytes at the end; keep lines in a file, and return if there are any."""
         if not corrupt:
-            return
+            return False
+        has_lines = b'\n' in corrupt
         self.corruption = f'journal {self.path}: its last {len(corrupt)} bytes were cut off'
-        if b'\n' in corrupt:
+        if has_lines:
             kept = self.path.with_name(f'{self.path.name}.corrupt-{self._size}')
             with naming(kept), kept.open('wb') as file:
                 file.write(corrupt)
@@ -231,6 +261,7 @@ class Journal:
         with naming(self.path):
             os.ftruncate(self._file, self._size)
             os.fsync(self._file)
+        return has_lines
 
     @property
     def mission(self) -> int | None:
@@ -242,6 +273,10 @@ class Journal:
         """Return the deployment in flight; None if the robot is home."""
         newest = self.deployments[-1] if self.deployments else None
         return None if newest is None or newest.is_home else newest
+
+    def may_lack(self, deployment: Deployment) -> bool:
+        """Return whether a deployment may have been in lines that were cut off."""
+        return self._is_damaged and self.mission in (None, deployment.mission)
 
     def depart(self, deployment: Deployment) -> None:
         """Record a deployment, before its departure is reported."""
@@ -255,6 +290,7 @@ class Journal:
             }
         )
         self.deployments.append(deployment)
+        self._is_damaged = False
 
     def refuse(self, stamp: int, time: int, reason: str) -> None:
         """Record that the robot refuses an order for good, with time and reason."""
@@ -291,6 +327,8 @@ class Journal:
     def _append(self, entry: dict[str, Any]) -> None:
         """Write a line to the disk, completely or not at all."""
         line, check = journal_line(entry, self._check)
+        if not os.fstat(self._file).st_nlink:
+            raise FileNotFoundError(ENOENT, 'The file was deleted', str(self.path))
         try:
             written = 0
             with naming(self.path):

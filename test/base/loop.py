@@ -4,6 +4,7 @@
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
+from types import SimpleNamespace
 
 from kbnitp_ros.base.protocol import PlannerState
 from kbnitp_ros.base.state import EvidenceName, LackingError, MissingError
@@ -41,6 +42,8 @@ from kbnitp_ros.messages.operator_actions import (
 from kbnitp_ros.messages.progress import Helper, Obstacle
 from kbnitp_ros.messages.standings import read_standings, standings_fields, standings_message
 from kbnitp_ros.messages.topics import OF_AGENT, OF_MISSION
+from kbnitp_ros.robot.journal import Deployment
+from kbnitp_ros.robot.orders import Orders
 import numpy as np
 from rclpy.serialization import serialize_message
 
@@ -92,6 +95,8 @@ class Loop:
         self.actions = 0
         self.plans = {}
         self.reported = {}
+        # Number of robots that each agent has had before.
+        self.replaced = dict.fromkeys(AGENTS, 0)
         self.start_recorder()
         self.start_estimator()
         self.start_planner()
@@ -404,14 +409,15 @@ class Loop:
 
     # The agents.
 
+    def is_on_record(self, key):
+        """Return whether the path of a robot is on record."""
+        cells, _ = self.plans[key]
+        content = content_hash(path_message(GRID, cells, key.stamp))
+        return (f'{key.agent}/path', content) in self.on_disk
+
     def say(self):
         """Let an agent say something of a deployment that is on record."""
-        topics = {(topic, content) for topic, content in self.on_disk}
-        known = []
-        for key, (cells, _) in self.plans.items():
-            message = path_message(GRID, cells, key.stamp)
-            if (f'{key.agent}/path', content_hash(message)) in topics:
-                known.append(key)
+        known = [key for key in self.plans if self.is_on_record(key)]
         if not known:
             return
         key = self.choose(known)
@@ -419,8 +425,38 @@ class Loop:
         said = self.reported.setdefault(key, 0)
         if said < len(ending):
             self.reported[key] += 1
-            role, message = made(key, cells, ending[said])
+            role, message = made(key, cells, ending[said], self.replaced[key.agent])
             self.publish(f'agent {key.agent}', f'{key.agent}/{role}', message)
+
+    def replace_robot(self, agent):
+        """Give an agent another robot, which knows nothing but what is on record."""
+        author = f'agent {agent}'
+        # The last that a robot said arrives before anybody has another one.
+        for (who, topic, reader), wire in [*self.wires.items()]:
+            while who == author and wire:
+                getattr(self, f'{reader}_hears')(topic, wire.popleft())
+        for key in [key for key in self.kept if key[0] == author]:
+            del self.kept[key]
+        self.replaced[agent] += 1
+        orders = Orders(SimpleNamespace(deployments=[]))
+        for topic, message in self.log:
+            if topic == f'{agent}/path':
+                key, cells = read_path(GRID, agent, message)
+                orders.take(Deployment(key.stamp, 0, tuple(cells.tolist())))
+            elif topic == f'{agent}/report':
+                orders.note_end(hear_report(message, agent)[0].stamp)
+            elif topic == f'{agent}/status':
+                key, status = read_status(message, agent)
+                if status.state is OrderState.DEPARTED:
+                    orders.note_departure(key.stamp)
+                elif status.state is OrderState.REFUSED:
+                    orders.note_end(key.stamp)
+        # Its orders that are not on record yet are taken later.
+        known = {key for key in self.plans if key.agent == agent and self.is_on_record(key)}
+        for key in known - {DeploymentKey(agent, each.stamp) for each in orders.open_orders[-1:]}:
+            del self.plans[key]
+        for key in known & self.plans.keys():
+            self.reported[key] = 0
 
     # What happens.
 
@@ -440,6 +476,8 @@ class Loop:
             self.act(self.choose([Action.PAUSE, Action.RESUME]))
         elif what < 0.985:
             self.crash(self.choose(['planner', 'estimator', 'recorder', 'agent a', 'agent b']))
+        elif what < 0.995:
+            self.replace_robot(self.choose(AGENTS))
 
     def crash(self, name):
         """Kill a node and restart it from the log."""
@@ -467,9 +505,9 @@ class Loop:
         raise AssertionError('messages never end')
 
 
-def made(key, cells, what):
-    """Return a role and a message of an agent."""
-    stamp = key.stamp + 1 + WORDS.index(what)
+def made(key, cells, what, robot=0):
+    """Return a role and a message of an agent; `robot`: number of its robots before."""
+    stamp = key.stamp + 1 + WORDS.index(what) + len(WORDS) * robot
     if what in ('accepted', 'departed', 'refused'):
         state = OrderState[what.upper()]
         reason = 'no battery' if what == 'refused' else ''
@@ -582,6 +620,13 @@ def check(loop):
         }
         verdict = loop.ledger.standings.get(key, OPEN).verdict
         assert not (signs and verdict.is_loss), key
+    # No two robots leave on one order.
+    departed = [
+        read_status(message, topic.partition('/')[0])[0]
+        for topic, message in loop.log
+        if topic.endswith('/status') and message.state == OrderState.DEPARTED
+    ]
+    assert len(departed) == len({*departed})
     # A robot whose agent refused the order is at its base, unless it departed or came back.
     at_base = (Verdict.VOID, Verdict.RETURN, Verdict.UNMOVED)
     for key, said in loop.ledger.statuses.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of planner, estimator and recorder as one loop: crashes, repetitions, refused reports."""
+"""Laws of planner, estimator and recorder as one loop: crashes, refused reports, new robots."""
 
 from extent import FULL
 from kbnitp_ros.base.state import BaseState, EvidenceName
@@ -8,6 +8,7 @@ from kbnitp_ros.core.inference import estimator as estimator_module
 from kbnitp_ros.core.inference.record import MissionRecord
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
+from kbnitp_ros.robot.orders import Orders
 from laws import for_each
 from loop import check, Loop, run
 from mission_log import record, Sent
@@ -109,6 +110,11 @@ def read_no_log_again(patch):
     patch.setattr(Loop, 'read_again', lambda _: False)
 
 
+def take_the_order_of_a_lost_robot(patch):
+    """Let a robot take orders of which the departure is on record."""
+    patch.setattr(Orders, 'note_departure', lambda *_: None)
+
+
 @pytest.mark.slow
 @for_each('plant', [
     forget_what_is_taken_back,
@@ -119,6 +125,7 @@ def read_no_log_again(patch):
     send_before_judgement,
     judge_what_is_not_on_record,
     read_no_log_again,
+    take_the_order_of_a_lost_robot,
 ])  # fmt: skip
 def test_each_planted_fault_is_found(plant, monkeypatch):
     plant(monkeypatch)

@@ -8,7 +8,7 @@ from math import isnan
 from pathlib import Path
 import re
 
-from kbnitp_msgs.msg import Progress, Recorded
+from kbnitp_msgs.msg import AgentStatus, Progress, Recorded
 from kbnitp_ros.cli.replay import lines, replayed
 from kbnitp_ros.configuration.known import node_parameters
 from kbnitp_ros.core import Lane, Observation, RobotType, Unknowns
@@ -60,11 +60,11 @@ TOPICS = {
     for name, topic in {f'{place}{name}': topic for name, topic in topics.items()}.items()
     if topic.history is not History.NONE
 }
-KINDS = {
-    'path': Recorded.PATH,
-    'status': Recorded.STATUS,
-    'operator': Recorded.ACTION,
-    'report': Recorded.REPORT,
+KINDS = {'path': Recorded.PATH, 'operator': Recorded.ACTION, 'report': Recorded.REPORT}
+STATUS_KINDS = {
+    AgentStatus.ACCEPTED: Recorded.ACCEPTANCE,
+    AgentStatus.DEPARTED: Recorded.DEPARTURE,
+    AgentStatus.REFUSED: Recorded.REFUSAL,
 }
 
 # Starts of lines by which replay reports a message.
@@ -77,15 +77,15 @@ class Acknowledged(Deciding):
     def publish(self, topic, message):
         super().publish(topic, message)
         agent, _, name = topic.rpartition('/')
-        if kind := KINDS.get(name):
-            is_departure = name == 'status' and message.state == OrderState.DEPARTED
+        kind = STATUS_KINDS[message.state] if name == 'status' else KINDS.get(name)
+        if kind:
             self.publish(
                 f'{agent or "operator"}/recorded',
                 Recorded(
                     stamp=getattr(message, 'deployment', message.header.stamp),
                     content=content_hash(message),
                     agent=agent,
-                    kind=Recorded.DEPARTURE if is_departure else kind,
+                    kind=kind,
                 ),
             )
 

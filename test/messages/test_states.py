@@ -12,8 +12,8 @@ GRID = Grid(12, 8, blocked=[5])
 VALUES = {'presume_departure': False}
 
 
-def state(grid=GRID, reason='', readiness=Readiness.READY, is_at_base=True, stamp=5):
-    message = state_message(grid, 'scout_1', readiness, reason, is_at_base, stamp)
+def state(grid=GRID, reason='', readiness=Readiness.READY, is_at_base=True, stamp=5, journal='a'):
+    message = state_message(grid, 'scout_1', readiness, reason, is_at_base, stamp, journal)
     return read_state(message, 'scout_1')
 
 
@@ -68,6 +68,10 @@ def test_a_reason_is_withdrawn_only_by_a_ready_agent():
     assert states.reasons() == ''
 
 
+# Of a robot that is away from its base without its journal.
+LOST = {'readiness': Readiness.NO_JOURNAL, 'reason': 'the journal is gone'}
+
+
 @for_each(
     'said, departed, why',
     [
@@ -80,6 +84,8 @@ def test_a_reason_is_withdrawn_only_by_a_ready_agent():
             9,
             'a loss in another field is no evidence: parameter grid.width is 13 there and 12 here',
         ),
+        ({**LOST, 'is_at_base': False}, 5, 'the journal is gone'),
+        ({**LOST, 'is_at_base': False}, 6, ''),
     ],
 )
 def test_only_a_state_after_the_departure_says_that_a_robot_is_not_lost(said, departed, why):
@@ -87,3 +93,33 @@ def test_only_a_state_after_the_departure_says_that_a_robot_is_not_lost(said, de
     assert states.why_not_lost('scout_1', departed) == ''
     states.take('scout_1', state(**said))
     assert states.why_not_lost('scout_1', departed) == why
+
+
+def test_only_the_operator_gives_up_a_robot_without_a_journal_or_in_another_field():
+    states = team()
+    assert not states.is_left_to_operator('scout_1')
+    for said, is_left in (
+        ({**LOST, 'is_at_base': False}, True),
+        ({}, False),
+        ({'grid': Grid(13, 8)}, True),
+    ):
+        states.take('scout_1', state(**said))
+        assert states.is_left_to_operator('scout_1') == is_left
+    assert not states.is_left_to_operator('scout_2')
+
+
+def test_another_journal_than_at_the_departure_is_named():
+    states = team()
+    departed = 10
+    states.take('scout_1', state(journal='a', stamp=5))
+    # The journal of the last mission was set aside before the departure.
+    states.take('scout_1', state(journal='b', stamp=7))
+    states.take('scout_1', state(journal='b', stamp=12, readiness=Readiness.OUT))
+    assert states.why_not_lost('scout_1', departed) == 'its robot stands at its base'
+    states.take('scout_1', state(journal='c', stamp=15, is_at_base=False))
+    assert states.why_not_lost('scout_1', departed) == ''
+    states.take('scout_1', state(journal='c', stamp=20))
+    assert states.why_not_lost('scout_1', departed) == (
+        'its robot stands at its base, with another journal than at the departure: give it up if '
+        'it was replaced'
+    )

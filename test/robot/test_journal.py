@@ -67,11 +67,18 @@ def test_a_power_loss_at_any_byte_loses_at_most_the_unsynced_line(tmp_path_facto
     path.write_bytes(content[:end] + bytes(data.draw(st.integers(0, 50))))
     journal = reopened(path)
     assert journal.deployments == states[max(lines - 1, 0)]
-    assert path.read_bytes() == content[: ends[max(lines - 1, 0)]]
+    if lines:
+        assert path.read_bytes() == content[: ends[lines - 1]]
+    else:
+        # The journal begins anew, with another identifier.
+        assert path.read_bytes().count(b'\n') == 1
+        assert path.stat().st_size == ends[0]
     # The robot resumes from it.
     journal = opened(path)
     assert not journal.corruption
     deployment = Deployment(9999, 7, ORDERS)
+    # A line that was torn is one that nobody acted on.
+    assert not journal.may_lack(deployment)
     journal.depart(deployment)
     journal.close()
     assert reopened(path).deployments == [*states[max(lines - 1, 0)], deployment]
@@ -97,7 +104,21 @@ def test_lines_after_corruption_are_cut_off_and_kept_beside(tmp_path_factory, do
     assert journal.deployments == states[whole]
     assert str(path) in journal.corruption
     kept = [each for each in path.parent.iterdir() if 'corrupt' in each.name]
-    together = path.read_bytes() + (kept[0].read_bytes() if kept else b'')
+    # A deployment may have been cut off, until the next one is recorded.
+    lost = Deployment(9999, 7, ORDERS)
+    assert journal.may_lack(lost) == bool(kept)
+    whole_lines = path.read_bytes()
+    if kept:
+        whole_lines = whole_lines[: whole_lines.rindex(b'\n', 0, -1) + 1]
+    journal = opened(path)
+    assert not journal.corruption
+    assert journal.may_lack(lost) == bool(kept)
+    assert journal.may_lack(Deployment(9999, 8, ORDERS)) == bool(kept and not whole)
+    journal.depart(lost)
+    assert not journal.may_lack(lost)
+    journal.close()
+    assert not reopened(path).may_lack(lost)
+    together = whole_lines + (kept[0].read_bytes() if kept else b'')
     # A torn last line is not kept: nobody has acted on it.
     assert bytes(content).startswith(together)
     cut = bytes(content).removeprefix(together)
@@ -136,7 +157,59 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
         kept.append(path.read_bytes())
 
 
-@for_each('content', [b'my letters\n', b'my letters', b'\n', b'x' * 100])
+def test_each_journal_has_an_identifier_of_its_own(tmp_path):
+    path, other = tmp_path / 'journal', tmp_path / 'other'
+    journal = opened(path)
+    known = journal.id
+    assert len(known) == 32
+    assert set(known) <= set('0123456789abcdef')
+    assert reopened(other).id != known
+    journal.depart(Deployment(1, 7, ORDERS, 1))
+    journal.arrive(journal.deployments[-1], 2)
+    journal.close()
+    assert reopened(path).id == known
+    # The journal of the next mission is another one.
+    journal = opened(path)
+    journal.begin(8)
+    assert journal.id != known
+    journal.close()
+    kept = reopened(tmp_path / '7' / 'journal')
+    assert kept.id == known
+
+
+# First line and a deployment of a journal of kbnitp_ros 1.9.
+OF_1_9 = (
+    b'ac4f8fc2 {"journal":2,"agent":"scout_1","grid":{"width":4,"height":3,"base":0,'
+    b'"resolution":1.0,"origin":[0.0,0.0],"connectivity":8,"through_corners":true,'
+    b'"blocked":"ef2d127de37b942b"}}\n'
+    b'60c58b9b {"deployment":1000,"mission":7,"orders":[0,1,2,1,0],"departed":1001}\n'
+)
+
+
+def test_a_journal_of_an_earlier_version_is_refused_by_version_and_left_alone(tmp_path):
+    path = tmp_path / 'journal'
+    path.write_bytes(OF_1_9)
+    with pytest.raises(ValueError, match='is of version 2, and this node reads version 3') as told:
+        opened(path)
+    assert 'kbnitp_ros that wrote it (1.9 or earlier), or move it away' in str(told.value)
+    assert path.read_bytes() == OF_1_9
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_nothing_is_written_to_a_journal_that_was_deleted(tmp_path):
+    path = tmp_path / 'journal'
+    journal = opened(path)
+    path.unlink()
+    with pytest.raises(FileNotFoundError, match=f'The file was deleted: {str(path)!r}'):
+        journal.depart(Deployment(1, 7, ORDERS))
+    assert not journal.deployments
+    journal.close()
+
+
+@for_each(
+    'content',
+    [b'my letters\n', b'my letters', b'letters', b'\n', b'x' * 100, b'0123abcd {"journal":1,'],
+)
 def test_other_files_are_refused_and_left_alone(tmp_path, content):
     path = tmp_path / 'letters'
     path.write_bytes(content)
