@@ -45,7 +45,7 @@ class NewestBelief:
         self._last: Snapshot | None = None
         # Hash of the rules of the estimator that is followed.
         self._rules = 0
-        # Why the last standings were not followed; empty if they were.
+        # Why the last standings were not followed; None if they were.
         self.why_unfollowed: str | None = None
         self._beliefs: Subscription | None = None
         self._standings: Subscription | None = None

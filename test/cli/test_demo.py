@@ -491,7 +491,7 @@ def waits_for(obstacle, ends_by=Helper.OPERATOR, reason='', **counts):
     ([waits_for(Obstacle.SEARCHING, Helper.NOBODY),
       MissionStatus(state=MissionState.ENDED, obstacle=Obstacle.OVER)], PERIOD),
     ([waits_for(Obstacle.UNREPORTED, out=1)] * 4 + [DONE], 4 * PERIOD),
-    ([MissionStatus(state=MissionState.PAUSED, obstacle=Obstacle.PAUSED_BY_OPERATOR,
+    ([MissionStatus(state=MissionState.PAUSED, obstacle=Obstacle.PAUSED,
                     ends_by=Helper.OPERATOR)], WAIT),
     ([waits_for(Obstacle.UNAPPROVED)], WAIT),
     ([waits_for(Obstacle.UNJUDGED, held=1)], WAIT),

@@ -244,11 +244,11 @@ def test_topics_may_have_other_names_if_all_nodes_have_them(set_out):
     mission = set_out(parameters, remaps=dict.fromkeys(NODES, RENAMED))
     mission.start(*NODES)
     log = mission.log
-    mission.until(lambda: log.exists() and len(replayed(log).reports) >= 2, 'robots')
+    mission.until(lambda: log.exists() and len(replayed(log).heard) >= 2, 'robots')
     for node in NODES:
         mission.kill(node)
     mission.start(*NODES)
-    mission.until(lambda: len(replayed(log).reports) == 4, 'robots')
+    mission.until(lambda: len(replayed(log).heard) == 4, 'robots')
     mission.processes.stop()
     report = replay(log)
     assert report.reproduced
