@@ -15,6 +15,9 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
     match obstacle:
         case Obstacle.ACTION_UNRECORDED:
             return now.unrecorded_action or ''
+        case Obstacle.UNFOLLOWED:
+            topic = now.topic('standings')
+            return f'standings on {topic}, which are not followed: {now.why_unfollowed}'
         case Obstacle.NO_BELIEF:
             start = 'its estimator waits for the nodes in its parameter await_nodes'
             return f'the belief on {belief_topic(now)}: ' + (
@@ -74,8 +77,6 @@ def deployed(now: PlannerState) -> str:
 def judgement(now: PlannerState) -> str:
     """Describe the wait for standings."""
     topic = now.topic('standings')
-    if now.why_unfollowed is not None:
-        return f'standings on {topic}, which are not followed: {now.why_unfollowed}'
     key = next(iter(now.base.unjudged))
     what = 'refusal' if now.base.is_refused(key) else 'report'
     wait = f'the estimator to judge the {what} of {key} on {topic}'

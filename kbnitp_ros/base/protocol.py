@@ -33,6 +33,8 @@ VERSION = '2.0'
 # Who can end a condition, where that is always the same.
 ENDED_BY = {
     Obstacle.ACTION_UNRECORDED: Helper.RECORDER,
+    # Who starts the estimator with the log of the mission.
+    Obstacle.UNFOLLOWED: Helper.OPERATOR,
     Obstacle.NO_BELIEF: Helper.ESTIMATOR,
     Obstacle.BELIEF_BEHIND: Helper.ESTIMATOR,
     Obstacle.DECIDING: Helper.ESTIMATOR,
@@ -131,14 +133,17 @@ class PlannerState:
         base = self.base
         if self.unrecorded_action is not None:
             return Obstacle.ACTION_UNRECORDED
+        # Without an estimator the operator can still end the mission.
+        awaits_estimator = not base.operator.is_ended or bool(self.estimators)
+        if self.why_unfollowed is not None and awaits_estimator:
+            return Obstacle.UNFOLLOWED
         if self.newest is None and not base.operator.is_ended:
             return Obstacle.NO_BELIEF
         unreported = self.unreported
         if unreported and not base.values['rolling']:
             return Obstacle.UNREPORTED
-        # Without an estimator the operator can still end the mission.
-        if not base.operator.is_ended or self.estimators:
-            if base.unjudged or self.why_unfollowed is not None:
+        if awaits_estimator:
+            if base.unjudged:
                 return Obstacle.UNJUDGED
             if self.newest != base.evidence:
                 return Obstacle.BELIEF_BEHIND
@@ -173,12 +178,11 @@ class PlannerState:
 
     def is_plain(self, obstacle: Obstacle) -> bool:
         """Return whether a condition is normal, so that progress gives no reason for it."""
-        if obstacle is Obstacle.UNJUDGED:
-            return self.why_unfollowed is None
         if obstacle is Obstacle.ALL_LEFT:
             return not self.base.held
         return obstacle in (
             Obstacle.UNREPORTED,
+            Obstacle.UNJUDGED,
             Obstacle.BELIEF_BEHIND,
             Obstacle.DECIDING,
             Obstacle.SEARCHING,

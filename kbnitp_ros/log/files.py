@@ -176,7 +176,10 @@ def check_is_new(first: Path) -> None:
     except UnicodeEncodeError as error:
         raise LogError(f'{str(first)!r} cannot name a log: it must be UTF-8') from error
     if first.exists():
-        raise FileExistsError(f'{first} exists and is not overwritten: name another file')
+        raise FileExistsError(
+            f'{first} exists and is not overwritten: name another file, or give the parameter '
+            'resume this one to go on with its mission'
+        )
     if is_later_part(first):
         raise FileExistsError(
             f'{first} is named like a later part of another log: choose another name'

@@ -40,6 +40,12 @@ MAX_MESSAGE = 63 * 2**20
 CHUNK = 2**20
 
 
+def check_size(data: bytes) -> None:
+    """Check that a message is small enough for a log."""
+    if len(data) > MAX_MESSAGE:
+        raise ValueError(f'it has {len(data)} bytes: at most {MAX_MESSAGE} are recorded')
+
+
 class LogWriter:
     """
     Writer of CDR messages to a new log, or with `resume` to the next file of an existing log.
@@ -135,11 +141,7 @@ class LogWriter:
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Write a message; times are in nanoseconds."""
-        if len(data) > MAX_MESSAGE:
-            raise ValueError(
-                f'a message of topic {topic} has {len(data)} bytes: at most {MAX_MESSAGE} are '
-                'written'
-            )
+        check_size(data)
         with self._writing():
             if len(data) > CHUNK:
                 # A large message gets its own chunk: a shared chunk could be too large to read.

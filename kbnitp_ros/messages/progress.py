@@ -60,20 +60,21 @@ class Obstacle(IntEnum):
 
     NONE = 0
     ACTION_UNRECORDED = 1
-    NO_BELIEF = 2
-    UNREPORTED = 3
-    UNJUDGED = 4
-    BELIEF_BEHIND = 5
-    ALL_DEPLOYED = 6
-    DECIDING = 7
-    OVER = 8
-    NO_SUBSCRIBER = 9
-    ALL_LEFT = 10
-    PAUSED = 11
-    NO_FREE_AGENT = 12
-    SEARCHING = 13
-    WORTHLESS = 14
-    UNAPPROVED = 15
+    UNFOLLOWED = 2
+    NO_BELIEF = 3
+    UNREPORTED = 4
+    UNJUDGED = 5
+    BELIEF_BEHIND = 6
+    ALL_DEPLOYED = 7
+    DECIDING = 8
+    OVER = 9
+    NO_SUBSCRIBER = 10
+    ALL_LEFT = 11
+    PAUSED = 12
+    NO_FREE_AGENT = 13
+    SEARCHING = 14
+    WORTHLESS = 15
+    UNAPPROVED = 16
 
     @property
     def is_end(self) -> bool:
@@ -111,6 +112,8 @@ class MissionStatus:
     out: int = 0
     lost: int = 0
     held: int = 0
+    # Probability of the goal at which the mission ends as successful; 0 for never.
+    confidence: float = 0.0
     # The obstacle in words; empty if it needs none.
     reason: str = ''
 
@@ -133,6 +136,7 @@ def mission_status_message(status: MissionStatus) -> msg.MissionStatus:
         out=status.out,
         lost=status.lost,
         held=status.held,
+        confidence=status.confidence,
         reason=status.reason,
     )
 
@@ -145,6 +149,8 @@ def read_mission_status(message: Any) -> MissionStatus:
     state = read_choice('state', message.state, MissionState)
     if state is MissionState.UNKNOWN:
         raise ValueError('state is 0: it must say how the mission stands')
+    if not 0 <= message.confidence < 1:
+        raise ValueError(f'confidence is {message.confidence}: it must be from 0 to below 1')
     return MissionStatus(
         stamp=stamp,
         author=message.author,
@@ -156,6 +162,7 @@ def read_mission_status(message: Any) -> MissionStatus:
         out=message.out,
         lost=message.lost,
         held=message.held,
+        confidence=message.confidence,
         reason=message.reason,
     )
 

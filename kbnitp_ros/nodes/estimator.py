@@ -37,6 +37,7 @@ from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
+from rclpy.parameter import Parameter
 
 # A deployment, the cells of its path, the hash of its message, and the start of its mission.
 SentPath = tuple[DeploymentKey, NDArray[np.intp], int, int]
@@ -96,6 +97,8 @@ class EstimatorNode(FieldNode):
         self._models = Models(self, self._warn_of_doubt) if has_model else None
         self._decisions = Decisions(self)
         self._doubt = ''
+        # The last confidence of the planner that is not possible here.
+        self._refused_confidence: float | None = None
         # Events and changes in the standings published last, and standings until complete ones.
         self._published = 0, 0
         self._until_complete = 0
@@ -249,11 +252,21 @@ class EstimatorNode(FieldNode):
         self._publish_news(key)
 
     def _on_mission(self, message: MissionStatus) -> None:
-        """Show how the mission stands."""
+        """Show how the mission stands, and take the confidence of its planner."""
         try:
-            self._views.show_status(read_mission_status(message))
+            status = read_mission_status(message)
         except ValueError as error:
             self.diagnostics.refuse('mission', error)
+            return
+        self._views.show_status(status)
+        confidence = status.confidence
+        if confidence not in (self.values['stop.confidence'], self._refused_confidence):
+            answer = self.set_parameters([Parameter('stop.confidence', value=confidence)])[0]
+            if answer.successful:
+                self.get_logger().info(f'stop.confidence is {confidence:g}, as for the planner')
+            else:
+                self._refused_confidence = confidence
+                self.diagnostics.refuse('mission', f'confidence: {answer.reason}')
 
     def _publish_news(self, key: DeploymentKey) -> None:
         """Publish what a message about a deployment has changed."""

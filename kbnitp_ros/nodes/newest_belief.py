@@ -20,6 +20,9 @@ from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from rclpy.subscription import Subscription
 
+# Maximum number of estimators of which the last belief is kept.
+MAX_ESTIMATORS = 4
+
 
 class NewestBelief:
     """The standings that the planner follows, and the belief with the same evidence."""
@@ -41,8 +44,8 @@ class NewestBelief:
         self.tracker = MissionTracker()
         # The newest belief with the evidence of the standings; None before the first.
         self.newest: Snapshot | None = None
-        # The last belief, which may be ahead of the standings.
-        self._last: Snapshot | None = None
+        # The last belief of each estimator, by its start: it may be ahead of the standings.
+        self._last: dict[int, Snapshot] = {}
         # Hash of the rules of the estimator that is followed.
         self._rules = 0
         # Why the last standings were not followed; None if they were.
@@ -119,13 +122,17 @@ class NewestBelief:
             return
         self._node.diagnostics.accepted += 1
         self.tracker.accept_belief(snapshot)
-        if self._last is None or snapshot.evidence >= self._last.evidence:
-            self._last = snapshot
+        epoch, _ = snapshot.evidence
+        last = self._last.pop(epoch, snapshot)
+        self._last[epoch] = max(last, snapshot, key=lambda each: each.evidence)
+        if len(self._last) > MAX_ESTIMATORS:
+            followed = self._state.evidence.epoch
+            del self._last[next(each for each in self._last if each != followed)]
         self._match()
 
     def _match(self) -> None:
         """Take the last belief once its evidence is that of the standings."""
-        last = self._last
+        last = self._last.get(self._state.evidence.epoch)
         if last and last is not self.newest and last.evidence == self._state.evidence:
             self.newest = last
             self._take(last)

@@ -292,6 +292,7 @@ class PlannerNode(FieldNode):
             out=len(state.in_flight) - len(state.undeparted),
             lost=state.lost,
             held=len(state.held),
+            confidence=self.values['stop.confidence'],
             reason='' if now.is_plain(obstacle) else self.diagnostics.state,
         )
         time_now = time.monotonic()

@@ -24,7 +24,7 @@ from kbnitp_ros.log.read import LoggedMessage, PARAMETERS, RUN
 from kbnitp_ros.log.record import read_mission
 from kbnitp_ros.log.roles import read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import qos_profiles_yaml
-from kbnitp_ros.log.write import LogWriter, MAX_MESSAGE
+from kbnitp_ros.log.write import check_size, LogWriter
 from kbnitp_ros.messages.deployments import Acknowledged, AgentStatus, STATUS_KINDS
 from kbnitp_ros.messages.headers import (
     check_mission,
@@ -371,8 +371,7 @@ class RecorderNode(MissionNode):
         if not topic.is_new(info['source_timestamp'], data):
             return
         try:
-            if len(data) > MAX_MESSAGE:
-                raise ValueError(f'it has {len(data)} bytes: at most {MAX_MESSAGE} are recorded')
+            check_size(data)
             if not self._is_of_this_mission(topic, data) or not self._check(topic, data):
                 return
         except (ValueError, RuntimeError) as error:

@@ -18,7 +18,7 @@ from kbnitp_ros.configuration.checks import (
     failure_note,
     reach_note,
 )
-from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, SensorModel, Unknowns
+from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, Report, SensorModel, Unknowns
 from kbnitp_ros.core.inference.record import OrderState, Standing, Verdict
 from kbnitp_ros.messages.beliefs import belief_maps, read_belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus, read_report
@@ -78,15 +78,19 @@ CLEAR = PlannerState(
 )
 
 
-def made(out=(), actions=(), values=VALUES, **changes):
-    return replace(CLEAR, base=base(*out, actions=actions, values=values), **changes)
+def made(out=(), reported=(), actions=(), values=VALUES, **changes):
+    known = base(*out, *reported, actions=actions, values=values)
+    for deployment in reported:
+        known.record_report(deployment, Report(False, content=1))
+    return replace(CLEAR, base=known, **changes)
 
 
 MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
+    Obstacle.UNFOLLOWED: {'why_unfollowed': 'resume'},
     Obstacle.NO_BELIEF: {'newest': None},
     Obstacle.UNREPORTED: {'out': [key(1)]},
-    Obstacle.UNJUDGED: {'why_unfollowed': 'resume'},
+    Obstacle.UNJUDGED: {'reported': [key(2)]},
     Obstacle.BELIEF_BEHIND: {'newest': EvidenceName(1, 0)},
     Obstacle.ALL_DEPLOYED: {'values': {**VALUES, 'robots': 0}},
     Obstacle.DECIDING: {'is_decided': False},
@@ -193,7 +197,8 @@ def test_the_state_of_the_mission(actions, obstacle, state):
         'return',
     ),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, '/a/scout_1/recorded'),
-    (Obstacle.UNJUDGED, {}, 'standings on /a/standings, which are not followed: resume'),
+    (Obstacle.UNFOLLOWED, {}, 'standings on /a/standings, which are not followed: resume'),
+    (Obstacle.UNJUDGED, {}, 'the estimator to judge the report of scout_1 at 2.000000000'),
     (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds all that counts on /a/belief'),
     (Obstacle.DECIDING, {}, 'the decision on /a/decision'),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
@@ -217,6 +222,7 @@ def test_an_obstacle_is_stated_with_its_remedy(obstacle, change, words):
     (Obstacle.NO_BELIEF, {}, Helper.ESTIMATOR),
     (Obstacle.UNREPORTED, {}, Helper.ROBOT),
     (Obstacle.UNREPORTED, {'values': {**VALUES, 'recorded': True}}, Helper.RECORDER),
+    (Obstacle.UNFOLLOWED, {}, Helper.OPERATOR),
     (Obstacle.UNJUDGED, {}, Helper.ESTIMATOR),
     (Obstacle.DECIDING, {}, Helper.ESTIMATOR),
     (Obstacle.PAUSED, {}, Helper.OPERATOR),

@@ -2,6 +2,7 @@
 """The demo: a whole mission in four processes, and the files it leaves."""
 
 from contextlib import suppress
+from functools import partial
 import os
 from pathlib import Path
 import re
@@ -37,7 +38,13 @@ from kbnitp_ros.log.record import last_belief
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.log.write import LogWriter
-from kbnitp_ros.messages.progress import Helper, MissionState, Obstacle
+from kbnitp_ros.messages.progress import (
+    Helper,
+    mission_status_message,
+    MissionState,
+    Obstacle,
+)
+from kbnitp_ros.messages.progress import MissionStatus as Status
 from kbnitp_ros.messages.topics import PROGRESS
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.report.mission import true_numbers
@@ -474,25 +481,23 @@ def test_bad_options_are_refused_before_anything_starts(tmp_path, capsys, option
 
 
 PERIOD, WAIT = 0.3, 0.7
-DONE = MissionStatus(state=MissionState.DONE, obstacle=Obstacle.ALL_DEPLOYED)
+status = partial(Status, author='/planner')
+DONE = status(state=MissionState.DONE, obstacle=Obstacle.ALL_DEPLOYED)
 
 
-def waits_for(obstacle, ends_by=Helper.OPERATOR, reason='', **counts):
-    return MissionStatus(
-        state=MissionState.RUNNING, obstacle=obstacle, ends_by=ends_by, reason=reason, **counts
-    )
+def waits_for(obstacle, ends_by=Helper.OPERATOR, state=MissionState.RUNNING, **said):
+    return status(state=state, obstacle=obstacle, ends_by=ends_by, **said)
 
 
 @pytest.mark.slow
 @for_each('sent, until', [
     ([waits_for(Obstacle.SEARCHING, Helper.NOBODY), DONE], PERIOD),
     ([waits_for(Obstacle.SEARCHING, Helper.NOBODY),
-      MissionStatus(state=MissionState.DONE, out=1), DONE], 2 * PERIOD),
+      status(state=MissionState.DONE, out=1), DONE], 2 * PERIOD),
     ([waits_for(Obstacle.SEARCHING, Helper.NOBODY),
-      MissionStatus(state=MissionState.ENDED, obstacle=Obstacle.OVER)], PERIOD),
+      status(state=MissionState.ENDED, obstacle=Obstacle.OVER)], PERIOD),
     ([waits_for(Obstacle.UNREPORTED, out=1)] * 4 + [DONE], 4 * PERIOD),
-    ([MissionStatus(state=MissionState.PAUSED, obstacle=Obstacle.PAUSED,
-                    ends_by=Helper.OPERATOR)], WAIT),
+    ([waits_for(Obstacle.PAUSED, state=MissionState.PAUSED)], WAIT),
     ([waits_for(Obstacle.UNAPPROVED)], WAIT),
     ([waits_for(Obstacle.UNJUDGED, held=1)], WAIT),
     # The planner does find a path later.
@@ -508,8 +513,8 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
         left = iter(sent)
 
         def tell():
-            if status := next(left, None):
-                mission.publish(status)
+            if said := next(left, None):
+                mission.publish(mission_status_message(said))
 
         tell()
         executor = SingleThreadedExecutor()

@@ -33,6 +33,9 @@ from visualization_msgs.msg import Marker
 # The latest representable time.
 END = Time(sec=2**31 - 1, nanosec=999_999_999)
 
+# Place of the name of a deployment in a serialized report.
+DEPLOYMENT = 20
+
 # Seconds of the flood of bad paths.
 FLOOD = 20.0
 
@@ -254,6 +257,9 @@ class Forger:
         # In the fields that identify it: a true message could be sent by anyone.
         for place in self._rng.integers(4, min(len(data), 24), size=4):
             data[place] = self._rng.integers(256)
+        if kind is DeploymentReport:
+            # A report that names a deployment may hold it, as the report of its robot would.
+            data[DEPLOYMENT] ^= self._rng.integers(1, 256)
         return bytes(data)
 
 

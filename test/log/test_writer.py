@@ -160,7 +160,7 @@ def test_the_header_names_the_writer(tmp_path, whole_mission):
 def test_a_message_too_large_to_be_read_again_is_refused(tmp_path):
     with LogWriter(tmp_path / 'mission.mcap') as log:
         log.add_topic(TOPIC, TYPE, '[]')
-        with pytest.raises(ValueError, match=f'at most {MAX_MESSAGE} are written'):
+        with pytest.raises(ValueError, match=f'at most {MAX_MESSAGE} are recorded'):
             log.write(TOPIC, bytes(MAX_MESSAGE + 1), 1, 1)
         log.write(TOPIC, EMPTY_MAP, 2, 2)
     assert [message.log_time for message in read_log(log.path)] == [2]

@@ -130,7 +130,7 @@ def test_an_ended_mission_is_over_when_its_robots_have_returned(field):
     assert told.startswith('the operator ended the mission; the mission is over once scout_1 at ')
     for service, request in (('end_mission', {}), ('pause', {'data': True})):
         assert base.refused(service, **request) == 'the mission has been ended already'
-    assert 'waiting for' in field.state('/planner')
+    base.until_state('waiting for')
     base.come_back()
     reason = 'done: 1 of 4 robots deployed, ended by the operator'
     until_progress = progress_waiter(field)

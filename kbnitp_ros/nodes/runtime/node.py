@@ -19,10 +19,11 @@ from kbnitp_ros.configuration.field import graded_note
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.files import some
 from kbnitp_ros.log.roles import Roles
+from kbnitp_ros.log.write import check_size
 from kbnitp_ros.maps import Map
 from kbnitp_ros.messages.deployments import read_path
 from kbnitp_ros.messages.grids import read_map_message
-from kbnitp_ros.messages.headers import LATEST, shown
+from kbnitp_ros.messages.headers import check_texts, LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
 from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, Waiting, waiting_for
@@ -151,8 +152,11 @@ class MissionNode(Node):
         kept = qos.unread_kept(profile) if keeps_all else profile
 
         def read(data: bytes, info: Any) -> None:
+            # A message that cannot be recorded counts for nobody.
             try:
+                check_size(data)
                 message = deserialize_message(data, kind)
+                check_texts(message)
             except (ValueError, RuntimeError) as error:
                 self.diagnostics.refuse(topic, error)
             else:
