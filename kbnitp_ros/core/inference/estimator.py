@@ -731,15 +731,13 @@ class Ledger(MissionRecord):
             else:
                 counted = by_rank
                 break
-        if counted is not None:
-            assert counted.outcome is not None
-            for valid_report in valid:
-                if refusal := contradiction(key, valid_report, counted.outcome):
-                    refused.setdefault(valid_report.report, refusal)
         verdict = Verdict.OPEN
         if counted is not None:
             outcome = counted.outcome
             assert outcome is not None
+            for other in valid:
+                if other is not counted and (refusal := contradiction(key, other, outcome)):
+                    refused.setdefault(other.report, refusal)
             verdict = Verdict.RETURN if outcome.survived else Verdict.LOSS
             verdict = Verdict.UNMOVED if outcome.is_unmoved else verdict
         elif is_void:
