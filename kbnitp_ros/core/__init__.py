@@ -23,7 +23,13 @@ from kbnitp_ros.core.forecast import forecast
 from kbnitp_ros.core.inference.estimator import Estimator, Ledger
 from kbnitp_ros.core.inference.methods import METHODS, update
 from kbnitp_ros.core.inference.one_pass import KnownModel
-from kbnitp_ros.core.inference.record import DeploymentKey, Report
+from kbnitp_ros.core.inference.record import (
+    DeploymentKey,
+    OrderState,
+    Report,
+    Standing,
+    Verdict,
+)
 
 # A whole mission.
 from kbnitp_ros.core.mission import Deployment, Learning, Mission, run_mission, Truth
@@ -62,16 +68,19 @@ __all__ = [
     'Mixture',
     'NoPathError',
     'Observation',
+    'OrderState',
     'PathFinder',
     'Plan',
     'Report',
     'RobotType',
     'SearchOptions',
     'SensorModel',
+    'Standing',
     'Stop',
     'Team',
     'Truth',
     'Unknowns',
+    'Verdict',
     'World',
     'brier_score',
     'forecast',
