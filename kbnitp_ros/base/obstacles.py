@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 from kbnitp_ros.base.protocol import PlannerState, VERSION
 from kbnitp_ros.base.state import MAX_STILL
 from kbnitp_ros.core.inference.record import deployment_order
@@ -76,18 +78,23 @@ def deployed(now: PlannerState) -> str:
 
 def judgement(now: PlannerState) -> str:
     """Describe the wait for standings."""
-    topic = now.topic('standings')
-    key = next(iter(now.base.unjudged))
-    what = 'refusal' if now.base.is_refused(key) else 'report'
+    base, topic = now.base, now.topic('standings')
+    unrecorded = [key for key in base.unjudged if not base.is_on_record(key)]
+    at_base = filter(base.is_at_base, base.unjudged)
+    key = next(chain(unrecorded, at_base, base.unjudged))
+    what = 'refusal' if base.is_refused(key) else 'report'
+    if unrecorded:
+        return (
+            f'the recorder to acknowledge the {what} of {key} on '
+            f'{now.topic(key.agent)}/recorded (parameter recorded)'
+        )
     wait = f'the estimator to judge the {what} of {key} on {topic}'
-    if now.base.is_at_base(key) and not now.base.is_refused(key):
+    if base.is_at_base(key) and not base.is_refused(key):
         return (
             f'{wait}: a loss counts once {key.agent} reports the departure on '
             f'{now.topic(key.agent)}/status, or the operator gives it up by '
             f'{now.service("give_up")}'
         )
-    if now.base.values['recorded']:
-        wait += ', once it is on record'
     return wait if now.estimators else f'{wait}, which nobody publishes: start an estimator'
 
 

@@ -165,6 +165,8 @@ class PlannerState:
         """Return who can end a condition."""
         base = self.base
         if obstacle is Obstacle.UNJUDGED:
+            if not all(map(base.is_on_record, base.unjudged)):
+                return Helper.RECORDER
             # A loss waits for its departure without a time limit, unless it is given up.
             waits = any(base.is_at_base(key) for key in base.unjudged)
             return Helper.OPERATOR if waits else Helper.ESTIMATOR
@@ -178,13 +180,17 @@ class PlannerState:
 
     def is_plain(self, obstacle: Obstacle) -> bool:
         """Return whether a condition is normal, so that progress gives no reason for it."""
-        if obstacle is Obstacle.ALL_LEFT:
-            return not self.base.held
+        helper = self.ends_by(obstacle)
+        if helper in (Helper.OPERATOR, Helper.RECORDER):
+            return False
+        if helper is Helper.ESTIMATOR and not self.estimators:
+            return False
         return obstacle in (
             Obstacle.UNREPORTED,
             Obstacle.UNJUDGED,
             Obstacle.BELIEF_BEHIND,
             Obstacle.DECIDING,
+            Obstacle.ALL_LEFT,
             Obstacle.SEARCHING,
         )
 

@@ -367,6 +367,16 @@ class BaseState(MissionRecord):
         is_on_record = robot.is_recorded or not self.values['recorded']
         return robot.has_departed or (self.values['presume_departure'] and is_on_record)
 
+    def is_on_record(self, key: DeploymentKey) -> bool:
+        """Return whether all that waits to be judged of a deployment is acknowledged."""
+        if not self.values['recorded']:
+            return True
+        standing = self.standings.get(key, OPEN)
+        waiting = {report.content for report in self.heard.get(key, ())} - standing.judged
+        if self.is_refused(key) and standing.verdict is Verdict.OPEN:
+            waiting.add(self._said[key][OrderState.REFUSED].content)
+        return all((key, content) in self._acknowledged for content in waiting)
+
     def has_departed(self, key: DeploymentKey) -> bool:
         """Return whether a robot reported its departure, or was reported itself."""
         return OrderState.DEPARTED in self.statuses.get(key, ()) or bool(self.heard.get(key))

@@ -192,6 +192,7 @@ class RecordedMission(BaseState):
                 self.said_by_agent[key].setdefault(report.content, logged.data)
             else:
                 self.given_up.setdefault(name, logged.data)
+            self.take_recorded(key, report.content)
             self.record_report(key, report)
         else:
             key, path = logged.said[0], read_cells(self.grid, logged.message)
@@ -214,6 +215,19 @@ class RecordedMission(BaseState):
         """Return the operator's actions in recorded order, without starts of the planner."""
         actions = self.operator.actions.values()
         return [action for action in actions if action.action != Action.START]
+
+    @property
+    def unreported_losses(self) -> dict[DeploymentKey, OperatorAction]:
+        """Return the actions that gave up robots in flight, and whose losses are not on record."""
+        return {
+            key: action
+            for key, action in self.operator.given_up.items()
+            if key in self.in_flight
+            and not any(
+                report.settled is not None and {*action.settled} <= {*report.settled}
+                for report in self.heard.get(key, ())
+            )
+        }
 
     @property
     def survived(self) -> int:

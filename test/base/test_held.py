@@ -122,6 +122,29 @@ def test_no_robot_leaves_while_a_report_is_not_judged():
     assert base.now().obstacle is Obstacle.NONE
 
 
+def test_a_wait_for_the_recorder_or_for_an_absent_estimator_is_stated():
+    base = Base(key(1))
+    base.state.values = {**VALUES, 'recorded': True}
+    base.state.take_recorded(key(1), 1)
+    # Other than the hash of the path.
+    report = replace(BACK, content=21)
+    base.hear(key(1), report)
+    now = base.now()
+    assert now.obstacle is Obstacle.UNJUDGED
+    assert now.ends_by(now.obstacle) is Helper.RECORDER
+    assert not now.is_plain(now.obstacle)
+    said = describe_obstacle(now, now.obstacle)
+    assert said == (
+        f'the recorder to acknowledge the report of {key(1)} on /a/scout_1/recorded (parameter '
+        'recorded)'
+    )
+    base.state.take_recorded(key(1), report.content)
+    assert now.ends_by(now.obstacle) is Helper.ESTIMATOR
+    assert now.is_plain(now.obstacle)
+    absent = replace(now, estimators=0)
+    assert not absent.is_plain(absent.obstacle)
+
+
 def test_a_loss_before_its_departure_waits_for_it_or_for_the_operator():
     base = Base()
     base.state.take_path(key(1), HOME, 1)
@@ -132,6 +155,7 @@ def test_a_loss_before_its_departure_waits_for_it_or_for_the_operator():
     now = base.now()
     assert now.obstacle is Obstacle.UNJUDGED
     assert now.ends_by(now.obstacle) is Helper.OPERATOR
+    assert not now.is_plain(now.obstacle)
     assert '/a/scout_1/status, or the operator gives it up' in describe_obstacle(now, now.obstacle)
     base.tell(key(1), Report(False, settled=base.state.heard_hashes(key(1)), content=9))
     assert base.state.standings[key(1)].verdict is Verdict.LOSS
