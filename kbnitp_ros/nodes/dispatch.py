@@ -112,10 +112,8 @@ class Dispatch:
             self._losses[key.agent].publish(data)
             if key in record.paths:
                 self._await_late(key)
-        told = {key for key, _ in record.given_up}
-        for key, action in record.operator.given_up.items():
-            if key in record.in_flight and key not in told:
-                self.give_up(key, Source.OPERATOR, action.steps_survived, action.settled)
+        for key, action in record.unreported_losses.items():
+            self.give_up(key, Source.OPERATOR, action.steps_survived, action.settled)
 
     def read_again(self, log: MissionLog, record: RecordedMission) -> None:
         """Read orders of an earlier planner that were recorded after the log was read."""

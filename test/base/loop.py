@@ -264,10 +264,8 @@ class Loop:
         for topic, message in self.log:
             if topic.endswith('/report') and message.source != Source.AGENT:
                 self.publish('planner', topic, message)
-        told = {key for key, _ in self.base.given_up}
-        for key, action in self.base.operator.given_up.items():
-            if key in self.base.in_flight and key not in told:
-                self.lose(key, Source.OPERATOR, action.settled)
+        for key, action in self.base.unreported_losses.items():
+            self.lose(key, Source.OPERATOR, action.settled)
 
     def planner_hears(self, topic, message):
         agent, _, role = topic.rpartition('/')
@@ -339,6 +337,9 @@ class Loop:
         elif role == 'status':
             key, status = read_status(message, agent)
             self.base.take_recorded(key, status.content)
+        else:
+            key, report = hear_report(message, agent)
+            self.base.take_recorded(key, report.content)
 
     @property
     def now(self):

@@ -4,12 +4,14 @@
 from kbnitp_ros.base.state import BaseState, EvidenceName
 from kbnitp_ros.core import Ledger
 from kbnitp_ros.core.inference import estimator as estimator_module
-from kbnitp_ros.core.inference.record import MissionRecord
+from kbnitp_ros.core.inference.record import MissionRecord, Verdict
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
+from kbnitp_ros.messages.deployments import Source
+from kbnitp_ros.messages.operator_actions import Action
 from kbnitp_ros.robot.orders import Orders
 from laws import for_each
-from loop import check, Loop, run
+from loop import check, Loop, made, run
 from mission_log import record, Sent
 import pytest
 
@@ -39,6 +41,30 @@ def test_replay_judges_the_same(seed, tmp_path):
     found = replay(record(tmp_path / 'mission.mcap', sent))
     assert found.grade is Grade.IDENTICAL, found.mismatches
     assert found.evidence.standings.keys() == loop.ledger.standings.keys()
+
+
+def test_a_robot_that_was_given_up_twice_is_given_up_by_a_resumed_planner():
+    loop = Loop(0)
+    loop.settle()
+    loop.send()
+    loop.settle()
+    key, (cells, _) = next(iter(loop.plans.items()))
+    _, departed = made(key, cells, 'departed')
+    loop.publish('agent a', f'{key.agent}/status', departed)
+    loop.settle()
+    loop.lose(key, Source.SILENCE)
+    loop.settle()
+    _, elsewhere = made(key, cells, 'elsewhere')
+    loop.publish('agent a', f'{key.agent}/report', elsewhere)
+    loop.settle()
+    assert loop.ledger.standings[key].verdict is Verdict.HELD
+    # The planner ends before it publishes the loss.
+    loop.act(Action.GIVE_UP, key)
+    loop.recorder_hears('operator', loop.kept['planner', 'operator'][-1])
+    loop.crash('planner')
+    loop.settle()
+    assert loop.ledger.standings[key].verdict is Verdict.LOSS
+    check(loop)
 
 
 # Faults of one of the nodes, each of which breaks a law.
