@@ -26,7 +26,7 @@ MAX_PENDING, LEFT_PENDING = 50_000_000, 45_000_000
 REPORT, READING = 1000, 100
 
 # Maximum number of statuses kept until their paths arrive, and of different reports of a
-# deployment.
+# deployment: of those that are refused, of valid ones and of the operator's each.
 MAX_STATUSES = 1000
 MAX_REPORTS = 20
 
@@ -229,6 +229,11 @@ class HeardReport(NamedTuple):
         """Return whether the operator gave up the robot."""
         return self.report.settled is not None
 
+    @property
+    def kind(self) -> tuple[bool, bool]:
+        """Return whether the report is refused, and whether it is the operator's."""
+        return self.refusal is not None, self.is_settled
+
 
 class MissionRecord:
     """
@@ -411,14 +416,17 @@ class MissionRecord:
         if known is not None and name <= (known.report.stamp, known.report.content):
             self.duplicates += 1
             return None
-        if known is None and len(reports) >= MAX_REPORTS:
+        heard = self._read(key, report)
+        # Refused reports leave room for a return and for the operator's decision.
+        alike = sum(each.kind == heard.kind for each in reports.values())
+        if known is None and alike >= MAX_REPORTS:
             raise ValueError(
-                f'report of deployment {key}: {MAX_REPORTS} different reports were heard, and no '
-                'further one is kept'
+                f'report of deployment {key}: {MAX_REPORTS} different reports of its kind were '
+                'heard, and no further one is kept'
             )
         # The key has to be the newest of equal reports, too.
         reports.pop(report, None)
-        reports[report] = heard = self._read(key, report)
+        reports[report] = heard
         return heard
 
     def _read(self, key: DeploymentKey, report: Report) -> HeardReport:

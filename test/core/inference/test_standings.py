@@ -242,10 +242,15 @@ def test_changes_count_evidence_and_events_count_standings():
     assert (ledger.events, ledger.changes, ledger.take_changed()) == (2, 1, [])
 
 
-def test_different_reports_of_a_deployment_are_bounded():
+def test_refused_reports_are_bounded_and_leave_room_for_what_counts():
     ledger = judged([(A, PATH)], 'uncertain')
-    for number in range(19):
-        tell(ledger, (A, Report(True, ((number, 1),), content=number + 1)))
-    assert ledger.record_report(A, REPORTS['back'])
-    with pytest.raises(ValueError, match='20 different reports were heard'):
+    for number in range(100, 120):
+        tell(ledger, (A, Report(True, ((number, 1),), content=number)))
+    assert ledger.standings[A].verdict is Verdict.HELD
+    with pytest.raises(ValueError, match='20 different reports of its kind were heard'):
         ledger.record_report(A, REPORTS['jump'])
+    settled = tuple(each.content for each in ledger.heard[A])
+    assert ledger.record_report(A, Report(False, settled=settled, content=700))
+    assert ledger.standings[A].verdict is Verdict.LOSS
+    assert ledger.record_report(A, REPORTS['back'])
+    assert ledger.standings[A].verdict is Verdict.RETURN
