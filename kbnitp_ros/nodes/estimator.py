@@ -9,7 +9,7 @@ from kbnitp_msgs.msg import AgentStatus, BeliefMaps, DeploymentReport, MissionSt
 from kbnitp_msgs.msg import Standings as StandingsMessage
 from kbnitp_ros.configuration import agent_names, make_estimator
 from kbnitp_ros.configuration.agents import own_robot_types
-from kbnitp_ros.configuration.checks import density_note, failure_note
+from kbnitp_ros.configuration.checks import density_note, failure_note, ignored_note
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.configuration.mission import checked_goal, settled_goal
 from kbnitp_ros.configuration.table import MAX_AGENTS
@@ -76,9 +76,11 @@ class EstimatorNode(FieldNode):
         self.get_logger().info(failure_note(self.values))
         if estimator.parameters:
             self.get_logger().info(
-                f'learning {", ".join(estimator.parameters)}, whatever value is given for them '
-                '(parameter learn.numbers; [] takes the given values as known)'
+                f'learning {", ".join(estimator.parameters)} (parameter learn.numbers; [] takes '
+                'the given values as known)'
             )
+        if ignored := ignored_note(self.values, estimator.parameters):
+            self.get_logger().warning(ignored)
         # The mission of the paths in the ledger; None without paths.
         self._mission: int | None = None
         # Start of this estimator, later than those of all earlier ones on record, nanoseconds.

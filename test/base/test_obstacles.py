@@ -16,6 +16,7 @@ from kbnitp_ros.configuration.checks import (
     check_robots,
     cut_off_note,
     failure_note,
+    ignored_note,
     reach_note,
 )
 from kbnitp_ros.core import Belief, Estimator, Grid, Ledger, Report, SensorModel, Unknowns
@@ -440,3 +441,20 @@ def test_the_mission_of_a_belief_with_deployments_is_that_of_an_earlier_prior():
     # A restarted estimator states a later mission before it receives the paths.
     tracker.accept_belief(replace(prior, mission=7))
     tracker.check_belief(belief, authors=2)
+
+
+@for_each('given, learnt, words', [
+    ({}, ['lethality', 'hazard_density', 'target_background', 'reach'], []),
+    ({'defaults': 'field'}, ['malfunction'], []),
+    ({'sensor.lethality': 0.8}, [], []),
+    (
+        {'sensor.lethality': 0.8, 'prior.hazard': 0.2},
+        ['lethality', 'hazard_density', 'malfunction'],
+        ['sensor.lethality is 0.8 and prior.hazard is 0.2, and not used', 'learn.lethality and'],
+    ),
+    ({'sensor.reach': 0.1}, ['reach'], ['sensor.reach is 0.1', 'set learn.reach to a prior']),
+])  # fmt: skip
+def test_given_values_that_are_learnt_are_named(given, learnt, words):
+    note = ignored_note(with_defaults('estimator', given), learnt)
+    assert bool(note) == bool(words)
+    assert all(each in note for each in words)
