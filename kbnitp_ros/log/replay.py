@@ -169,7 +169,11 @@ class Fold:
             if not take(logged):
                 return
             self._is_forced &= len(self._queue) > MAX_WAITING
-            self._queue = deque(each for each in self._queue if each[1] is not logged)
+            self._remove(logged)
+
+    def _remove(self, taken: LoggedMessage) -> None:
+        """Remove a message from the queue."""
+        self._queue = deque(each for each in self._queue if each[1] is not taken)
 
     def _finding(self, logged: LoggedMessage, belief: str = '') -> Callable[..., BeliefFinding]:
         return partial(BeliefFinding, logged.topic, logged.index, belief)
@@ -224,10 +228,10 @@ class Fold:
 
     def _take_waiting(self, evidence: tuple[int, int]) -> bool:
         """Take a belief that was received after later standings; return False to wait for it."""
-        for place, (role, logged) in enumerate(self._queue):
+        for role, logged in self._queue:
             if role.name == 'belief' and logged.said.evidence == evidence:
                 if self._take_belief(logged):
-                    del self._queue[place]
+                    self._remove(logged)
                     return True
                 return self._is_forced
         # Otherwise it may be missing.
@@ -322,7 +326,7 @@ class Fold:
         if not said.deployments and not said.changes:
             return self._take_prior(logged, digest)
         if said.evidence > self._evidence and not self._is_forced:
-            return self._take_later_standings(said.evidence)
+            return self._take_later_standings(logged, said.evidence)
         if said.epoch == self._evidence[0] != self._epoch:
             self._begin_like_before(said.epoch)
         if said.epoch != self._epoch or self._ledger is None:
@@ -336,24 +340,24 @@ class Fold:
         self._compare(logged, self._ledger)
         return True
 
-    def _take_later_standings(self, evidence: tuple[int, int]) -> bool:
+    def _take_later_standings(self, belief: LoggedMessage, evidence: tuple[int, int]) -> bool:
         """Take the standings of a belief that was received before them; return whether it may."""
-        for place, (role, logged) in enumerate(self._queue):
+        for role, logged in self._queue:
             if role.name == 'standings':
                 if (logged.said.epoch, logged.said.changes) <= evidence:
                     if self._take_standings(logged):
-                        del self._queue[place]
-                        return self._evidence > evidence or self._retry()
+                        self._remove(logged)
+                        return self._evidence > evidence or self._retry(belief)
                     return False
                 # The standings in between are missing.
                 self._is_forced = True
-                return self._retry()
+                return self._retry(belief)
         return False
 
-    def _retry(self) -> bool:
-        """Take the first of the queue again."""
-        _, logged = self._queue[0]
-        return self._take_belief(logged)
+    def _retry(self, belief: LoggedMessage) -> bool:
+        """Take a belief, unless it was taken with the standings before it."""
+        is_taken = all(each is not belief for _, each in self._queue)
+        return is_taken or self._take_belief(belief)
 
     def _take_prior(self, logged: LoggedMessage, digest: bytes) -> bool:
         """Compare the prior of an estimator; return False if its standings have to come first."""
@@ -365,7 +369,7 @@ class Fold:
             # Its first standings are received after it.
             if not any(role.name == 'standings' for role, _ in self._queue):
                 return False
-            return self._take_later_standings((said.epoch, 2**32))
+            return self._take_later_standings(logged, (said.epoch, 2**32))
         if said.epoch > self._epoch:
             self._begin(said, said.epoch)
         self._seen.add(digest)

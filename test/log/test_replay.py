@@ -720,3 +720,15 @@ def test_a_type_with_another_field_is_refused(
     another = 'mission.mcap (has messages of another version of their|was recorded by another)'
     with pytest.raises(LogError, match=another):
         read(path)
+
+
+def test_messages_that_are_recorded_twice_do_not_stop_a_replay(tmp_path):
+    sent = mission(4).sent
+    rng = np.random.default_rng(1)
+    for number in range(20):
+        doubled = [*sent]
+        for place in rng.integers(len(sent), size=20):
+            doubled.insert(rng.integers(len(doubled)), sent[place])
+        timed = [replace(each, time=START + place) for place, each in enumerate(doubled)]
+        report = replay(record(tmp_path / f'{number}.mcap', timed))
+        assert report.compared['/belief'] + len(report.not_compared) >= 5
