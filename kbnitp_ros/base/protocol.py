@@ -143,7 +143,8 @@ class PlannerState:
         if unreported and not base.values['rolling']:
             return Obstacle.UNREPORTED
         if awaits_estimator:
-            if base.unjudged:
+            # After `end_mission` a loss does not wait for the departure of its robot.
+            if not all(base.operator.is_ended and base.is_at_base(key) for key in base.unjudged):
                 return Obstacle.UNJUDGED
             if self.newest != base.evidence:
                 return Obstacle.BELIEF_BEHIND

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Held deployments are neither evidence nor losses, and robots that never moved do not count."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 from kbnitp_ros.base.obstacles import describe_obstacle
@@ -157,6 +158,10 @@ def test_a_loss_before_its_departure_waits_for_it_or_for_the_operator():
     assert now.ends_by(now.obstacle) is Helper.OPERATOR
     assert not now.is_plain(now.obstacle)
     assert '/a/scout_1/status, or the operator gives it up' in describe_obstacle(now, now.obstacle)
+    # An ended mission does not wait for it.
+    ended = deepcopy(base)
+    ended.state.take_action(OperatorAction(1, Action.END, 1))
+    assert ended.now().obstacle is Obstacle.ALL_DEPLOYED
     base.tell(key(1), Report(False, settled=base.state.heard_hashes(key(1)), content=9))
     assert base.state.standings[key(1)].verdict is Verdict.LOSS
     assert base.now().obstacle is Obstacle.NONE
