@@ -14,8 +14,9 @@ from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.core import ORDINARY
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
-from kbnitp_ros.messages.standings import read_standings, Standings
-from kbnitp_ros.messages.topics import BELIEF, STANDINGS
+from kbnitp_ros.messages.standings import read_standings
+from kbnitp_ros.messages.topics import BELIEF
+from kbnitp_ros.nodes.presence import check_author
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from rclpy.subscription import Subscription
@@ -76,7 +77,10 @@ class NewestBelief:
         why: str | None = None
         try:
             said = read_standings(message)
-            self._check_author(said)
+            epoch = self._state.evidence.epoch
+            check_author(self._node, said, epoch, self._rules)
+            if said.epoch >= epoch:
+                self._rules = said.rules
             if self._state.follow(said):
                 self._node.diagnostics.accepted += 1
         except MissingError:
@@ -94,23 +98,6 @@ class NewestBelief:
         self.why_unfollowed = why
         self._match()
         self._act()
-
-    def _check_author(self, said: Standings) -> None:
-        """Check that no second estimator takes over while the graph lists the first one."""
-        named = self._node.named_authors('standings', STANDINGS)
-        if named and said.author not in named:
-            raise ValueError(
-                f'author is {said.author}, and only {", ".join(sorted({*named}))} publishes '
-                'standings'
-            )
-        own = self._state.evidence.epoch
-        is_other = len({*named}) > 1 or (len(named) > 1 and said.rules != self._rules)
-        if own and said.epoch > own and is_other:
-            raise ValueError(
-                f'{len(named)} estimators publish standings, nodes {", ".join(named)}: the first '
-                'one counts; stop all but one'
-            )
-        self._rules = said.rules
 
     def _on_belief(self, message: BeliefMaps) -> None:
         try:

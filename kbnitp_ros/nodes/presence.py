@@ -15,8 +15,9 @@ from kbnitp_ros.base.protocol import VERSION
 from kbnitp_ros.core import Grid
 from kbnitp_ros.log.schema import describe
 from kbnitp_ros.messages.headers import content_hash, from_stamp, to_stamp
+from kbnitp_ros.messages.standings import Standings
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
-from kbnitp_ros.messages.topics import BELIEF, BOOL, PATH, REPORT, STATUS
+from kbnitp_ros.messages.topics import BELIEF, BOOL, PATH, REPORT, STANDINGS, STATUS
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
@@ -104,6 +105,23 @@ class Repeated:
                 f'another node contradicts this one, which repeats its message: nodes '
                 f'{", ".join(others)} publish it; stop all but one',
             )
+
+
+def check_author(node: MissionNode, said: Standings, epoch: int, rules: int) -> None:
+    """Check that no second estimator takes over while the graph lists the first one."""
+    named = node.named_authors('standings', STANDINGS)
+    if named and said.author not in named:
+        raise ValueError(
+            f'author is {said.author}, and only {", ".join(sorted({*named}))} publishes standings'
+        )
+    # The graph counts a node a moment before it names it.
+    count = node.count_authors('standings', STANDINGS)
+    is_other = len({*named}) > 1 or (count > 1 and said.rules != rules)
+    if epoch and said.epoch > epoch and is_other:
+        nodes = f', nodes {", ".join(named)}' if named else ''
+        raise ValueError(
+            f'{count} estimators publish standings{nodes}: the first one counts; stop all but one'
+        )
 
 
 class Recorders:

@@ -34,7 +34,7 @@ from kbnitp_ros.messages.headers import (
     to_stamp,
 )
 from kbnitp_ros.messages.topics import BELIEF
-from kbnitp_ros.nodes.presence import LOG, OPERATORS, Recorders
+from kbnitp_ros.nodes.presence import check_author, LOG, OPERATORS, Recorders
 from kbnitp_ros.nodes.recorded_topics import (
     message_class,
     ParameterWatch,
@@ -122,6 +122,8 @@ class RecorderNode(MissionNode):
         self._ordered: set[DeploymentKey] = set()
         # Whether a message that was just written is awaited.
         self._is_awaited = False
+        # Epoch and rules of the estimator whose standings are recorded.
+        self._estimator = 0, 0
         # Hash of the first departure of each deployment.
         self._departed: dict[DeploymentKey, int] = {}
         # By agent ('' for the operator) and role: publishers of acknowledgements; and messages on
@@ -137,8 +139,11 @@ class RecorderNode(MissionNode):
         self._differing: dict[str, str] = {}
         if recorded is not None:
             self._tracker.mission = read_mission(recorded)
-            for role, logged in recorded.read(*ACTED_ON):
-                self._restore(role, logged)
+            for role, logged in recorded.read(*ACTED_ON, 'standings'):
+                if role.name == 'standings':
+                    self._estimator = logged.said.epoch, logged.said.rules
+                else:
+                    self._restore(role, logged)
         self._configuration: dict[str, Mapping[str, Any]] = {}
         self._namespace = self.get_namespace().rstrip('/') + '/'
         self._topics: dict[str, RecordedTopic] = {}
@@ -396,6 +401,10 @@ class RecorderNode(MissionNode):
         message = deserialize_message(data, message_class(topic.type_name))
         check_texts(message)
         said = read_content(role, message)
+        if role.name == 'standings':
+            epoch, rules = self._estimator
+            check_author(self, said, epoch, rules)
+            self._estimator = max(epoch, said.epoch), said.rules
         if role.name in REPEATED:
             return not self._is_repeated(topic, message)
         if role.name == 'status':

@@ -5,7 +5,9 @@ from base import Base, GRID
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from kbnitp_msgs.msg import AgentState, Decision, MissionStatus, Standings
 from kbnitp_ros.core import Grid, Observation
+from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.states import Readiness, state_message
 from kbnitp_ros.nodes.runtime import qos
 from samples import changed
@@ -45,6 +47,17 @@ def test_a_second_estimator_does_not_decide(field):
     base.come_back()
     base.until_sent(2)
     assert base.told[-1].state == MissionStatus.RUNNING
+    # Nor is it on record: a resumed planner follows the first one.
+    field.until(lambda: words in field.said('/recorder'), words)
+    assert {logged.said.epoch for _, logged in MissionLog(base.log).read('standings')} == {
+        from_stamp(first)
+    }
+    field.kill('/estimator')
+    field.kill('/planner')
+    awaited = {'await_nodes': ['recorder', 'estimator']}
+    field.start('planner', {**base.parameters, **awaited, 'resume': str(base.log)})
+    base.come_back()
+    base.until_state('done: 2 of 3 robots deployed: the goal lane is reached')
 
 
 def test_a_forged_decision_does_not_end_a_mission(field):
