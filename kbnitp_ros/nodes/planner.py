@@ -289,7 +289,7 @@ class PlannerNode(FieldNode):
             ends_by=now.ends_by(obstacle),
             hold=self._operator.is_held,
             ordered=state.robots_left,
-            out=len(state.in_flight) - len(state.undeparted),
+            out=len(state.in_flight.keys() - {*state.undeparted, *state.held}),
             lost=state.lost,
             held=len(state.held),
             confidence=self.values['stop.confidence'],

@@ -321,6 +321,7 @@ def test_a_loss_that_the_model_rules_out_is_held_and_can_be_given_up(field):
     base.until_state('the outcome is impossible under this belief and sensor model: allow')
     field.until(lambda: told[-1].held == 1, 'held deployment')
     assert told[-1].ends_by == MissionStatus.OPERATOR
+    assert told[-1].out == 0
     assert 'impossible' in told[-1].reason
     answer = base.do('give_up', agent='scout_1')
     assert 'it counts as lost from now on' in answer
