@@ -40,10 +40,10 @@ SILENT = 3.0
 MAX_PATH = 4096
 MAX_RECORDERS = 10
 
-# Minimum seconds between two publications that correct another node's message; maximum number of
-# own messages that are told from those of others; and maximum seconds to wait until the graph
-# names the author of a message.
-MIN_PAUSE = 0.1
+# First and longest pause before another node's message is corrected, seconds: two estimators would
+# correct each other for ever. Maximum number of own messages that are told from those of others,
+# and maximum seconds to wait until the graph names the author of a message.
+MIN_PAUSE, MAX_PAUSE = 0.1, 1.0
 MAX_OWN = 100
 MAX_UNNAMED = 30.0
 
@@ -62,6 +62,7 @@ class Repeated:
         self._own: OrderedDict[int, None] = OrderedDict()
         self._said_at = self._contradicted_at = -inf
         self._is_contradicted = False
+        self._pause = MIN_PAUSE
         kind_of = f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
         self._type_name = kind_of
         self._is_stamped = hasattr(kind(), 'header')
@@ -70,6 +71,10 @@ class Repeated:
 
     def publish(self, message: Any) -> None:
         """Publish a message, which counts from now on."""
+        self._pause = MIN_PAUSE
+        self._send(message)
+
+    def _send(self, message: Any) -> None:
         self._last, self._is_contradicted = message, False
         content = content_hash(message)
         self._own.pop(content, None)
@@ -92,8 +97,9 @@ class Repeated:
     def _correct(self) -> None:
         """Repeat the last message if it was contradicted; refuse the other author once named."""
         now = time.monotonic()
-        if self._is_contradicted and now > self._said_at + MIN_PAUSE:
-            self.publish(self._last)
+        if self._is_contradicted and now > self._said_at + self._pause:
+            self._pause = min(2.0 * self._pause, MAX_PAUSE)
+            self._send(self._last)
         if now > self._contradicted_at + MAX_UNNAMED:
             return
         others = self._node.named_authors(self.publisher.topic_name, self._type_name)
