@@ -10,6 +10,7 @@ from kbnitp_ros.core.decision.rounds import Stop
 # The field: what is, and what is known of it.
 from kbnitp_ros.core.field.belief import Belief, brier_score, log_loss
 from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
@@ -57,6 +58,7 @@ __all__ = [
     'Dynamics',
     'Estimator',
     'Execution',
+    'Finding',
     'Goal',
     'Grid',
     'HazardDraws',

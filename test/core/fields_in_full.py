@@ -2,7 +2,8 @@
 """
 Fields whose hazards reach, are duds or whose targets change, by all states of all cells.
 
-Nothing here uses the code under test: sensor models and dynamics are read for their numbers only.
+Nothing here uses the code under test: sensor models, dynamics and findings are read for their
+numbers only.
 A state of a cell is a pair of its hazard (0 none, 1 live, 2 dud) and its target.
 """
 
@@ -43,6 +44,26 @@ def step_survival(model, states, cell, around):
     return survives
 
 
+def found(weight, states, finding):
+    """Return the weights of all states given a finding, or after the change that it tells of."""
+    for cell in finding.cells.tolist():
+        for part, told in enumerate((finding.hazard, finding.target)):
+            if told is None:
+                continue
+            there = states[:, cell, part]
+            if not finding.changed:
+                weight = weight * np.where((there > 0) == told, 1.0, 1.0 - finding.confidence)
+                continue
+            # With the confidence the state is the one that is told, whatever it was.
+            kinds = states[:, :, part].max() + 1
+            matrix = (1.0 - finding.confidence) * np.eye(kinds)
+            matrix[:, int(told)] += finding.confidence
+            where = np.arange(states.shape[1]) == cell
+            weight = changed(weight, where.size, states[:, :, 0].max() + 1, part, matrix, where)
+        weight = weight * np.where(states[:, cell, 0] == 1, 1.0 - finding.walked, 1.0)
+    return weight
+
+
 def likelihood(model, states, outcome, around):
     """Return the probability of an outcome in each state."""
     cells = outcome.path[1:].tolist()
@@ -66,23 +87,27 @@ def likelihood(model, states, outcome, around):
 
 def posterior(joint, model, outcomes, targets=None, hazards=None, duds=0.0, around=None):
     """
-    Return the joints of all cells, (cells, kinds, 2), and the probability of all outcomes.
+    Return the joints of all cells, (cells, kinds, 2), and the probability of all evidence.
 
-    After each outcome cells are taken as independent, as one-pass methods do; without losses they
-    are.
+    Outcomes may have findings between them. After each outcome cells are taken as independent, as
+    one-pass methods do; without losses they are.
     """
     kinds, around = 3 if duds else 2, around or [()] * len(joint)
     may_have = joint[:, 1].sum(axis=1) > 0, joint[:, :, 1].sum(axis=1) > 0
     states, chance = enumerate_states(len(joint), kinds), 1.0
     if duds:
         joint = np.stack([joint[:, 0], joint[:, 1] * (1 - duds), joint[:, 1] * duds], axis=1)
-    for number, outcome in enumerate(outcomes):
-        weight = independent_weights(joint, states)
-        if number and hazards is not None and hazards.kind == 'changing':
+    number = 0
+    for outcome in outcomes:
+        weight, is_finding = independent_weights(joint, states), hasattr(outcome, 'walked')
+        if is_finding:
+            weight = found(weight, states, outcome)
+        elif number and hazards is not None and hazards.kind == 'changing':
             weight = changed(weight, len(joint), kinds, 0, rates(hazards), may_have[0])
-        if number and targets is not None:
+        if number and targets is not None and not is_finding:
             weight = changed(weight, len(joint), kinds, 1, rates(targets), may_have[1])
-        weight = weight * likelihood(model, states, outcome, around)
+        if not is_finding:
+            number, weight = number + 1, weight * likelihood(model, states, outcome, around)
         joint, total = np.empty_like(joint), weight.sum()
         if total == 0.0:
             return joint, 0.0

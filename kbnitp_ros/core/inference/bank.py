@@ -16,6 +16,7 @@ from typing import NamedTuple, overload, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import shallow_copy
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import (
@@ -42,6 +43,7 @@ from kbnitp_ros.core.inference.filter import (
     RATES,
     ratio,
     safe_log,
+    take_finding,
 )
 from kbnitp_ros.core.inference.prior_maps import (
     expit,
@@ -166,9 +168,10 @@ class Filters:
         self._around = belief.neighbors_in_reach() if reaches else None
         # Log probability of all outcomes so far.
         self.log_evidence = 0.0
-        self._evidence = Series[Evidence]()
+        # Evidence in order, and the number of deployments in it.
+        self._evidence, self._deployments = Series[Evidence | Finding](), 0
         enough, least = FEW if len(priors) < 4 else MANY
-        of_each = 32 * belief.cells * COPIES
+        of_each = (48 if self.has_duds else 32) * belief.cells * COPIES
         if priors and count is None and least * of_each > MAX_MEMORY:
             raise ValueError(
                 f'learning numbers on {belief.cells} cells takes about '
@@ -185,17 +188,18 @@ class Filters:
         self._log_likelihood: Floats = np.zeros(self._count)
         self._log_weights: Floats = np.zeros(self._count)
 
-    def take(self, evidence: Evidence, is_predicted: bool = False) -> Floats:
-        """Weight the particles by a deployment, and resample if need be; return predictions."""
-        if self._around is not None:
+    def take(self, evidence: Evidence | Finding, is_predicted: bool = False) -> Floats:
+        """Weight the particles by evidence, and resample if need be; return predictions."""
+        is_finding = isinstance(evidence, Finding)
+        if self._around is not None and not isinstance(evidence, Finding):
             evidence = evidence.with_reach(self._around)
-        deployment = [evidence], len(self._evidence), is_predicted, self._updated
-        joints, log_chances = self._fold(self._joints, self.numbers, *deployment)
+        latest = [evidence], self._deployments, is_predicted, self._updated
+        joints, log_chances = self._fold(self._joints, self.numbers, *latest)
         predicted = log_chances[:, 0]
         if self.names:
             rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
             if (self._log_weights + log_chances[0]).max() == -np.inf:
-                joints, log_chances = self._drawn_anew(deployment, rng)
+                joints, log_chances = self._drawn_anew(latest, rng)
             log_weights = self._log_weights
             predicted = log_sum(log_weights - log_sum(log_weights) + log_chances)
         if predicted[0] == -np.inf:
@@ -204,7 +208,8 @@ class Filters:
         self._evidence, self._joints = self._evidence.plus(evidence), joints
         self._log_likelihood = self._log_likelihood + log_chances[0]
         self._updated = self._updated.copy()
-        self._updated[evidence.visits.cells] = len(self._evidence) - 1
+        self._deployments += not is_finding
+        self._updated[evidence.cells] = self._last
         if self.names:
             self._log_weights = self._log_weights + log_chances[0]
             self.__dict__.pop('weights', None)
@@ -215,7 +220,7 @@ class Filters:
 
     def _drawn_anew(
         self,
-        deployment: tuple[list[Evidence], int, bool, NDArray[np.intp]],
+        latest: tuple[list[Evidence | Finding], int, bool, NDArray[np.intp]],
         rng: np.random.Generator,
     ) -> tuple[Floats, Floats]:
         """Draw more particles from the prior, since none allows the evidence; fold it again."""
@@ -224,7 +229,12 @@ class Filters:
             self._first_joints(self.numbers), self.numbers, self._evidence
         )
         self._log_weights = self._log_likelihood
-        return self._fold(before, self.numbers, *deployment)
+        return self._fold(before, self.numbers, *latest)
+
+    @property
+    def _last(self) -> int:
+        """Return the number of the last deployment; 0 also before the first."""
+        return max(self._deployments - 1, 0)
 
     @cached_property
     def weights(self) -> Floats:
@@ -238,25 +248,19 @@ class Filters:
         joint = self._live_joint()
         if not self.has_duds:
             return joint, None
-        duds: Floats = (self._joints[:, 0] * self._dud_shares()) @ self.weights
+        duds: Floats = (self._joints[:, 0] * self._joints[:, 2]) @ self.weights
         joint = joint.copy()
         joint[:, 0] = (joint[:, 0] - duds).clip(min=0.0)
         joint[:, 1] += duds
         return joint, duds
 
-    def _dud_shares(self) -> Floats:
-        """Return P(dud | no live hazard, X) by particle, (cells, 2, particles) (:eq:`duds`)."""
-        live = self._first_joints(self.numbers)
-        whole = self._whole_joints(self.numbers)
-        return ratio(live[:, 0] - whole[:, 0], live[:, 0])
-
     def _live_joint(self) -> Floats:
         """Return the weighted mean of the joints of live hazards at the last deployment."""
-        joints = self._joints
+        joints = self._joints[:, :2]
         if self._may_change.any() and self._evidence:
             joints = joints.copy()
             now = np.flatnonzero(self._may_change)
-            ticks = len(self._evidence) - 1 - self._updated[now]
+            ticks = self._last - self._updated[now]
             for group in self._groups_of_particles(self.numbers):
                 if group.rates is not None:
                     some = joints[..., group.particles]
@@ -292,7 +296,7 @@ class Filters:
         # Rounding may give a certain hazard a probability above 1.
         hazard: Floats = self._joints[:, 1].sum(axis=1)
         if self.has_duds:
-            hazard = hazard + (self._joints[:, 0] * self._dud_shares()).sum(axis=1)
+            hazard = hazard + (self._joints[:, 0] * self._joints[:, 2]).sum(axis=1)
         return hazard.clip(max=1.0).T
 
     def live(self) -> Floats:
@@ -327,7 +331,10 @@ class Filters:
         other._prior, other._known = belief, model
         other._maps = prior_maps(belief, model, self.names)
         other._groups = self.numbers, other._grouped(self.numbers)
-        evidence = [each.with_type(own(each.robot_type)) for each in self._evidence]
+        evidence = [
+            each if isinstance(each, Finding) else each.with_type(own(each.robot_type))
+            for each in self._evidence
+        ]
         other._joints, (log_likelihood, *_) = other._fold(
             other._first_joints(self.numbers), self.numbers, evidence
         )
@@ -341,13 +348,20 @@ class Filters:
         return other
 
     def _first_joints(self, numbers: Floats) -> Floats:
-        """Return the prior of each particle on live hazards, shape (cells, 2, 2, particles)."""
+        """
+        Return the prior of each particle on live hazards, shape (cells, 2, 2, particles).
+
+        If some may be duds, of shape (cells, 3, 2, particles) with P(dud | no live hazard, X) in
+        the third row (:eq:`duds`), which only findings change.
+        """
         joints = self._whole_joints(numbers)
         if self.has_duds:
             duds = dict(zip(self.names, numbers.T)).get('duds', self._known.duds)
             never = joints[:, 1] * duds
             joints[:, 0] += never
             joints[:, 1] -= never
+            share = ratio(never, joints[:, 0])
+            joints = np.concatenate([joints, share[:, None]], axis=1)
         return joints
 
     def _whole_joints(self, numbers: Floats) -> Floats:
@@ -367,23 +381,23 @@ class Filters:
         self,
         joints: Floats,
         numbers: Floats,
-        deployments: Sequence[Evidence],
+        events: Sequence[Evidence | Finding],
         start: int = 0,
         is_predicted: bool = False,
         updated: NDArray[np.intp] | None = None,
     ) -> tuple[Floats, Floats]:
-        """Fold deployments into joints; return joints, and logs of chances and predictions."""
+        """Fold evidence into joints; return joints, and logs of chances and predictions."""
         groups = self._groups_of_particles(numbers)
         joints, log_chances = np.array(joints), np.zeros((1, len(numbers)))
-        cells, pair = np.arange(len(joints)), np.arange(2)
-        if self._dynamics.effect in ('static', 'used_up') and deployments:
+        cells, rows, pair = np.arange(len(joints)), np.arange(joints.shape[1]), np.arange(2)
+        if self._dynamics.effect in ('static', 'used_up') and events:
             # Others keep their joints; copies of large fields take time.
-            seen = [each.in_reach or each for each in deployments]
-            cells = np.unique(np.concatenate([each.visits.cells for each in seen]))
-        rest = cells, deployments, start, is_predicted, updated
+            seen = [getattr(each, 'in_reach', None) or each for each in events]
+            cells = np.unique(np.concatenate([each.cells for each in seen]))
+        rest = cells, events, start, is_predicted, updated
         for group in groups:
             some = group.particles
-            where = np.ix_(cells, pair, pair, some) if len(groups) > 1 else cells
+            where = np.ix_(cells, rows, pair, some) if len(groups) > 1 else cells
             own = numbers[some] if len(groups) > 1 else numbers
             joints[where], of_group = self._fold_group(joints[where], own, group, *rest)
             if len(of_group) > len(log_chances):
@@ -397,38 +411,62 @@ class Filters:
         numbers: Floats,
         group: ParticleGroup,
         known: NDArray[np.intp],
-        deployments: Sequence[Evidence],
-        start: int,
+        events: Sequence[Evidence | Finding],
+        number: int,
         is_predicted: bool,
         updated: NDArray[np.intp] | None,
     ) -> tuple[Floats, Floats]:
-        """Fold deployments into the joints of a group of particles, of the cells `known`."""
+        """Fold evidence after `number` deployments into joints of the cells `known`."""
         log_chances: Floats = np.zeros((1, len(numbers)))
         updated = np.zeros(self._prior.cells, np.intp) if updated is None else updated.copy()
-        for number, evidence in enumerate(deployments, start):
-            if number:
-                joints = group.change(joints)
+        # Outcomes change joints of live hazards, and findings the shares of duds as well.
+        live, share = joints[:, :2], joints[:, 2:]
+        for event in events:
+            # A finding takes no time: it is of the field at the last deployment.
+            is_finding = isinstance(event, Finding)
+            now = max(number - 1, 0) if is_finding else number
+            if number and not is_finding:
+                live = group.change(live)
             if group.rates is not None:
-                entered = evidence.visits.cells
-                changed = entered[self._may_change[entered]]
-                ticks, place = number - updated[changed], known.searchsorted(changed)
-                joints[place] = targets_after(joints[place], ticks, *group.rates)
-                updated[changed] = number
-            seen = evidence
-            if group.reaches:
-                assert evidence.in_reach is not None
-                seen = evidence.in_reach
-            robot_type, cells = seen.robot_type, known.searchsorted(seen.visits.cells)
-            if robot_type not in group.effects:
-                group.effects[robot_type] = self._step_effects(robot_type, numbers)
-            joint, effects = joints[cells], group.effects[robot_type]
-            how = self._on_loss if seen.is_lost else condition
-            joints[cells], log_chance = how(joint, seen, effects)
-            if is_predicted:
-                foreseen = predict_outcome(joint, seen, effects)
-                log_chance = np.concatenate([log_chance[None], foreseen])
+                changed = event.cells[self._may_change[event.cells]]
+                ticks, place = now - updated[changed], known.searchsorted(changed)
+                live[place] = targets_after(live[place], ticks, *group.rates)
+                updated[changed] = now
+            if isinstance(event, Finding):
+                place = known.searchsorted(event.cells)
+                states = np.concatenate([live[place], share[place]], axis=1)
+                states, log_chance = take_finding(states, event)
+                live[place], share[place] = states[:, :2], states[:, 2:]
+            else:
+                log_chance = self._take_outcome(live, numbers, group, known, event, is_predicted)
+                number += 1
             log_chances = log_chances + log_chance
-        return joints, log_chances
+        return np.concatenate([live, share], axis=1) if self.has_duds else live, log_chances
+
+    def _take_outcome(
+        self,
+        live: Floats,
+        numbers: Floats,
+        group: ParticleGroup,
+        known: NDArray[np.intp],
+        evidence: Evidence,
+        is_predicted: bool,
+    ) -> Floats:
+        """Condition joints of live hazards on an outcome; return its ln P, and predictions."""
+        seen = evidence
+        if group.reaches:
+            assert evidence.in_reach is not None
+            seen = evidence.in_reach
+        robot_type, cells = seen.robot_type, known.searchsorted(seen.cells)
+        if robot_type not in group.effects:
+            group.effects[robot_type] = self._step_effects(robot_type, numbers)
+        joint, effects = live[cells], group.effects[robot_type]
+        how = self._on_loss if seen.is_lost else condition
+        live[cells], log_chance = how(joint, seen, effects)
+        if not is_predicted:
+            return log_chance
+        foreseen = predict_outcome(joint, seen, effects)
+        return np.concatenate([log_chance[None], foreseen])
 
     def _groups_of_particles(self, numbers: Floats) -> list[ParticleGroup]:
         """Return the particles by what their hazards and targets do, from the cache if known."""
@@ -471,7 +509,7 @@ class Filters:
             return np.full(len(numbers), known.appear), np.full(len(numbers), known.vanish)
         if known.appear:
             return np.full(len(numbers), known.appear), vanish
-        density = self._first_joints(numbers)[self._may_change, :, 1].sum(axis=1).mean(axis=0)
+        density = self._first_joints(numbers)[self._may_change, :2, 1].sum(axis=1).mean(axis=0)
         rates: Floats = appearance(vanish, density)
         return rates, vanish
 
@@ -586,8 +624,13 @@ class Bank:
         check_cells(self._prior, observation)
         self.take(Evidence.of(observation, robot_type), not self._is_known)
 
-    def take(self, evidence: Evidence, is_predicted: bool = True) -> None:
-        """Assimilate an outcome counted by cell; several banks may share the counts."""
+    def assimilate_finding(self, finding: Finding) -> None:
+        """Weight the hypotheses by a finding, or have all of them take a change of the field."""
+        finding.check(self._prior)
+        self.take(finding)
+
+    def take(self, evidence: Evidence | Finding, is_predicted: bool = True) -> None:
+        """Assimilate a finding, or an outcome counted by cell, whose counts banks may share."""
         filters, ruled_out, predicted = dict(self._filters), set(self._ruled_out), []
         for kind, each in self._filters.items():
             if kind not in ruled_out:

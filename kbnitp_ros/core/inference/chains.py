@@ -118,7 +118,11 @@ class Chains:
         self._uniform = np.empty((CHAINS, self._drawn.size))
         self._work = np.empty((3, CHAINS, shown.size))
         self._survived, self._positive, self._negative = evidence.counts[:, :, shown] * 1.0
-        self._read = np.flatnonzero((self._positive + self._negative).any(axis=0))
+        found = evidence.found[shown]
+        self._found_hazard = (found[:, 1, 0] - found[:, 0, 0]).clip(min=-CERTAIN)
+        self._found_target = found[:, 0, 1] - found[:, 0, 0]
+        counted = (self._positive + self._negative).any(axis=0)
+        self._read = np.flatnonzero(counted | (self._found_target != 0.0))
         # The prior maps as log odds and as chances, by value, each (values, cells).
         self._log_odds = {name: each[:, shown] for name, each in hypotheses.log_odds.items()}
         self._absent = {name: expit(-each) for name, each in self._log_odds.items()}
@@ -245,7 +249,7 @@ class Chains:
 
     def _given_returns(self) -> tuple[Floats, list[tuple[Floats, Floats]]]:
         """Return hazard odds, and P(X) for each Z (:eq:`hazard-odds`, :eq:`reading-odds`)."""
-        read: Floats = np.zeros(1)
+        read = self._found_target
         for (absent, present), counts in zip(self._log_read, (self._negative, self._positive)):
             if_absent = self._of_chains('false_positive', absent)
             if_present = self._of_chains('true_positive', present)
@@ -253,7 +257,7 @@ class Chains:
         ratio = np.exp(np.clip(read, -CERTAIN_READING, CERTAIN_READING))
         spared = self._of_chains('lethality', self._log_spared)
         log_odds = self._of_map('hazard_density', self._log_odds)
-        log_odds = log_odds + over_types(spared, self._survived)
+        log_odds = log_odds + over_types(spared, self._survived) + self._found_hazard
         targets = []
         for name, sign in (('target_background', -1.0), ('kappa', 1.0)):
             absent, present = self._of_map(name, self._absent), self._of_map(name, self._present)
@@ -340,7 +344,7 @@ class Chains:
         numbers = {'kappa', 'target_background', 'true_positive', 'false_positive'}
         if not numbers & self._place.keys():
             return
-        # Draw only targets with readings, the only evidence on them (:eq:`target-conditional`).
+        # Draw only targets with readings or findings (:eq:`target-conditional`).
         read, place, bins = self._read, self._place, self._hypotheses.bins
         hazardous = self._hazardous[:, read].astype(bool)
         chance = np.where(hazardous, if_hazardous[:, read], if_safe[:, read])

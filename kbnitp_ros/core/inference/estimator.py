@@ -12,8 +12,9 @@ from types import MappingProxyType
 from typing import Any, cast, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import generator, shallow_copy, typed, whole_number
+from kbnitp_ros.core.field.check import generator, in_short, shallow_copy, typed, whole_number
 from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
@@ -64,7 +65,7 @@ from numpy.typing import NDArray
 
 class Estimator:
     """
-    A belief that assimilates one deployment after another.
+    A belief that assimilates one deployment after another, and findings between them.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ class Estimator:
             named['target_dynamics'] = target_dynamics
         make: Callable[..., Inference] = start
         self.version = start.version
-        self._evidence = Series[tuple[Observation, RobotType]]()
+        self._evidence = Series[tuple[Observation | Finding, RobotType]]()
         self._checker: Checker | None = None
         if isinstance(start, OnePass) and start.learns:
             prior = belief if start.correlated else belief.independent()
@@ -288,14 +289,19 @@ class Estimator:
         return self._inference.is_converged
 
     @typed
-    def assimilate(self, observation: Observation, robot_type: RobotType = ORDINARY) -> None:
+    def assimilate(
+        self, observation: Observation | Finding, robot_type: RobotType = ORDINARY
+    ) -> None:
         """
-        Assimilate one deployment.
+        Assimilate one deployment, or a finding.
+
+        A finding counts as no deployment, and nothing in the field changes between the last
+        deployment and it. It is applied now, whatever its `since`.
 
         Parameters
         ----------
-        observation : Observation
-            Its outcome.
+        observation : Observation or Finding
+            Outcome of the deployment, or what a person knows of cells.
         robot_type : RobotType
             Type of the robot; numbers that it sets are known, and replace the numbers of the
             estimator's model, given or learnt.
@@ -303,31 +309,65 @@ class Estimator:
         Raises
         ------
         ValueError
-            If the path leaves the belief's cells, the outcome is impossible under the belief, or
-            the method does not use `lost_at`; the belief is then unchanged.
+            If the path or a finding leaves the belief's cells, either is impossible under the
+            belief, or the method does not use `lost_at`, findings or changes; the belief is then
+            unchanged.
         PluginError
             If a method of another package breaks the rules; the belief is then unchanged.
 
         """
-        if observation.lost_at is not None:
+        if isinstance(observation, Finding):
+            self._check_finding(observation, robot_type)
+        elif observation.lost_at is not None:
             check_able(
                 self.method,
                 lambda each: getattr(each, 'takes_lost_at', False),
                 f'lost_at is given, and {entry_name(self.method)} does not use it',
             )
-        inference = self._inference.copy()
+        inference: Any = self._inference.copy()
+        if isinstance(observation, Finding):
+            assimilate = partial(inference.assimilate_finding, observation)
+        else:
+            assimilate = partial(inference.assimilate, observation, robot_type)
         if self.method in METHODS.own:
-            inference.assimilate(observation, robot_type)
+            assimilate()
         else:
             with METHODS.blamed(self.method):
-                inference.assimilate(observation, robot_type)
+                assimilate()
                 self._checked(inference)
         self._inference = inference
         self._evidence = self._evidence.plus((observation, robot_type))
 
+    def _check_finding(self, finding: Finding, robot_type: RobotType) -> None:
+        """Check that the method takes a finding."""
+        name = entry_name(self.method)
+        check_able(
+            self.method,
+            lambda each: getattr(each, 'takes_findings', False),
+            f'{name} takes no findings',
+        )
+        if finding.changed and self.clustering is not None:
+            raise ValueError(
+                'changed is True, and hazards are clustered: clustered hazards are static; give '
+                'no clustering, or a finding that is not changed'
+            )
+        if finding.changed:
+            check_able(
+                self.method,
+                lambda each: getattr(each, 'takes_changes', False),
+                f'changed is True, and {name} takes no field that people change',
+            )
+        if robot_type != ORDINARY:
+            raise ValueError(
+                f'robot_type is {in_short(robot_type)}: a finding is of no robot, leave it out'
+            )
+
     def _checked(self, inference: Inference) -> Inference:
         """Check the inference that a method returned."""
-        lacking = [name for name in (*CALLED, *KNOWN) if not hasattr(inference, name)]
+        needed = [*CALLED, *KNOWN]
+        if getattr(METHODS.find(self.method), 'takes_findings', False):
+            needed.append('assimilate_finding')
+        lacking = [name for name in needed if not hasattr(inference, name)]
         if lacking:
             raise METHODS.fault(self.method, f'has no {" and no ".join(lacking)}')
         if not isinstance(inference.belief, Belief):

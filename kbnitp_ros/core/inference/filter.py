@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Exposures, Observation, Visits
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import (
@@ -152,6 +153,11 @@ class Evidence:
         visits = Visits(found.cells, counts, found.of_step)
         wide = replace(self, visits=visits, positive=positive, negative=negative, exposures=found)
         return replace(self, in_reach=wide)
+
+    @property
+    def cells(self) -> NDArray[np.intp]:
+        """Return the cells of the path."""
+        return self.visits.cells
 
     @cached_property
     def lost_in(self) -> Floats:
@@ -320,6 +326,42 @@ def condition(joint: Floats, evidence: Evidence, effects: Effects) -> tuple[Floa
         after = np.divide(after, whole, out=joint.copy(), where=whole > 0.0)
         log_total = safe_log(total)
     return after, log_total[0] + log_scale[0] if evidence.is_lost else log_total.sum(axis=0)
+
+
+def take_finding(joint: Floats, finding: Finding) -> tuple[Floats, Floats]:
+    """
+    Return the joints of a finding's cells given it, and its ln P.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (n, 2, 2, hypotheses) or (n, 3, 2, hypotheses)
+        Joints of live hazards; the third row, if any, is P(dud | no live hazard, X).
+    finding : Finding
+        What a person knows of these cells.
+
+    Returns
+    -------
+    joint : ndarray, as `joint`
+        The joints after it, :eq:`finding` and :eq:`finding-changed`; those before it under
+        hypotheses that make it impossible.
+    log_chance : ndarray, shape (hypotheses,)
+        Log probability of the finding, :eq:`finding-evidence`; 0 if the field was changed.
+
+    """
+    states = joint
+    if joint.shape[1] > 2:
+        rest, live, share = np.moveaxis(joint, 1, 0)
+        states = np.stack([rest * (1.0 - share), live, rest * share], axis=1)
+    count = states.shape[1]
+    of_hazard, of_target = finding.of_hazard[:count, :count], finding.of_target
+    after = np.einsum('zu,xv,nuvh->nzxh', of_hazard, of_target, states)
+    total = after.sum(axis=(1, 2), keepdims=True)
+    after = np.divide(after, total, out=states.copy(), where=total > 0.0)
+    if count > 2:
+        safe, live, duds = np.moveaxis(after, 1, 0)
+        after = np.stack([safe + duds, live, ratio(duds, safe + duds)], axis=1)
+    log_chance: Floats = safe_log(total[:, 0, 0]).sum(axis=0)
+    return after, log_chance * (not finding.changed)
 
 
 def outcome_likelihood(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:

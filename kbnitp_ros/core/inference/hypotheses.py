@@ -10,11 +10,12 @@ from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Unknowns
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
-from kbnitp_ros.core.inference.filter import RATES
+from kbnitp_ros.core.inference.filter import RATES, safe_log
 from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
 import numpy as np
 from numpy.typing import NDArray
@@ -146,14 +147,17 @@ class Loss:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """Immutable evidence of all deployments (:eq:`loss-factor`)."""
+    """Immutable evidence of all deployments and findings (:eq:`loss-factor`)."""
 
     # Robot types so far, reduced to the fields of the sensor model.
     robot_types: tuple[RobotType, ...]
     # Survived steps, positive and negative readings, shape (3, types, cells).
     counts: NDArray[np.int32]
+    # Log likelihood of all findings given Z and X, shape (cells, 2, 2).
+    found: Floats
     losses: tuple[Loss, ...] = ()
-    deployments: int = 0
+    # Number of deployments and findings.
+    events: int = 0
 
     def after(self, observation: Observation, robot_type: RobotType) -> Tally:
         """Return the evidence with one more deployment, by a robot of this type."""
@@ -174,14 +178,22 @@ class Tally:
             seen, unseen = survived[readings == 1], survived[readings == 0]
         for count, steps in zip(counts[:, of_type], (survived, seen, unseen)):
             count += np.bincount(steps, minlength=count.size).astype(np.int32)
-        return Tally(robot_types, counts, losses, self.deployments + 1)
+        return Tally(robot_types, counts, self.found, losses, self.events + 1)
 
-    def visited(self) -> NDArray[np.bool_]:
-        """Return a mask of the cells that a robot was sent into, shape (cells,)."""
-        visited: NDArray[np.bool_] = (self.counts[0] > 0).any(axis=0)
+    def with_finding(self, finding: Finding) -> Tally:
+        """Return the evidence with one more finding (:eq:`finding`)."""
+        likelihoods = np.diag(finding.of_hazard)[:2], np.diag(finding.of_target)
+        found = self.found.copy()
+        found[finding.cells] += np.add.outer(*map(safe_log, likelihoods))
+        return replace(self, found=found, events=self.events + 1)
+
+    def has_evidence(self) -> NDArray[np.bool_]:
+        """Return a mask of the cells on a path or in a finding, shape (cells,)."""
+        has: NDArray[np.bool_] = (self.counts[0] > 0).any(axis=0)
+        has |= self.found.any(axis=(1, 2))
         for loss in self.losses:
-            visited[loss.steps] = True
-        return visited
+            has[loss.steps] = True
+        return has
 
     def refuse_impossible(self, hypotheses: Hypotheses) -> None:
         """Raise ValueError if no hazards and no values of unknown numbers allow the evidence."""
@@ -191,6 +203,7 @@ class Tally:
         models = [robot_type.model(common) for robot_type in self.robot_types]
         with np.errstate(divide='ignore'):
             cell = np.log(hypotheses.prior.joint)
+        cell += self.found
         for model, *of_type in zip(models, *self.counts):
             survived, positive, negative = (count[:, None] for count in of_type)
             cell += times_log(survived, model.log_survival)[:, :, None]

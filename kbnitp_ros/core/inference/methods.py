@@ -12,6 +12,7 @@ from typing import cast, Protocol
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import in_short, typed
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Dynamics, HAZARDS, Learnt, STATIC, Unknowns
@@ -127,16 +128,17 @@ METHODS = Registry(
 def update(
     belief: Belief,
     model: SensorModel,
-    observation: Observation,
+    observation: Observation | Finding,
     method: str = 'kappa_bnitp',
 ) -> Belief:
     """
-    Return the belief after one deployment; cells off the path stay the same, bit for bit.
+    Return the belief after one deployment or finding; other cells stay the same, bit for bit.
 
     If the robot returned, its cells are updated exactly (arXiv:2305.06929, eq. 6-8). If it was
     lost, P(Z) of each cell is updated with the method's likelihood of the loss, and P(X) follows
     through P(X | Z), which a loss leaves unchanged. Steps that it is known to have survived are
-    assimilated first; the likelihood of the loss covers the remaining steps.
+    assimilated first; the likelihood of the loss covers the remaining steps. A finding is exact
+    with all methods (:eq:`finding`, :eq:`finding-changed`).
 
     Parameters
     ----------
@@ -144,16 +146,16 @@ def update(
         Belief before the deployment. Methods without kappa treat hazard and target as independent.
     model : SensorModel
         Believed sensor model of the robot.
-    observation : Observation
-        Outcome of the deployment.
+    observation : Observation or Finding
+        Outcome of the deployment, or what a person knows of cells.
     method : str
         A one-pass method.
 
     Raises
     ------
     ValueError
-        If the method is unknown or not one-pass, the path leaves the belief's cells, or the
-        outcome is impossible under the belief.
+        If the method is unknown or not one-pass, the path or a finding leaves the belief's cells,
+        or the outcome or finding is impossible under the belief.
 
     """
     one_pass = {name: each for name, each in METHODS.items() if isinstance(each, OnePass)}

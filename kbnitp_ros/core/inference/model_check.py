@@ -14,6 +14,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import ANY_RATE, Beta, Dynamics, Unknowns
@@ -84,9 +85,11 @@ class Checker:
         self._ends: list[Alternatives] = []
 
     def check(
-        self, evidence: Sequence[tuple[Observation, RobotType]], predicted: Sequence[Floats] | None
+        self,
+        evidence: Sequence[tuple[Observation | Finding, RobotType]],
+        predicted: Sequence[Floats] | None,
     ) -> ModelCheck:
-        """Return the check of all evidence, given the belief's prediction of each deployment."""
+        """Return the check of all evidence, given the belief's prediction of each part of it."""
         # Studies never check, so the banks are made here.
         self._ends = self._ends or [self._prior()]
         begun = [each for each in self._ends if each.begin(evidence)]
@@ -136,7 +139,7 @@ class Alternatives:
         weights = np.array([WEIGHTS.get(name, 1) for name in (*self._alternatives, *SHIFTED)])
         self._log_weights: Floats = np.log(weights / weights.sum())
         self._log_ratios: Floats = np.zeros(weights.size)
-        self.evidence = Series[Observation]()
+        self.evidence = Series[Observation | Finding]()
         self._turned_at: int | None = None
 
     @staticmethod
@@ -168,17 +171,25 @@ class Alternatives:
             add('reach', replace(unknowns, reach=REACH), targets)
         return found
 
-    def begin(self, evidence: Sequence[tuple[Observation, RobotType]]) -> bool:
-        """Return whether evidence starts with the deployments so far."""
+    def begin(self, evidence: Sequence[tuple[Observation | Finding, RobotType]]) -> bool:
+        """Return whether evidence starts with the evidence so far."""
         return len(self.evidence) <= len(evidence) and all(
             ours is theirs for ours, (theirs, _) in zip(self.evidence, evidence)
         )
 
     def after(
-        self, observation: Observation, robot_type: RobotType, predicted: Floats | None
+        self,
+        observation: Observation | Finding,
+        robot_type: RobotType,
+        predicted: Floats | None,
     ) -> Alternatives:
-        """Return the alternatives after one more deployment, given the belief's prediction."""
-        other, evidence = copy(self), Evidence.of(observation, robot_type)
+        """Return the alternatives after more evidence, given the belief's prediction of it."""
+        other = copy(self)
+        evidence = (
+            observation
+            if isinstance(observation, Finding)
+            else Evidence.of(observation, robot_type)
+        )
         other.evidence = self.evidence.plus(observation)
         if self._own is not None:
             other._own = self._own.copy()
@@ -196,18 +207,15 @@ class Alternatives:
                 after = None
             other._alternatives[name] = after
             ratios.append(-np.inf if after is None else after.predicted[-1][0] - predicted[0])
-        log_return, *log_shifted = predicted[1:]
-        for shift in RETURN_SHIFTS:
-            gain = np.log(shift) if observation.survived else 0.0
-            ratios.append(gain - np.log1p((shift - 1.0) * np.exp(log_return)))
-        _, readings = observation.evidence
-        positive = 0 if readings is None else np.count_nonzero(readings == 1)
-        for shift, log_total in zip(READING_SHIFTS, log_shifted):
-            ratios.append(positive * np.log(shift) + log_return - log_total)
+        if isinstance(observation, Finding):
+            # Other odds of returns and readings leave findings as they are.
+            ratios += [0.0] * len(SHIFTED)
+        else:
+            ratios += shifted(observation, predicted)
         other._log_ratios = self._log_ratios + ratios
         average = log_sum(other._log_ratios + self._log_weights)
         if self._turned_at is None and average >= np.log(IN_DOUBT):
-            other._turned_at = len(other.evidence)
+            other._turned_at = sum(isinstance(each, Observation) for each in other.evidence)
         return other
 
     @property
@@ -238,3 +246,17 @@ class Alternatives:
                 f'no reason for doubt: the evidence fits no alternative better than {believed}'
             )
         return ModelCheck(self._turned_at is not None, ratios, reason)
+
+
+def shifted(observation: Observation, predicted: Floats) -> list[float]:
+    """Return the log ratio of each of `SHIFTED` for an outcome, given the belief's prediction."""
+    log_return, *log_shifted = predicted[1:].tolist()
+    ratios = []
+    for shift in RETURN_SHIFTS:
+        gain = np.log(shift) if observation.survived else 0.0
+        ratios.append(gain - np.log1p((shift - 1.0) * np.exp(log_return)))
+    _, readings = observation.evidence
+    positive = 0 if readings is None else np.count_nonzero(readings == 1)
+    for shift, log_total in zip(READING_SHIFTS, log_shifted):
+        ratios.append(positive * np.log(shift) + log_return - log_total)
+    return ratios

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Dynamics, Learnt, STATIC, Unknowns
@@ -22,6 +23,7 @@ from kbnitp_ros.core.inference.filter import (
     independent,
     known_effects,
     ratio,
+    take_finding,
 )
 from kbnitp_ros.core.inference.published import condition_published
 import numpy as np
@@ -62,6 +64,8 @@ class OnePass:
     learns: bool = False
     takes_lost_at: ClassVar[bool] = True
     changes_targets: ClassVar[bool] = True
+    takes_findings: ClassVar[bool] = True
+    takes_changes: ClassVar[bool] = True
     version: ClassVar[int] = 1
 
     def __call__(
@@ -89,12 +93,16 @@ class OnePass:
         """Return the update of a loss."""
         return condition_published if self.is_published else condition
 
-    def update(self, belief: Belief, model: SensorModel, observation: Observation) -> Belief:
+    def update(
+        self, belief: Belief, model: SensorModel, observation: Observation | Finding
+    ) -> Belief:
         """
         Return the posterior; cells off the path stay the same, bit for bit.
 
         Returns and losses branch here (arXiv:2305.06929, Algorithm 1, lines 5 and 9).
         """
+        if isinstance(observation, Finding):
+            return self._after_finding(belief, model, observation)
         check_cells(belief, observation)
         evidence = Evidence.of(observation)
         if model.reach:
@@ -120,3 +128,19 @@ class OnePass:
             raise ValueError(IMPOSSIBLE)
         joint[cells] = after[..., 0]
         return Belief.computed(joint, belief.grid)
+
+    def _after_finding(self, belief: Belief, model: SensorModel, finding: Finding) -> Belief:
+        """Return the posterior; cells that the finding does not name stay, bit for bit."""
+        finding.check(belief)
+        live = belief.live(model.duds)
+        share = ratio(live.joint[:, 0] - belief.joint[:, 0], live.joint[:, 0])
+        states = np.concatenate([live.joint, share[:, None]], axis=1)
+        before = states[finding.cells, ..., None]
+        if not self.correlated:
+            before[:, :2] = independent(before[:, :2])
+        after, log_chance = take_finding(before, finding)
+        if log_chance[0] == -np.inf:
+            raise ValueError(IMPOSSIBLE)
+        states[finding.cells] = after[..., 0]
+        found = Belief.computed(states[:, :2], belief.grid)
+        return found if live is belief else found.with_duds(states[:, 2])

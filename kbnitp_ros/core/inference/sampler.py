@@ -2,12 +2,12 @@
 """
 Sampling: the joint posterior of the field and of unknown numbers, by many Gibbs chains.
 
-Every lost path is a factor 1 - prod_i s_{z_i}^{n_i}; every survived step and every reading is a
-local likelihood in which targets are summed out. A chain holds the hazards of all visited cells
-and a value of each unknown number; a sweep draws each of them given all others. The belief
-averages the conditional probabilities of the draws, which vary less than the draws themselves
-(Rao-Blackwell). Cells that no robot was sent to are summed out like targets, unless hazards are
-clustered. Each deployment continues the chains of the previous one.
+Every lost path is a factor 1 - prod_i s_{z_i}^{n_i}; every survived step, every reading and every
+finding is a local likelihood in which targets are summed out. A chain holds the hazards of all
+cells with evidence and a value of each unknown number; a sweep draws each of them given all
+others. The belief averages the conditional probabilities of the draws, which vary less than the
+draws themselves (Rao-Blackwell). Cells without evidence are summed out like targets, unless
+hazards are clustered. Each deployment or finding continues the chains of the previous one.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import ClassVar
 
 from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.clustering import Clustering
+from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt, Unknowns
@@ -55,9 +56,9 @@ BYTES = 48
 OWN_KEY = 0x53414D50
 
 
-def generator(seed: int, deployments: int) -> np.random.Generator:
-    """Return the random generator for the sampling after a number of deployments."""
-    return np.random.default_rng([OWN_KEY, seed, deployments])
+def generator(seed: int, events: int) -> np.random.Generator:
+    """Return the random generator for the sampling after a number of deployments and findings."""
+    return np.random.default_rng([OWN_KEY, seed, events])
 
 
 class Sampler:
@@ -67,6 +68,7 @@ class Sampler:
     draws_are_exact: ClassVar[bool] = True
     version: ClassVar[int] = 3
     takes_lost_at: ClassVar[bool] = True
+    takes_findings: ClassVar[bool] = True
     clusters: ClassVar[bool] = True
 
     def __init__(
@@ -85,7 +87,8 @@ class Sampler:
             )
         self._hypotheses = hypotheses = Hypotheses(belief, model, unknowns, clustering)
         self._seed = seed
-        self._evidence = Tally((ORDINARY,), np.zeros((3, 1, belief.cells), np.int32))
+        counts, found = np.zeros((3, 1, belief.cells), np.int32), np.zeros((belief.cells, 2, 2))
+        self._evidence = Tally((ORDINARY,), counts, found)
         self.belief = hypotheses.belief()
         rng = generator(seed, 0)
         self._state = ChainState.start(hypotheses, rng)
@@ -116,11 +119,19 @@ class Sampler:
     def assimilate(self, observation: Observation, robot_type: RobotType) -> None:
         """Assimilate one more deployment."""
         check_cells(self.belief, observation)
+        self._take(self._evidence.after(observation, robot_type))
+
+    def assimilate_finding(self, finding: Finding) -> None:
+        """Assimilate one more finding, of a field that nobody changed."""
+        finding.check(self.belief)
+        self._take(self._evidence.with_finding(finding))
+
+    def _take(self, evidence: Tally) -> None:
+        """Sample given all evidence, from where the chains are."""
         hypotheses = self._hypotheses
-        evidence = self._evidence.after(observation, robot_type)
         evidence.refuse_impossible(hypotheses)
-        rng = generator(self._seed, evidence.deployments)
-        state = self._state.with_cells(evidence.visited(), hypotheses, rng)
+        rng = generator(self._seed, evidence.events)
+        state = self._state.with_cells(evidence.has_evidence(), hypotheses, rng)
         chains = Chains(hypotheses, evidence, state, rng)
         converged = CONVERGED_LEARNING if hypotheses.bins else CONVERGED
         if 'coupling' in hypotheses.bins:
