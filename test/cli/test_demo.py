@@ -500,8 +500,8 @@ def waits_for(obstacle, ends_by=Helper.OPERATOR, state=MissionState.RUNNING, **s
     ([waits_for(Obstacle.PAUSED, state=MissionState.PAUSED)], WAIT),
     ([waits_for(Obstacle.UNAPPROVED)], WAIT),
     ([waits_for(Obstacle.UNJUDGED, held=1)], WAIT),
-    # The planner does find a path later.
-    ([waits_for(Obstacle.WORTHLESS, reason=f'no path is worth it, {n}') for n in range(6)]
+    # The planner searches again, and does find a path later.
+    ([waits_for(Obstacle.WORTHLESS), waits_for(Obstacle.SEARCHING, Helper.NOBODY)] * 3
      + [DONE], 6 * PERIOD),
 ], every=2)  # fmt: skip
 def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
