@@ -79,7 +79,7 @@ class EstimatorNode(FieldNode):
                 f'learning {", ".join(estimator.parameters)} (parameter learn.numbers; [] takes '
                 'the given values as known)'
             )
-        if ignored := ignored_note(self.values, estimator.parameters):
+        if ignored := ignored_note(self.values, estimator.unknowns.priors):
             self.get_logger().warning(ignored)
         # The mission of the paths in the ledger; None without paths.
         self._mission: int | None = None
