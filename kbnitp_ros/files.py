@@ -187,3 +187,17 @@ def repeated_key(node: yaml.Node, seen: set[int]) -> str:
         if found := repeated_key(child, seen):
             return found
     return ''
+
+
+class Waiting(str):
+    """The state of a node or a robot that waits for something, in words."""
+
+    # The condition that it waits for, in words.
+    what: str
+
+
+def waiting_for(what: str) -> Waiting:
+    """Return the state of a node or a robot that waits for something."""
+    state = Waiting(f'waiting for {what}')
+    state.what = what
+    return state

@@ -271,14 +271,15 @@ class ReplayedViews:
         self._expected = defaultdict[tuple[str, int], list[tuple[DeploymentKey | None, Any]]](list)
         # Stamps of recorded beliefs that were not computed, so that their models are not known.
         self.unknown: set[int] = set()
-        # Beliefs whose check was recorded, by deployments and stamp, and the computed checks.
-        self.checked: dict[tuple[int, int], ModelCheck | None] = {}
+        # Beliefs whose check was recorded, by deployments and stamp, and the computed checks: a
+        # late report may give a belief with the same number and stamp.
+        self.checked: dict[tuple[int, int], list[ModelCheck]] = {}
 
     def note(self, role: Role, logged: LoggedMessage) -> None:
         """Keep a view until all beliefs are computed; of a grid, only its digest."""
         message = logged.message
         if role.name == 'model':
-            self.checked[checked_belief(message)] = None
+            self.checked.setdefault(checked_belief(message), [])
         kept = message if role.name == 'model' else grid_digest(message)
         stamp = from_stamp(message.header.stamp)
         self._recorded[role.name, logged.topic].append((stamp, logged.index, kept))
@@ -293,7 +294,7 @@ class ReplayedViews:
         """Keep the model and the check that are expected of a ledger's belief."""
         key = len(ledger.deployments), said.stamp
         if key in self.checked:
-            self.checked[key] = ledger.estimator.check
+            self.checked[key].append(ledger.estimator.check)
         if self.checked:
             expected = said.newest, model_fields(ledger, said.stamp)
             self._expected['model', said.stamp].append(expected)
@@ -302,7 +303,7 @@ class ReplayedViews:
         """Compare each recorded view with the computed views of its stamp."""
         report, missing = self._report, len(self._report.beliefs.missing)
         if (before := checked_belief(check_fields(NOT_CHECKED))) in self.checked:
-            self.checked[before] = NOT_CHECKED.check
+            self.checked[before] = [NOT_CHECKED.check]
         for (role, topic), views in self._recorded.items():
             lacking = [self._lacking(role, stamp, view) for stamp, _, view in views]
             # Any missing belief may have an unknown stamp.
@@ -331,7 +332,7 @@ class ReplayedViews:
         """Return the stamp of a view's belief, or of the checked one, if it was not computed."""
         if (role, stamp) not in self._expected:
             return stamp
-        if role == 'model' and self.checked[key := checked_belief(view)] is None:
+        if role == 'model' and not self.checked[key := checked_belief(view)]:
             return key[1]
         return None
 
@@ -341,14 +342,20 @@ class ReplayedViews:
             return () if view == computed else (Difference('data', 'does not match the belief'),)
         found = tuple(differences(view, computed, TOLERANCE))
         key = checked_belief(view)
-        check = self.checked[key]
-        assert check is not None
-        fields = check_fields(Checked(check, *key))
-        reason = Fields(reason=fields.reason)
-        del fields.reason
-        found += tuple(differences(view, fields, TOLERANCE))
-        # The reason has numbers of the check, which processors may round differently.
-        return found or tuple(differences(view, reason, TOLERANCE))
+        return found + min(
+            (check_differences(view, Checked(check, *key)) for check in self.checked[key]), key=len
+        )
+
+
+def check_differences(view: Any, checked: Checked) -> tuple[Difference, ...]:
+    """Return the differences of a recorded check of the model from a computed one."""
+    fields = check_fields(checked)
+    reason = Fields(reason=fields.reason)
+    del fields.reason
+    # The reason has numbers of the check, which processors may round differently.
+    return tuple(differences(view, fields, TOLERANCE)) or tuple(
+        differences(view, reason, TOLERANCE)
+    )
 
 
 class ReplayedAcknowledgements:

@@ -20,6 +20,7 @@ from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.core import DeploymentKey, Observation, World
 from kbnitp_ros.core.field.world import Traverse
 from kbnitp_ros.core.inference.record import deployment_order, OrderState
+from kbnitp_ros.files import waiting_for
 from kbnitp_ros.log.record import read_resumed, RecordedMission
 from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.messages.deployments import report_message, status_message
@@ -30,7 +31,6 @@ from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from nav_msgs.msg import OccupancyGrid, Path

@@ -15,7 +15,7 @@ from kbnitp_ros.configuration.mission import checked_goal, settled_goal
 from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger, Report
 from kbnitp_ros.core.inference.record import OPEN, Verdict
-from kbnitp_ros.files import counted
+from kbnitp_ros.files import counted, waiting_for
 from kbnitp_ros.log.record import check_same_field, fold_evidence, read_mission
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
@@ -29,7 +29,6 @@ from kbnitp_ros.nodes.models import Models
 from kbnitp_ros.nodes.presence import Repeated
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.nodes.views import Views

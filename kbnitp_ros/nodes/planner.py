@@ -26,7 +26,7 @@ from kbnitp_ros.configuration.checks import (
 )
 from kbnitp_ros.configuration.mission import check_search, settled_goal
 from kbnitp_ros.core import Grid, NoPathError
-from kbnitp_ros.files import some
+from kbnitp_ros.files import some, waiting_for
 from kbnitp_ros.log.record import read_newest_round, read_resumed, RecordedMission
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import Snapshot
@@ -43,7 +43,6 @@ from kbnitp_ros.nodes.operator_services import Operator
 from kbnitp_ros.nodes.presence import AGAIN, Peers, Repeated, StatePublisher
 from kbnitp_ros.nodes.rounds import Plans, Rounds, Search
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult

@@ -18,6 +18,7 @@ from kbnitp_ros.base.mission_tracker import MissionTracker
 from kbnitp_ros.configuration.known import TOPICS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.inference.record import OrderState
+from kbnitp_ros.files import waiting_for
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import LoggedMessage, PARAMETERS, RUN
@@ -42,7 +43,7 @@ from kbnitp_ros.nodes.recorded_topics import (
     time_received,
 )
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import PERIOD, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import PERIOD
 from kbnitp_ros.nodes.runtime.diagnostics import TOPIC as DIAGNOSTICS
 from kbnitp_ros.nodes.runtime.graph import full_name
 from kbnitp_ros.nodes.runtime.node import MissionNode

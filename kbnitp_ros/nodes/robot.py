@@ -18,7 +18,7 @@ from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.field import make_datum
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.core.inference.record import MAX_WALK, OrderState
-from kbnitp_ros.files import in_words
+from kbnitp_ros.files import in_words, Waiting, waiting_for
 from kbnitp_ros.messages.deployments import report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.markers import readings_marker
@@ -27,7 +27,6 @@ from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_det
 from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.nodes.runtime.diagnostics import Waiting, waiting_for
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
 from kbnitp_ros.robot.journal import Deployment, Journal, Step

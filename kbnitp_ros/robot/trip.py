@@ -9,6 +9,7 @@ import time
 from typing import Any, Protocol
 
 from kbnitp_ros.core import Grid
+from kbnitp_ros.files import waiting_for
 from kbnitp_ros.messages.headers import SECOND
 from kbnitp_ros.robot.journal import Deployment, Step
 from kbnitp_ros.robot.track import Track
@@ -191,12 +192,12 @@ class Trip:
             if self._is_driving:
                 # The robot may be carried until poses return.
                 self._track.end_goal(is_home=False)
-            return f'waiting for {unplaced}'
+            return waiting_for(unplaced)
         if self._is_driving:
             # The position may lag behind the controller.
             is_behind = place.stamp < self._ended_at
             if is_behind and now < self._ended_at + self._values['tf_timeout'] * SECOND:
-                return f'waiting for the position of the robot after driving {goal}'
+                return waiting_for(f'the position of the robot after driving {goal}')
             self._end_leg(place, now)
         if itinerary.heads_home and self._is_at_base(place):
             self.is_home = True
@@ -204,9 +205,9 @@ class Trip:
         if itinerary.is_stay and self._walk.cell == itinerary.destination:
             return self._stay(now)
         if self._clock() < self._try_again_at:
-            return f'waiting for the next try {goal} (parameter retry_delay)'
+            return waiting_for(f'the next try {goal} (parameter retry_delay)')
         if awaited := self._driver.awaited:
-            return f'waiting for {awaited}'
+            return waiting_for(awaited)
         start = place.x, place.y
         self._driver.drive(start, itinerary.next_leg(self.deployment.cells), now)
         self._is_driving = self.has_driven = True

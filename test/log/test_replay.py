@@ -732,3 +732,19 @@ def test_messages_that_are_recorded_twice_do_not_stop_a_replay(tmp_path):
         timed = [replace(each, time=START + place) for place, each in enumerate(doubled)]
         report = replay(record(tmp_path / f'{number}.mcap', timed))
         assert report.compared['/belief'] + len(report.not_compared) >= 5
+
+
+def test_checks_of_two_beliefs_with_one_stamp_are_told_apart(tmp_path):
+    """A late return may be dated before the loss that it replaces."""
+    whole = Mission(unknowns=Unknowns(lethality=(0.0, 1.0)))
+    path = [2, 7, 12, 7, 2]
+    whole.deploy(Observation(path, False))
+    late = whole.deploy(Observation(path, False))
+    back = report_message(late, Observation(path, True, [True, False, True, False]), late.stamp)
+    whole.publish(f'{late.agent}/report', back)
+    assert whole.hear_report(*read_report(back))
+    models = [each.message for each in whole.sent if each.topic == '/model']
+    names = [(each.checked, each.checked_stamp, each.alternative_ratio) for each in models]
+    assert names[-1][:2] == names[-2][:2]
+    assert names[-1][2] != names[-2][2]
+    assert replay(record(tmp_path / 'mission.mcap', whole.sent)).grade is Grade.IDENTICAL

@@ -29,20 +29,6 @@ SHOWN = 1000
 LAST_WORDS = 2.0
 
 
-class Waiting(str):
-    """The state of a node that waits for something, in words."""
-
-    # The condition that it waits for, in words.
-    what: str
-
-
-def waiting_for(what: str) -> Waiting:
-    """Return the state of a node that waits for something."""
-    state = Waiting(f'waiting for {what}')
-    state.what = what
-    return state
-
-
 class Diagnostics:
     """Counts of a node's messages, published every second and after each refusal."""
 

@@ -17,7 +17,7 @@ from kbnitp_ros.configuration import make_grid, value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.field import graded_note
 from kbnitp_ros.core import DeploymentKey, Grid
-from kbnitp_ros.files import some
+from kbnitp_ros.files import some, Waiting, waiting_for
 from kbnitp_ros.log.roles import Roles
 from kbnitp_ros.log.write import check_size
 from kbnitp_ros.maps import Map
@@ -26,7 +26,7 @@ from kbnitp_ros.messages.grids import read_map_message
 from kbnitp_ros.messages.headers import check_texts, LATEST, shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.declared import declare, state
-from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics, Waiting, waiting_for
+from kbnitp_ros.nodes.runtime.diagnostics import Diagnostics
 from kbnitp_ros.nodes.runtime.graph import (
     decodable,
     discovery_warning,
