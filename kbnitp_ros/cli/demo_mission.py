@@ -66,6 +66,10 @@ SILENT_STEP = 0.01
 # Seconds of waiting for an operator, after which the demo ends.
 OPERATOR_WAIT = 3.0
 
+# Maximum seconds from the end of a mission to the progress of its last robot, which the estimator
+# publishes at most twice a second.
+LAST_PROGRESS = 1.0
+
 # Parameters that may differ between nodes: true and believed sensors and hazards, awaited nodes.
 MAY_DIFFER = ('sensor.', 'hazards.', 'targets.', 'await_nodes')
 
@@ -272,12 +276,14 @@ def observed(domain: int) -> Iterator[tuple[Node, Observed]]:
         try_shutdown()
 
 
-def most_left(status: MissionStatus | None) -> float:
+def most_left(received: Observed) -> float:
     """Return the maximum wait for the next change, in seconds."""
+    status, progress = received.status, received.progress
     if status is None or status.out:
         return inf
     if status.obstacle.is_end:
-        return 0.0
+        shown = progress.deployments if progress else 0
+        return 0.0 if shown >= status.ordered - status.held else LAST_PROGRESS
     # Nobody calls the planner's services, but the planner may search again by itself.
     return OPERATOR_WAIT if status.ends_by is Helper.OPERATOR else inf
 
@@ -289,7 +295,7 @@ def watch(observer: Node, received: Observed, robots: int, processes: Processes)
     known: tuple[object, ...] = ()
     since = time.monotonic()
     with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
-        while time.monotonic() <= since + most_left(received.status):
+        while time.monotonic() <= since + most_left(received):
             executor.spin_once(timeout_sec=0.2)
             if processes.ended():
                 raise RuntimeError(
