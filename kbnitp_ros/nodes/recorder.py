@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter, defaultdict, deque
+from collections import Counter, defaultdict, deque, OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 import heapq
@@ -15,6 +15,7 @@ from typing import Any
 
 from kbnitp_msgs.msg import Recorded
 from kbnitp_ros.base.mission_tracker import MissionTracker
+from kbnitp_ros.base.state import remember
 from kbnitp_ros.configuration.known import TOPICS
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.inference.record import OrderState
@@ -116,6 +117,8 @@ class RecorderNode(MissionNode):
         self._unsynced = True
         self._shown_at = time.monotonic()
         self._tracker = MissionTracker()
+        # Missions and names of the evidence of the last beliefs that were recorded.
+        self._believed: OrderedDict[tuple[int, int, int], None] = OrderedDict()
         # By topic, stamp and mission: content hash of the first path or action.
         self._first: dict[tuple[str, int, int], int] = {}
         self._paths: Counter[int] = Counter()
@@ -427,8 +430,12 @@ class RecorderNode(MissionNode):
                     'nodes publish this topic?)'
                 )
         elif role.name == 'belief':
+            named = said.mission, *said.evidence
+            if named in self._believed:
+                raise ValueError('a belief of the same evidence was recorded first, and counts')
             self._tracker.check_belief(said, self.count_authors(topic.name, BELIEF))
             self._tracker.accept_belief(said)
+            remember(self._believed, named, None)
         return True
 
     def _is_repeated(self, topic: RecordedTopic, message: Any) -> bool:
