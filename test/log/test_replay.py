@@ -518,7 +518,8 @@ CHANGES = {
         'method not on record', 'prior of its estimator is not on record',
         'not compared: 8 more']),
     'a path': (drop('/scout_1/path', 3), 1, 9, [*range(4, 9)], [], [
-        'not reproduced: /standings message 4: standing of {3} is RETURN, computed is OPEN',
+        'not reproduced: /standings message 4: changes is more, unlike the computed evidence; '
+        'standing of {3} is RETURN, computed is OPEN',
         'deployment {3} has no path on record']),
     'a report': (drop('/scout_1/report', 3), 1, 9, [*range(4, 9)], [], [
         UNRECORDED, 'deployment {3} has no report on record: the robot was in flight']),
