@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from math import ceil
 from typing import Any
 
-from kbnitp_ros.configuration import find_parameter, node_parameters, value_for
+from kbnitp_ros.configuration import find_parameter, value_for
 from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
-from kbnitp_ros.configuration.mission import check_search
+from kbnitp_ros.configuration.mission import check_search, with_defaults
 from kbnitp_ros.configuration.table import LEARN
 from kbnitp_ros.core import Grid, Ledger, RobotType
 import numpy as np
@@ -86,15 +86,13 @@ def failure_note(values: Mapping[str, Any]) -> str:
 
 def ignored_note(values: Mapping[str, Any], learnt: Iterable[str]) -> str:
     """Return a warning of given values that are not used, since they are learnt; '' without."""
-    table, ignored = node_parameters('estimator'), {}
-    for name in learnt:
-        parameter = table.get(LEARN[name][0].partition(',')[0])
-        if parameter is None:
-            continue
-        is_field = values['defaults'] == 'field' and parameter.in_field is not None
-        default = parameter.in_field if is_field else parameter.default
-        if values[parameter.name] != default:
-            ignored[name] = f'{parameter.name} is {values[parameter.name]}'
+    defaults = with_defaults('estimator', {'defaults': values['defaults']})
+    parameters = {name: LEARN[name][0].partition(',')[0] for name in learnt}
+    ignored = {
+        name: f'{parameter} is {values[parameter]}'
+        for name, parameter in parameters.items()
+        if parameter in defaults and values[parameter] != defaults[parameter]
+    }
     if not ignored:
         return ''
     priors = ' and '.join(f'learn.{name}' for name in ignored)

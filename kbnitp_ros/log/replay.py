@@ -249,16 +249,8 @@ class Fold:
         paths = self.report.evidence.places.keys()
         return (
             said.standings.keys() <= paths
-            and all(
-                (key, content) in self._places
-                for key, standing in said.standings.items()
-                for content in standing.judged
-            )
-            and all(
-                (key, state) in self._statuses
-                for key, standing in said.standings.items()
-                for state in standing.order
-            )
+            and said.reports <= self._places.keys()
+            and said.order_states <= self._statuses.keys()
         )
 
     def _judge(self, logged: LoggedMessage, said: Standings) -> None:
@@ -399,16 +391,7 @@ class Fold:
         first, self._first = self._first, None
         if first is not None:
             self._priors[first[1].rules] = prior
-            judged = {
-                (key, content)
-                for key, standing in first[1].standings.items()
-                for content in standing.judged
-            }
-            states = {
-                (key, state)
-                for key, standing in first[1].standings.items()
-                for state in standing.order
-            }
+            judged, states = first[1].reports, first[1].order_states
             for place, (role, each) in enumerate(self._said):
                 key, said = each.said
                 is_judged = (

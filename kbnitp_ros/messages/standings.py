@@ -55,6 +55,18 @@ class Standings:
         """Return whether these are all standings of the estimator."""
         return not self.since
 
+    @property
+    def reports(self) -> set[tuple[DeploymentKey, int]]:
+        """Return the deployment and the hash of each report that was judged."""
+        return {
+            (key, each) for key, standing in self.standings.items() for each in standing.judged
+        }
+
+    @property
+    def order_states(self) -> set[tuple[DeploymentKey, OrderState]]:
+        """Return the deployment and each known state of its order."""
+        return {(key, each) for key, standing in self.standings.items() for each in standing.order}
+
 
 def standings_fields(
     ledger: Ledger,
