@@ -37,6 +37,8 @@ class LostRobot:
         self.start_base(file=str(self.log))
         field.until(lambda: {*self.fleet.walked()} - {0}, 'robot in the field')
         field.kill(f'{MISSION}/scout_1/robot')
+        # The robot may be faster than the discovery of this subscriber.
+        field.until(lambda: self.paths, 'path')
         self.key = self.fleet.key(0)._replace(stamp=from_stamp(self.paths[0].header.stamp))
         self.journal = self.fleet.journal('scout_1')
 
