@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 
 from kbnitp_ros.core import (
     Decision,
+    DeploymentKey,
     Estimator,
     Grid,
     HazardDraws,
@@ -174,7 +175,7 @@ MAX_INTERPRETED = 100
 
 def progress_message(
     ledger: Ledger,
-    before: tuple[int, Estimator] | None,
+    before: tuple[Sequence[DeploymentKey], Estimator] | None,
     world: World | None,
     stamp: int,
     status: MissionStatus = NOT_KNOWN,
@@ -186,9 +187,11 @@ def progress_message(
     if before is not None:
         deployments, estimator = before
         gained = estimator.belief.joint_entropy() - belief.joint_entropy()
-        if ledger.newest is not None and len(ledger.deployments) == deployments + 1:
-            model = ledger.robot_type(ledger.newest).model(estimator.model)
-            path = ledger.paths[ledger.newest]
+        added = {*ledger.deployments} - {*deployments}
+        if len(added) == 1 and len(ledger.deployments) == len(deployments) + 1:
+            (key,) = added
+            model = ledger.robot_type(key).model(estimator.model)
+            path = ledger.paths[key]
             with interpreted(len(path) < MAX_INTERPRETED):
                 expected = path_information(estimator.belief, model, path)
     return msg.Progress(

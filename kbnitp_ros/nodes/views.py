@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.core import Estimator, Ledger, World
+from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.messages.grids import (
     check_filter,
     filter_info,
@@ -35,10 +35,12 @@ class Views:
     def __init__(self, node: FieldNode, agents: Sequence[str]) -> None:
         self._node = node
         self._truth: dict[str, NDArray[np.bool_]] = {}
-        self._newest: tuple[int, Estimator] | None = None
+        self._newest: tuple[list[DeploymentKey], Estimator] | None = None
         # The belief to publish next: its ledger, the belief before it, and its stamp. The ledger
         # has not changed when it is published, since every change is passed to `show`.
-        self._pending: tuple[Ledger, tuple[int, Estimator] | None, int] | None = None
+        self._pending: tuple[Ledger, tuple[list[DeploymentKey], Estimator] | None, int] | None = (
+            None
+        )
         self._message = Progress()
         self._status = NOT_KNOWN
         self._is_progress_pending = False
@@ -97,7 +99,7 @@ class Views:
     def show(self, ledger: Ledger, stamp: int) -> None:
         """Publish the views of a belief, now or after a pause; its stamp is in nanoseconds."""
         self._pending = ledger, self._newest, stamp
-        self._newest = len(ledger.deployments), ledger.estimator
+        self._newest = [*ledger.deployments], ledger.estimator
         self._publish_or_wait()
 
     def _publish_or_wait(self) -> None:

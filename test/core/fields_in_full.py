@@ -79,8 +79,11 @@ def likelihood(model, states, outcome, around):
     if lost_at is None:
         lost_at = np.arange(len(cells)) >= outcome.steps_survived
     alive, chance = np.ones(len(states)), np.zeros(len(states))
+    # A failure that the model rules out is no evidence of its numbers.
+    failed = model.malfunction or 1.0
     for weight, survived in zip(lost_at, survives):
-        chance = chance + weight * alive * (1 - survived)
+        died = {None: 1 - survived, True: 1 - model.malfunction - survived, False: failed}
+        chance = chance + weight * alive * died[outcome.by_hazard]
         alive = alive * survived
     return chance
 

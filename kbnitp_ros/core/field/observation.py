@@ -67,12 +67,15 @@ class Observation(Value):
     entered : array_like of bool, shape (steps,), optional
         For each step of a robot that returned, whether it was in the cell for certain. A step that
         the robot cannot vouch for gives neither survival nor reading. None if all steps count.
+    by_hazard : bool, optional
+        Cause of a loss, as a person found it: True, a hazard of the cell or one that reaches it;
+        False, something else, such as a flat battery; None if it is unknown.
 
     Raises
     ------
     ValueError
-        If the path is not closed or has no step, or the readings, `steps_survived`, `lost_at` or
-        `entered` do not fit the outcome.
+        If the path is not closed or has no step, or the readings, `steps_survived`, `lost_at`,
+        `entered` or `by_hazard` do not fit the outcome.
 
     """
 
@@ -82,6 +85,7 @@ class Observation(Value):
     steps_survived: int = 0
     lost_at: NDArray[np.float64] | None = None
     entered: NDArray[np.bool_] | None = None
+    by_hazard: bool | None = None
 
     def __post_init__(self) -> None:
         path = as_path(self.path)
@@ -112,6 +116,10 @@ class Observation(Value):
         vars(self).update(steps_survived=steps)
         if self.lost_at is not None:
             self._check_lost_at(as_floats('lost_at', self.lost_at))
+        if self.by_hazard is not None:
+            if survived:
+                raise ValueError('by_hazard is given, but the robot returned: leave it out')
+            vars(self).update(by_hazard=flag('by_hazard', self.by_hazard))
 
     def _check_entered(self, entered: NDArray[np.bool_]) -> None:
         if not self.survived:

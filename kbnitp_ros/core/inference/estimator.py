@@ -133,22 +133,18 @@ class Estimator:
         if target_dynamics.effect != 'static':
             check_able(
                 method,
-                lambda each: getattr(each, 'changes_targets', False),
+                partial(has_ability, 'changes_targets'),
                 f'{name} does not take targets that change',
             )
         if model.reach or unknowns.reach is not None:
-            check_able(
-                method, lambda each: getattr(each, 'reaches', False), f'{name} takes no reach'
-            )
+            check_able(method, partial(has_ability, 'reaches'), f'{name} takes no reach')
             if dynamics.kind in ('used_up', 'learn'):
                 raise ValueError(
                     f'reach is not 0, and hazards are {dynamics.kind}: hazards that reach are '
                     'static, changing or moving'
                 )
         if model.duds or unknowns.duds is not None:
-            check_able(
-                method, lambda each: getattr(each, 'reaches', False), f'{name} takes no duds'
-            )
+            check_able(method, partial(has_ability, 'reaches'), f'{name} takes no duds')
             for what, each in (('hazards', dynamics), ('targets', target_dynamics)):
                 if each.effect != 'static':
                     raise ValueError(f'duds is not 0, and {what} are {each.kind}: duds are static')
@@ -162,7 +158,7 @@ class Estimator:
         if clustering is not None:
             check_able(
                 method,
-                lambda each: getattr(each, 'clusters', False),
+                partial(has_ability, 'clusters'),
                 f'{name} does not take clustered hazards',
             )
         self.prior, self._given = belief, model
@@ -310,20 +306,22 @@ class Estimator:
         ------
         ValueError
             If the path or a finding leaves the belief's cells, either is impossible under the
-            belief, or the method does not use `lost_at`, findings or changes; the belief is then
-            unchanged.
+            belief, or the method does not use `lost_at`, `by_hazard`, findings or changes; the
+            belief is then unchanged.
         PluginError
             If a method of another package breaks the rules; the belief is then unchanged.
 
         """
         if isinstance(observation, Finding):
             self._check_finding(observation, robot_type)
-        elif observation.lost_at is not None:
-            check_able(
-                self.method,
-                lambda each: getattr(each, 'takes_lost_at', False),
-                f'lost_at is given, and {entry_name(self.method)} does not use it',
-            )
+        else:
+            for name, ability in (('lost_at', 'takes_lost_at'), ('by_hazard', 'takes_causes')):
+                if getattr(observation, name) is not None:
+                    check_able(
+                        self.method,
+                        partial(has_ability, ability),
+                        f'{name} is given, and {entry_name(self.method)} does not use it',
+                    )
         inference: Any = self._inference.copy()
         if isinstance(observation, Finding):
             assimilate = partial(inference.assimilate_finding, observation)
@@ -343,7 +341,7 @@ class Estimator:
         name = entry_name(self.method)
         check_able(
             self.method,
-            lambda each: getattr(each, 'takes_findings', False),
+            partial(has_ability, 'takes_findings'),
             f'{name} takes no findings',
         )
         if finding.changed and self.clustering is not None:
@@ -354,7 +352,7 @@ class Estimator:
         if finding.changed:
             check_able(
                 self.method,
-                lambda each: getattr(each, 'takes_changes', False),
+                partial(has_ability, 'takes_changes'),
                 f'changed is True, and {name} takes no field that people change',
             )
         if robot_type != ORDINARY:
@@ -518,6 +516,11 @@ class Estimator:
         return other
 
 
+def has_ability(name: str, method: object) -> bool:
+    """Return whether a method has an ability, which methods of other packages may not name."""
+    return bool(getattr(method, name, False))
+
+
 # Estimators are kept after each of the last 2 ** DENSE deployments, and after every second,
 # fourth, eighth and so on further back; few deployments before a late one are then repeated.
 DENSE = 2
@@ -550,9 +553,9 @@ class Ledger(MissionRecord):
     deployments : list of DeploymentKey
         Deployments in the belief, in deployment order.
     newest : DeploymentKey or None
-        Deployment whose evidence changed last; None before the first.
+        Deployment in the belief whose report has the greatest stamp; None before the first.
     newest_stamp : int
-        Greatest stamp of its reports that were judged, nanoseconds of ROS time.
+        This stamp, nanoseconds of ROS time; 0 before the first.
     events, changes : int
         Number of standings that changed, and of judgements that changed the evidence.
     assimilations : int
@@ -570,13 +573,13 @@ class Ledger(MissionRecord):
         super().__init__(grid, max_steps, robot_types)
         self.outcomes: dict[DeploymentKey, Observation] = {}
         self.deployments: list[DeploymentKey] = []
-        self.newest: DeploymentKey | None = None
-        self.newest_stamp = 0
         self.events = self.changes = 0
         self.assimilations = 0
         # Judged deployments, in deployment order, and those whose standings changed lately.
         self._judged: list[DeploymentKey] = []
         self._changed: dict[DeploymentKey, None] = {}
+        # Stamps of the reports of the deployments in the belief.
+        self._stamps: dict[DeploymentKey, int] = {}
         # Estimators kept, by number of judged deployments.
         self._estimators = {0: estimator}
 
@@ -590,12 +593,28 @@ class Ledger(MissionRecord):
         """Return the belief after all assimilated deployments."""
         return self.estimator.belief
 
+    # Of what counts alone, since a resumed estimator may judge reports in another order.
+
+    @property
+    def newest(self) -> DeploymentKey | None:
+        """Return the deployment in the belief that was reported last."""
+        stamps = self._stamps.items()
+        return max(stamps, key=lambda each: (each[1], deployment_order(each[0])), default=(None,))[
+            0
+        ]
+
+    @property
+    def newest_stamp(self) -> int:
+        """Return the greatest stamp of the reports of the deployments in the belief."""
+        return max(self._stamps.values(), default=0)
+
     def copy(self) -> Ledger:
         """Return an independent copy."""
         other = super().copy()
         other.outcomes = self.outcomes.copy()
         other.deployments = self.deployments.copy()
         other._judged, other._changed = self._judged.copy(), self._changed.copy()
+        other._stamps = self._stamps.copy()
         return other
 
     @property
@@ -694,12 +713,8 @@ class Ledger(MissionRecord):
         before = self.changes
         for each, ruling in rulings.items():
             self._change(each, ruling.standing)
-            self._count(each, ruling.outcome)
-        if self.changes > before:
-            self.changes = before + 1
-            judged = rulings[key].standing.judged
-            stamps = [each.stamp for each in self.heard.get(key, ()) if each.content in judged]
-            self.newest, self.newest_stamp = key, max(stamps, default=self.newest_stamp)
+            self._count(each, ruling)
+        self.changes = min(self.changes, before + 1)
         return rulings[key].refused
 
     def _change(self, key: DeploymentKey, standing: Standing) -> None:
@@ -709,15 +724,16 @@ class Ledger(MissionRecord):
             self.events += 1
             self._changed[key] = None
 
-    def _count(self, key: DeploymentKey, outcome: Observation | None) -> None:
+    def _count(self, key: DeploymentKey, ruling: Ruling) -> None:
         """Set the outcome of a deployment; None takes it out of the belief."""
+        outcome = ruling.outcome
         if outcome == (known := self.outcomes.get(key)):
             return
         self.changes += 1
         if outcome is None:
-            del self.outcomes[key]
+            del self.outcomes[key], self._stamps[key]
         else:
-            self.outcomes[key] = outcome
+            self.outcomes[key], self._stamps[key] = outcome, ruling.stamp
         place = bisect_left(self.deployments, deployment_order(key), key=deployment_order)
         if known is None:
             self.deployments.insert(place, key)
@@ -787,6 +803,7 @@ class Ledger(MissionRecord):
         elif refused:
             verdict = Verdict.HELD
         stands = counted or closed
+        stamp = stands.report.stamp if stands else 0
         judged = frozenset(each.report.content for each in heard)
         standing = Standing(
             verdict,
@@ -797,7 +814,8 @@ class Ledger(MissionRecord):
         )
         if verdict is Verdict.OPEN:
             standing = OPEN
-        return Ruling(standing, counted.outcome if counted else None, estimator, refused)
+        outcome = counted.outcome if counted else None
+        return Ruling(standing, outcome, stamp, estimator, refused)
 
 
 class Ruling(NamedTuple):
@@ -805,6 +823,8 @@ class Ruling(NamedTuple):
 
     standing: Standing
     outcome: Observation | None
+    # Stamp of the report by which it stands.
+    stamp: int
     estimator: Estimator
     refused: dict[Report, Refusal]
 

@@ -119,6 +119,8 @@ class Evidence:
     is_lost: bool
     first: int = 0
     lost_at: Floats | None = None
+    # Whether a hazard is known to be the cause of a loss, or not to be; None if that is unknown.
+    by_hazard: bool | None = None
     robot_type: RobotType = ORDINARY
     # Where hazards reach: exposures of all cells of `visits`, inside and beside.
     exposures: Exposures | None = None
@@ -134,8 +136,8 @@ class Evidence:
         if readings is not None:
             seen, unseen = (visits.of_step[readings == reading] for reading in (1, 0))
             positive, negative = (np.bincount(e, minlength=positive.size) for e in (seen, unseen))
-        lost = not observation.survived, observation.steps_survived, observation.lost_at
-        return cls(visits, positive, negative, *lost, robot_type)
+        located = observation.steps_survived, observation.lost_at, observation.by_hazard
+        return cls(visits, positive, negative, not observation.survived, *located, robot_type)
 
     def with_type(self, robot_type: RobotType) -> Evidence:
         """Return the evidence of a robot of another type."""
@@ -450,9 +452,13 @@ def likelihood_in_reach(hazard: Floats, evidence: Evidence, effects: Effects) ->
     assert exposures is not None
     if not evidence.is_lost:
         return Likelihood(survived_in_reach(exposures, effects), None)
-    # A sum over the stretches of steps in which the weight of a loss is the same.
-    weights = evidence.lost_in
+    # A sum over the stretches of steps in which the weight of a loss is the same, or over steps if
+    # the cause is known.
+    weights, by_hazard = evidence.lost_in, evidence.by_hazard
     ends = np.append(np.flatnonzero(np.diff(weights)) + 1, steps).tolist()
+    if by_hazard is not None:
+        ends = [*range(1, steps + 1)]
+    failed, _ = loss_causes(evidence, effects)
     # ln P(steps before the stretch survived | Z), and P(Z) given that they were.
     start, terms, reached = 0, [], np.zeros_like(hazard)
     for end in ends:
@@ -463,8 +469,13 @@ def likelihood_in_reach(hazard: Floats, evidence: Evidence, effects: Effects) ->
         log_mean = np.where(loss < 0.5, np.log1p(-np.minimum(loss, 0.5)), safe_log(mean))
         rest = others(log_mean) + times_log(end - start, effects.log_endured)
         survived = np.stack([rest, rest + log_kept], axis=1)
-        if weights[start] > 0.0:
+        if weights[start] > 0.0 and by_hazard is None:
             terms.append(reached + safe_log(-weights[start] * np.expm1(survived)))
+        elif weights[start] > 0.0 and by_hazard:
+            struck = -np.expm1(survived - effects.log_endured)
+            terms.append(reached + effects.log_endured + safe_log(weights[start] * struck))
+        elif weights[start] > 0.0:
+            terms.append(reached + safe_log(weights[start] * failed))
         hazard = np.stack([ratio(hazard[:, 0], mean), ratio(hazard[:, 1] * kept, mean)], axis=1)
         start, reached = end, reached + survived
     stacked = np.stack(terms)
@@ -475,7 +486,7 @@ def likelihood_in_reach(hazard: Floats, evidence: Evidence, effects: Effects) ->
 
 def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
     """Return a loss's likelihood: a sum over steps, which may telescope (:eq:`loss-universes`)."""
-    if effects.spared is None and evidence.lost_at is None:
+    if effects.spared is None and evidence.lost_at is None and evidence.by_hazard is None:
         return lost_after(evidence.first, hazard, evidence, effects)
     hypotheses = hazard.shape[-1]
     width = max(MAX_VALUES // evidence.made.size, 1)
@@ -484,6 +495,17 @@ def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
     blocks = [slice(start, start + width) for start in range(0, hypotheses, width)]
     parts = [lost_in_steps(hazard[..., some], evidence, effects.at(some)) for some in blocks]
     return Likelihood(*(np.concatenate(each, axis=-1) for each in zip(*parts)))
+
+
+def loss_causes(evidence: Evidence, effects: Effects) -> tuple[Floats, Floats]:
+    """Return P(failure) and P(strike | hazard) in the step of a loss, of the cause it had."""
+    failed, struck = effects.malfunction, (1.0 - effects.malfunction) * effects.strike
+    if evidence.by_hazard is None:
+        return failed, struck
+    if evidence.by_hazard:
+        return 0.0 * failed, struck
+    # A failure that the model rules out says nothing of its numbers.
+    return failed if failed.any() else np.ones_like(failed), 0.0 * struck
 
 
 def log_survival(hazard: Floats, counts: NDArray[np.intp], powers: Powers) -> Floats:
@@ -532,7 +554,7 @@ def lost_in_steps(hazard: Floats, evidence: Evidence, effects: Effects) -> Likel
     kept = np.exp(powers.log_kept[:, 1])
     spared, kept = (powers.survived - kept)[made], kept[made]
     # In the step of the loss the robot failed, or a hazard struck it.
-    failed, struck = effects.malfunction, (1.0 - effects.malfunction) * effects.strike
+    failed, struck = loss_causes(evidence, effects)
     own_kept, own_spared = kept[here, of_step], spared[here, of_step]
     own_lost = own_kept * struck
     own_kept, own_spared = own_kept * failed, own_spared * failed

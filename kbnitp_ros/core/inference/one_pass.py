@@ -89,6 +89,11 @@ class OnePass:
         return not self.is_published
 
     @property
+    def takes_causes(self) -> bool:
+        """Return whether the method takes the cause of a loss."""
+        return not self.is_published
+
+    @property
     def on_loss(self) -> Condition:
         """Return the update of a loss."""
         return condition_published if self.is_published else condition
@@ -105,6 +110,8 @@ class OnePass:
             return self._after_finding(belief, model, observation)
         check_cells(belief, observation)
         evidence = Evidence.of(observation)
+        if self.is_published and observation.by_hazard is not None:
+            raise ValueError('by_hazard is given: the published update takes no cause of a loss')
         if model.reach:
             if self.is_published:
                 raise ValueError('reach is not 0: the published update takes none')
