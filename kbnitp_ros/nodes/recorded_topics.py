@@ -203,14 +203,20 @@ class Inquiry:
         if ready and now >= self._ask_at and not self.over:
             self._ask_at = now + ASK_AGAIN
             answer = self._names.call_async(ListParameters.Request())
-            answer.add_done_callback(self._on_names)
+            answer.add_done_callback(self._node.guarded(self._on_names))
+
+    # The executor may call back once more after the clients were destroyed.
 
     def _on_names(self, answer: Future) -> None:
+        if self.over:
+            return
         names = answer.result().result.names
         values = self._values.call_async(GetParameters.Request(names=names))
-        values.add_done_callback(partial(self._on_values, names))
+        values.add_done_callback(self._node.guarded(partial(self._on_values, names)))
 
     def _on_values(self, names: Sequence[str], answer: Future) -> None:
+        if self.over:
+            return
         self.over = True
         try:
             values = [parameter_value_to_python(value) for value in answer.result().values]

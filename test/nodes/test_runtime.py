@@ -13,10 +13,12 @@ import time
 
 from ament_index_python.packages import get_package_share_directory
 from kbnitp_ros.cli.processes import environment, free_domain
+from kbnitp_ros.nodes.recorded_topics import Inquiry
 from kbnitp_ros.nodes.runtime.graph import discovery_warning, PROFILES, udp_only
 from kbnitp_ros.nodes.runtime.node import MissionNode, spin_once
 from kbnitp_ros.nodes.runtime.qos import EVIDENCE
 import pytest
+from rcl_interfaces.srv import ListParameters
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
@@ -105,6 +107,27 @@ def test_a_service_may_answer_later(here):
 
 
 @pytest.mark.processes
+def test_an_answer_after_an_inquiry_is_ignored(here):
+    """The executor may call back once more for an answer that had arrived before."""
+    node, until = here
+    taken = []
+    name = node.get_fully_qualified_name()
+    inquiry = Inquiry(node, name, lambda *given: taken.append(given), fail)
+
+    def is_over():
+        inquiry.pursue()
+        return inquiry.over
+
+    until(is_over)
+    inquiry.destroy()
+    late, called = Future(), []
+    late.set_result(ListParameters.Response())
+    for call_back in (inquiry._on_names, lambda _: called.append(True)):
+        node.call_next(lambda call_back=call_back: call_back(late))
+    until(lambda: called)
+    assert [who for who, _ in taken] == [name]
+
+
 def test_a_node_that_cannot_leave_the_graph_ends_as_it_would_have():
     program = """
 import ctypes, os, signal

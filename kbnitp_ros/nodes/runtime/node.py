@@ -317,7 +317,9 @@ class MissionNode(Node):
 
         def answer(response: Any, header: Any) -> None:
             if isinstance(response, Future):
-                response.add_done_callback(lambda done: send(done.result(), header))
+                response.add_done_callback(
+                    self.guarded(lambda done: send(done.result(), header))
+                )
             else:
                 send(response, header)
 
