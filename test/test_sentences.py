@@ -25,6 +25,7 @@ FOR_PEOPLE = {'reason', 'message'}
 NAMES = {
     'agent', 'author', 'dynamics', 'field_id', 'goal', 'instance', 'journal', 'log', 'method',
     'name', 'target_dynamics', 'told', 'agents', 'parameters', 'kind', 'alternative',
+    'version', 'waiting',
 }  # fmt: skip
 
 # Attributes with a text for people, beside fields of messages: of standings, of nodes on

@@ -155,6 +155,7 @@ def free_agent(now: PlannerState) -> str:
         if still
         else '',
         now.states.reasons(),
+        *(f'{agent} waits: {each.why}' for agent, each in now.waiting.items()),
         f'{some(left_alone)} refused the last order' if left_alone else '',
         f'nobody publishes {now.topics(mute, "status")}, so a robot that never left would '
         'count as lost (parameter presume_departure)'

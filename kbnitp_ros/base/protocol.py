@@ -17,10 +17,11 @@ Each step can be repeated: what is published again is the same message, which ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from kbnitp_ros.base.agent_states import AgentStates
+from kbnitp_ros.base.readiness import Waiting
 from kbnitp_ros.base.state import BaseState, EvidenceName
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.inference.record import deployment_order
@@ -84,6 +85,8 @@ class PlannerState:
     silent: Collection[str] = ()
     outdated: Collection[str] = ()
     left_alone: Collection[str] = ()
+    # Agents whose robots are kept at their base, by the condition.
+    waiting: Mapping[str, Waiting] = field(default_factory=dict)
 
     @property
     def sent(self) -> int:
@@ -123,7 +126,7 @@ class PlannerState:
     def free_agents(self) -> list[str]:
         """Return the agents that are present and have no robot in flight."""
         out = {key.agent for key in self.base.in_flight}
-        taken = {*out, *self.absent, *self.mute, *self.outdated, *self.left_alone}
+        taken = {*out, *self.absent, *self.mute, *self.outdated, *self.left_alone, *self.waiting}
         taken |= {*self.states.foreign, *self.states.unstated, *self.base.still_agents}
         return [agent for agent in self.agents if agent not in taken]
 

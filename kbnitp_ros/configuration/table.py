@@ -277,6 +277,12 @@ ROWS: tuple[Parameter | str, ...] = (
     changeable('approval', False),
     'Whether robots leave only after the operator has approved their paths by the service '
     'approve. The paths are proposed on AGENT/proposal.',
+    changeable('min_battery', 0.0, limits=PROBABILITY, per_agent=True),
+    'Minimum charge of a battery at departure, as a share: a robot with less, or whose charge is '
+    'not known, stays at its base while others leave; 0 for no minimum.',
+    for_planner('ready_topic', '', pattern=f'({NAME}(/{NAME})*)?'),
+    'Topic below the name of each agent, a std_msgs/Bool published as hold is, that must be true '
+    'for its robot to leave; empty for none.',
     for_planner('keep_running', True),
     'Whether the planner keeps running when the mission is over.',
     for_planner('rolling', False),
@@ -357,6 +363,8 @@ ROWS: tuple[Parameter | str, ...] = (
     for_robot('pose_topic', ''),
     'Topic of a geometry_msgs/PoseWithCovarianceStamped in nav_namespace, such as amcl_pose, '
     'with the standard deviation of a position by TF without odometry; empty for none.',
+    for_robot('battery_topic', ''),
+    'Topic of a sensor_msgs/BatteryState with the charge of the robot; empty for none.',
     for_robot('arrival_tolerance', 0.5, limits=(1e-3, 1e6)),
     'Maximum distance of a robot at home from the middle of its base, metres.',
     for_robot('stay_time', 2.0, limits=(0.0, 1e6)),

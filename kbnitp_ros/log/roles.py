@@ -27,6 +27,7 @@ from kbnitp_ros.messages.beliefs import belief_field_names, read_belief_maps
 from kbnitp_ros.messages.deployments import hear_report, read_path_name, read_status
 from kbnitp_ros.messages.grids import read_occupancy_grid
 from kbnitp_ros.messages.headers import mission_of_path, read_stamp
+from kbnitp_ros.messages.health import read_health
 from kbnitp_ros.messages.operator_actions import read_action_name
 from kbnitp_ros.messages.progress import (
     check_decision,
@@ -270,6 +271,8 @@ def read_content(role: Role, message: Any) -> Any:
             return read_mission_status(message)
         case 'state':
             return read_state(message, role.agent)
+        case 'health':
+            return read_health(message, role.agent)
         case 'operator':
             return read_action_name(message)
         case 'belief':

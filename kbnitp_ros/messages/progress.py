@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 from math import nan
 from typing import Any, NamedTuple, TYPE_CHECKING
@@ -93,6 +93,13 @@ class Helper(IntEnum):
     RECORDER = 4
 
 
+class Need(IntEnum):
+    """A condition that keeps one robot at its base, as in kbnitp_msgs/MissionStatus."""
+
+    BATTERY = 1
+    READY = 2
+
+
 @dataclass(frozen=True)
 class MissionStatus:
     """How a mission stands, as its planner says."""
@@ -115,6 +122,8 @@ class MissionStatus:
     held: int = 0
     # Probability of the goal at which the mission ends as successful; 0 for never.
     confidence: float = 0.0
+    # Agents whose robots are kept at their base, and why.
+    waiting: Mapping[str, Need] = field(default_factory=dict)
     # The obstacle in words; empty if it needs none.
     reason: str = ''
 
@@ -138,6 +147,8 @@ def mission_status_message(status: MissionStatus) -> msg.MissionStatus:
         lost=status.lost,
         held=status.held,
         confidence=status.confidence,
+        waiting=[*status.waiting],
+        waits_for=[*status.waiting.values()],
         reason=status.reason,
     )
 
@@ -152,6 +163,11 @@ def read_mission_status(message: Any) -> MissionStatus:
         raise ValueError('state is 0: it must say how the mission stands')
     if not 0 <= message.confidence < 1:
         raise ValueError(f'confidence is {message.confidence}: it must be from 0 to below 1')
+    if len(message.waits_for) != len(message.waiting):
+        raise ValueError(
+            f'waits_for has {len(message.waits_for)} values: it must have one for each of the '
+            f'{len(message.waiting)} agents in waiting'
+        )
     return MissionStatus(
         stamp=stamp,
         author=message.author,
@@ -164,6 +180,10 @@ def read_mission_status(message: Any) -> MissionStatus:
         lost=message.lost,
         held=message.held,
         confidence=message.confidence,
+        waiting={
+            agent: read_choice('waits_for', each, Need)
+            for agent, each in zip(message.waiting, message.waits_for)
+        },
         reason=message.reason,
     )
 
@@ -306,11 +326,11 @@ def read_model_belief(message: Any) -> ModelState:
     check_frame('header.frame_id', message.header.frame_id)
     fields = ('mean', 'sd', *(f'quantile_{each}' for each in QUANTILES), 'effective_sample_size')
     listed = {'kind_probability': 'kind', 'alternative_ratio': 'alternative'}
-    for field, names in {**dict.fromkeys(fields, 'name'), **listed}.items():
-        values, named = len(getattr(message, field)), len(getattr(message, names))
+    for column, names in {**dict.fromkeys(fields, 'name'), **listed}.items():
+        values, named = len(getattr(message, column)), len(getattr(message, names))
         if values != named:
             raise ValueError(
-                f'{field} has {values} values: it must have one for each of the {named} {names}s'
+                f'{column} has {values} values: it must have one for each of the {named} {names}s'
             )
     numbers = {
         name: Known(mean, sd, tuple(quantiles), samples)

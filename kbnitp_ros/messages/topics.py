@@ -10,6 +10,7 @@ BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 BOOL = 'std_msgs/msg/Bool'
 DECISION = 'kbnitp_msgs/msg/Decision'
 GRID = 'nav_msgs/msg/OccupancyGrid'
+HEALTH = 'kbnitp_msgs/msg/AgentHealth'
 MISSION = 'kbnitp_msgs/msg/MissionStatus'
 MODEL = 'kbnitp_msgs/msg/ModelBelief'
 OPERATOR = 'kbnitp_msgs/msg/OperatorAction'
@@ -81,6 +82,7 @@ OF_AGENT = {
         Topic('proposal', PATH, History.LAST, PLANNER),
         # The planner reports robots that are given up.
         Topic('report', REPORT, History.ALL, (*PLANNER, *ROBOTS), BASE),
+        Topic('health', HEALTH, History.NONE, ROBOTS, PLANNER),
         Topic('state', STATE, History.LAST, ROBOTS, (*PLANNER, *ROBOTS)),
         Topic('status', STATUS, History.ALL, ROBOTS, BASE),
         Topic('recorded', RECORDED, History.ALL, RECORDER, (*BASE, *ROBOTS)),
@@ -92,7 +94,8 @@ OF_AGENT = {
 def topic_names(role: str, topics: dict[str, Topic]) -> list[str]:
     """Return the names of the topics that nodes of a role publish or read."""
     if role == 'recorder':
-        return [topic.name for topic in topics.values() if topic.history is not History.NONE]
+        # Only recorders read each other's signs of life.
+        return [topic.name for topic in topics.values() if topic.readers != RECORDER]
     # Simulated agents publish the truth under two names, of which they state none.
     return [
         topic.name

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 import time
 
-from kbnitp_msgs.msg import AgentStatus, DeploymentReport
+from kbnitp_msgs.msg import AgentHealth, AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import agent_names, value_for
 from kbnitp_ros.configuration.agents import (
     make_execution,
@@ -26,9 +26,10 @@ from kbnitp_ros.log.roles import resumed_log
 from kbnitp_ros.messages.deployments import report_message, status_message
 from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_path
+from kbnitp_ros.messages.health import Health, health_message
 from kbnitp_ros.messages.markers import pose_message, readings_marker
 from kbnitp_ros.messages.states import Readiness
-from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
+from kbnitp_ros.nodes.presence import AGAIN, BaseField, HoldSubscription, INSTALLED, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -239,6 +240,8 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self.reports = self._publisher(DeploymentReport, 'report', qos.EVIDENCE)
         self._statuses = self._publisher(AgentStatus, 'status', qos.EVIDENCE)
         self._readings = self._publisher(Marker, 'readings', qos.LATCHED)
+        self._healths = self._publisher(AgentHealth, 'health', qos.READINGS)
+        self._node.create_poll(self._publish_health, AGAIN)
         own_grid = simulation.grid.at(own_base(self._node.values, name, simulation.grid))
         self._states = StatePublisher(self._node, own_grid, name)
         # Accepted deployments whose robots have not departed.
@@ -285,6 +288,10 @@ class SimulatedAgent(RecordedPaths[SentPath]):
             self._states.publish(Readiness.WAITING, awaited, is_at_base=True)
         else:
             self._states.publish(Readiness.READY, is_at_base=True)
+
+    def _publish_health(self) -> None:
+        health = Health(self._node.now(), INSTALLED)
+        self._healths.publish(health_message(self.agent, health))
 
     def _take_path(self, sent: SentPath) -> None:
         """Accept a path; start its robot unless new departures are held."""

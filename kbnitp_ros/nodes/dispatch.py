@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
+from math import inf
 import time
 
-from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentHealth, AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.base.agent_states import AgentStates
+from kbnitp_ros.base.readiness import Readiness, Waiting
 from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
@@ -33,12 +35,15 @@ from kbnitp_ros.messages.headers import (
     read_name,
     SECOND,
 )
+from kbnitp_ros.messages.health import read_health
+from kbnitp_ros.messages.progress import Need
 from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.nodes.rounds import describe_plan, Plans, Rounds
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode, LOG_FIRST
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
+from std_msgs.msg import Bool
 
 # Seconds without orders for an agent after it refused an order, doubled with each further refusal;
 # and the maximum pause.
@@ -79,6 +84,9 @@ class Dispatch:
         bases = {agent: own_base(self._values, agent, node.grid) for agent in agents}
         fields = {agent: node.grid.at(base) for agent, base in bases.items()}
         self.states = AgentStates(fields, self._values)
+        self._readiness = Readiness(self._values)
+        # Start of each agent's wait for a condition, seconds; infinite once it was logged.
+        self._waits: dict[tuple[str, Need], float] = {}
         # Reason of each agent, with the time since which it gives it, and the reasons logged.
         self._reasons: dict[str, tuple[str, float]] = {}
         self._told: set[tuple[str, str]] = set()
@@ -138,6 +146,10 @@ class Dispatch:
             self._node.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self._node.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
             self._node.subscribe_to_agent(AgentState, agent, partial(self._on_state, agent))
+            self._node.subscribe_to_agent(AgentHealth, agent, partial(self._on_health, agent))
+            if topic := self._values['ready_topic']:
+                take = partial(self._on_ready, agent)
+                self._node.subscribe(Bool, f'{agent}/{topic}', take, qos.LATCHED)
             if self._values['recorded']:
                 self._node.subscribe_to_agent(Recorded, agent, partial(self._on_recorded, agent))
 
@@ -150,6 +162,14 @@ class Dispatch:
         """Return the agents that get no orders for a while after they refused an order."""
         now = time.monotonic()
         return [agent for agent, (_, until) in self._pauses.items() if now < until]
+
+    @property
+    def waiting(self) -> dict[str, Waiting]:
+        """Return the conditions that keep robots at their base, by agent."""
+        now, out = time.monotonic(), {key.agent for key in self._state.in_flight}
+        at_base = [agent for agent in self._agents if agent not in out]
+        found = {agent: self._readiness.waiting(agent, now) for agent in at_base}
+        return {agent: each for agent, each in found.items() if each is not None}
 
     def _longest_absence(self, key: DeploymentKey) -> int:
         """Return the timeout of a silent robot, nanoseconds."""
@@ -222,7 +242,7 @@ class Dispatch:
                 self._log_departure(key)
 
     def log_reasons(self) -> None:
-        """Log once why each deployment is held, and what each agent says for `LOG_FIRST`."""
+        """Log once why deployments are held, and what agents say or wait for for `LOG_FIRST`."""
         for key, why in self._state.held.items():
             if self._held.get(key) != why:
                 self._held[key] = why
@@ -238,6 +258,14 @@ class Dispatch:
             if is_new and time.monotonic() > since + LOG_FIRST:
                 self._told.add((agent, reason))
                 self._node.get_logger().warning(f'{agent} says: {reason}')
+
+        waiting, now = self.waiting, time.monotonic()
+        keys = ((agent, each.what) for agent, each in waiting.items())
+        self._waits = {key: self._waits.get(key, now) for key in keys}
+        for (agent, what), since in self._waits.items():
+            if now > since + LOG_FIRST:
+                self._waits[agent, what] = inf
+                self._node.get_logger().warning(f'{agent} waits: {waiting[agent].why}')
 
     def _log_departure(self, key: DeploymentKey) -> None:
         if goal := self._goals.pop(key, None):
@@ -301,6 +329,17 @@ class Dispatch:
             if not self._why_not_lost(key):
                 self._state.leave(agent)
         self._act()
+
+    def _on_health(self, agent: str, message: AgentHealth) -> None:
+        try:
+            health = read_health(message, agent)
+        except ValueError as error:
+            self._node.diagnostics.refuse(f'{agent}/health', error)
+            return
+        self._readiness.take(agent, health, time.monotonic())
+
+    def _on_ready(self, agent: str, message: Bool) -> None:
+        self._readiness.ready[agent] = message.data
 
     def _on_status(self, agent: str, message: AgentStatus) -> None:
         """Record an agent's status of an order."""

@@ -224,6 +224,7 @@ class PlannerNode(FieldNode):
             silent=self._peers.silent,
             outdated=self._peers.outdated,
             left_alone=self._dispatch.left_alone,
+            waiting=self._dispatch.waiting,
         )
 
     def _missing_listeners(self) -> str | None:
@@ -292,6 +293,7 @@ class PlannerNode(FieldNode):
             lost=state.lost,
             held=len(state.held),
             confidence=self.values['stop.confidence'],
+            waiting={agent: each.what for agent, each in now.waiting.items()},
             reason='' if now.is_plain(obstacle) else self.diagnostics.state,
         )
         time_now = time.monotonic()

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from math import inf
 import time
 from typing import Any
@@ -23,6 +24,9 @@ from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool
+
+# Version of this package, which each agent states.
+INSTALLED = version('kbnitp_ros')
 
 # Topic that every recorder, and no other node, publishes from start to end.
 OPERATORS = 'operator/recorded'

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 import heapq
 from itertools import chain
+from math import inf
 from pathlib import Path
 import time
 from typing import Any
@@ -35,6 +36,7 @@ from kbnitp_ros.messages.headers import (
     NO_MISSION,
     to_stamp,
 )
+from kbnitp_ros.messages.health import Health
 from kbnitp_ros.messages.topics import BELIEF
 from kbnitp_ros.nodes.presence import check_author, LOG, OPERATORS, Recorders
 from kbnitp_ros.nodes.recorded_topics import (
@@ -81,6 +83,9 @@ AFTER_CONFIGURATION = (*ACTED_ON, 'belief')
 
 # Seconds between two syncs of messages other than evidence.
 SYNC_PERIOD = 0.5
+
+# Minimum seconds between two records of the health of a robot.
+HEALTH_PERIOD = 10.0
 
 # Maximum number of foreign topics to inspect per graph scan: with thousands of topics in the graph
 # each query takes half a millisecond.
@@ -137,6 +142,8 @@ class RecorderNode(MissionNode):
         self._unacknowledged: dict[tuple[str, str], deque[tuple[int, int, int, int]]] = (
             defaultdict(deque)
         )
+        # By topic: what was recorded last of the health of a robot, and when, seconds.
+        self._health: dict[str, tuple[object, float]] = {}
         # Hash of the last message of each role that is repeated, without its header, by topic.
         self._repeated: dict[str, int] = {}
         # By node: first difference between the topics that it states and the topics of this node.
@@ -409,6 +416,8 @@ class RecorderNode(MissionNode):
             epoch, rules = self._estimator
             check_author(self, said, epoch, rules)
             self._estimator = max(epoch, said.epoch), said.rules
+        if role.name == 'health':
+            return self._is_news(topic, said)
         if role.name in REPEATED:
             return not self._is_repeated(topic, message)
         if role.name == 'status':
@@ -436,6 +445,15 @@ class RecorderNode(MissionNode):
             self._tracker.check_belief(said, self.count_authors(topic.name, BELIEF))
             self._tracker.accept_belief(said)
             remember(self._believed, named, None)
+        return True
+
+    def _is_news(self, topic: RecordedTopic, health: Health) -> bool:
+        """Return whether health is recorded: what matters has changed, and not just now."""
+        last, written_at = self._health.get(topic.name, (None, -inf))
+        now = time.monotonic()
+        if health.recorded == last or now < written_at + HEALTH_PERIOD:
+            return False
+        self._health[topic.name] = health.recorded, now
         return True
 
     def _is_repeated(self, topic: RecordedTopic, message: Any) -> bool:

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import inf
+from math import inf, nan
 import os
 from pathlib import Path
 import time
 from typing import Any
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
-from kbnitp_msgs.msg import AgentStatus, DeploymentReport
+from kbnitp_msgs.msg import AgentHealth, AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.field import make_datum
@@ -21,10 +21,11 @@ from kbnitp_ros.core.inference.record import MAX_WALK, OrderState
 from kbnitp_ros.files import in_words, Waiting, waiting_for
 from kbnitp_ros.messages.deployments import report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
+from kbnitp_ros.messages.health import Health, health_message
 from kbnitp_ros.messages.markers import readings_marker
 from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_detection
-from kbnitp_ros.nodes.presence import BaseField, HoldSubscription, StatePublisher
+from kbnitp_ros.nodes.presence import AGAIN, BaseField, HoldSubscription, INSTALLED, StatePublisher
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -33,9 +34,12 @@ from kbnitp_ros.robot.journal import Deployment, Journal, Step
 from kbnitp_ros.robot.track import BY_ODOMETRY, BY_POSES
 from kbnitp_ros.robot.trip import distance_home, Trip, USUAL_SPEED
 from kbnitp_ros.robot.whereabouts import Fixes, Place, Transforms
-from sensor_msgs.msg import NavSatFix
+from sensor_msgs.msg import BatteryState, NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
+
+# Seconds after which the charge of a battery is not known any more.
+BATTERY_TIMEOUT = 60.0
 
 # Exit code of a node that must be restarted, since DDS does not use new network links.
 NEW_LINKS = os.EX_TEMPFAIL
@@ -66,6 +70,7 @@ class RobotNode(FieldNode):
         self._reports = self.create_publisher(DeploymentReport, f'{prefix}report', qos.EVIDENCE)
         self._statuses = self.create_publisher(AgentStatus, f'{prefix}status', qos.EVIDENCE)
         self._readings = self.create_publisher(Marker, f'{prefix}readings', qos.LATCHED)
+        self._healths = self.create_publisher(AgentHealth, f'{prefix}health', qos.READINGS)
         self._states = StatePublisher(self, self.grid, self._agent)
         self._base_field = BaseField(self, self.grid)
         self._hold = HoldSubscription(self)
@@ -89,6 +94,8 @@ class RobotNode(FieldNode):
             )
         # Current place of the robot; None if it is unknown.
         self._place: Place | None = None
+        # Charge of the battery, and the time of its message, seconds.
+        self._battery = nan, -inf
         # Current problems by subject; empty texts for solved ones.
         self._troubles = {self._source: 'nothing was received yet'}
         # The deployment in flight; None at home.
@@ -124,7 +131,10 @@ class RobotNode(FieldNode):
             is_timed=True,
             keeps_all=False,
         )
+        if topic := values['battery_topic']:
+            self.subscribe(BatteryState, topic, self._on_battery, qos.READINGS, keeps_all=False)
         self.create_poll(self._look)
+        self.create_poll(self._publish_health, AGAIN)
 
     def _subscribe_to_places(self) -> None:
         if isinstance(self._whereis, Fixes):
@@ -247,6 +257,27 @@ class RobotNode(FieldNode):
                 self._trip.detect(since, until, seen, is_stamped=stamp is not None)
         except ValueError as error:
             self.diagnostics.refuse('detections', error)
+
+    def _on_battery(self, message: BatteryState) -> None:
+        is_known = 0.0 <= message.percentage <= 1.0
+        self._battery = message.percentage if is_known else nan, time.monotonic()
+
+    def _publish_health(self) -> None:
+        charge, heard = self._battery
+        now, place, at = self.now(), self._place, {}
+        if place is not None:
+            at = {'x': place.x, 'y': place.y, 'pose_age': max(now - place.stamp, 0) / SECOND}
+            # Positions by odometry state no deviation, and others none before the first message.
+            at['deviation'] = place.sigma if 0.0 < place.sigma < inf else nan
+        health = Health(
+            now,
+            INSTALLED,
+            battery=charge if time.monotonic() < heard + BATTERY_TIMEOUT else nan,
+            journal=self._journal.is_written,
+            server=not self._driver.is_down,
+            **at,
+        )
+        self._healths.publish(health_message(self._agent, health))
 
     def _detection_time(self, stamp: int | None, published: int) -> tuple[int, int]:
         """Return the interval of ROS time in which a detection was made, in nanoseconds."""

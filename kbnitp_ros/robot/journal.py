@@ -122,6 +122,11 @@ class Journal:
         if not is_of_this_field:
             self._set_aside()
 
+    @property
+    def is_written(self) -> bool:
+        """Return whether all records are on the disk."""
+        return not self._unwritten
+
     def _set_aside(self) -> None:
         """Move the file to a folder named after its mission, and begin a new file."""
         kept = self.path.parent / str(self.mission or 0) / self.path.name

@@ -103,7 +103,7 @@ def test_a_report_that_nobody_heard_gives_no_outcome():
 def test_all_messages_of_a_mission_have_the_same_version():
     kinds = {topic.type_name for topic in [*OF_MISSION.values(), *OF_AGENT.values()]}
     own = [message_class(kind) for kind in kinds if kind.startswith('kbnitp_msgs/')]
-    assert len(own) == 12
+    assert len(own) == 13
     assert {kind.VERSION for kind in own} == {2}
 
 
