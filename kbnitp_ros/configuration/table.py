@@ -385,6 +385,11 @@ ROWS: tuple[Parameter | str, ...] = (
     'Class of the detections that are targets, for detection2d_array; empty for any.',
     for_robot('detection_score', 0.5, limits=PROBABILITY),
     'Minimum score of the detections that count, for detection2d_array.',
+    for_robot('detections.needed', 1, limits=(1, 1000)),
+    'Number of positive detections, of detections.of in a row in a cell, by which a reading is '
+    'positive.',
+    for_robot('detections.of', 1, limits=(1, 1000)),
+    'Number of detections in a row that make a reading; a cell with fewer is not looked at.',
     Parameter('resume', '', ('planner', 'agent', 'estimator', 'recorder'), is_file=True),
     'Log of the mission to resume, its first file or its folder; empty for a new mission.',
     for_recorder('file', '', is_file=True),

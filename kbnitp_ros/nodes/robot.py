@@ -122,6 +122,11 @@ class RobotNode(FieldNode):
                 f'parameter arrival_tolerance is {values["arrival_tolerance"]} m, and half a cell '
                 f'{self.grid.resolution / 2} m: a robot in another cell counts as home'
             )
+        if values['detections.needed'] > values['detections.of']:
+            raise ValueError(
+                f'parameter detections.needed is {values["detections.needed"]}: it must be at '
+                f'most detections.of, which is {values["detections.of"]}'
+            )
         self._subscribe_to_places()
         self.subscribe(
             detections,

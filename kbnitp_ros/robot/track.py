@@ -61,8 +61,12 @@ NUMBERS = 10
 class Track:
     """The poses, the entries of cells and the detections of a deployment."""
 
-    def __init__(self, grid: Grid, max_speed: float, steps: int) -> None:
+    def __init__(
+        self, grid: Grid, max_speed: float, steps: int, needed: int = 1, of: int = 1
+    ) -> None:
         self._grid = grid
+        # A reading is positive if so many of successive detections are.
+        self._needed, self._of = needed, of
         self._max_speed = max_speed / grid.resolution
         # Why no step is vouched for; empty if some may be.
         self.doubt = ''
@@ -128,6 +132,7 @@ class Track:
                 _enters(frame[window] - complex(col, row), times[window], limits)
                 for frame in frames
             )
+        counted: dict[int, list[bool]] = {}
         for number, since, until, seen in self._detections:
             step = steps[number - 1]
             made = (since - self._first) / SECOND, (until - self._first) / SECOND
@@ -138,7 +143,11 @@ class Track:
             at = np.array([np.interp(when, times, frame) for frame in frames])
             off = at - complex(col + 0.5, row + 0.5)
             if max(np.abs(off.real).max(), np.abs(off.imag).max()) <= 0.5 - limits.read_depth:
-                step.reading = max(step.reading, int(seen))
+                counted.setdefault(number, []).append(seen)
+        for number, results in counted.items():
+            starts = range(len(results) - self._of + 1)
+            if positive := [sum(results[slice(start, start + self._of)]) for start in starts]:
+                steps[number - 1].reading = int(max(positive) >= self._needed)
 
     def _frames(
         self, poses: NDArray[np.float64]

@@ -84,7 +84,8 @@ class Trip:
         gap = min(kept, 2 * MARGIN * grid.resolution / max_speed) if max_speed else kept
         self._whereabouts = Whereabouts(round(kept * SECOND), round(gap * SECOND))
         speed = max_speed or USUAL_SPEED * grid.resolution
-        self._track = Track(grid, speed, len(deployment.steps))
+        rule = values['detections.needed'], values['detections.of']
+        self._track = Track(grid, speed, len(deployment.steps), *rule)
         # Least time that a robot takes for a cell, nanoseconds.
         self._in_cell = round(grid.resolution / speed * SECOND)
         # Detections not assigned to a step yet: first and last possible time, and the result.

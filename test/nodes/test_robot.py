@@ -3,7 +3,7 @@
 
 from collections import Counter
 from functools import reduce
-from itertools import count, product
+from itertools import count, cycle, product
 import json
 from operator import itemgetter
 import os
@@ -17,11 +17,13 @@ from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.deployments import read_report
 from kbnitp_ros.messages.topics import REPORT
+from kbnitp_ros.nodes.runtime import qos
 from launches import interrupt, launched, node_pids
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
 from sensor_msgs.msg import NavSatFix, NavSatStatus
+from std_msgs.msg import Bool
 
 ROUND = [0, 1, 14, 14, 13, 25, 13, 12, 0, 1, 0]
 
@@ -108,6 +110,29 @@ def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
     report = fleet.wait_for_report(reports, fleet.send(2, orders))
     assert [cell for cell, _ in report.readings] == orders[1:]
     assert fleet.walked() == orders
+
+
+def test_a_reading_needs_several_detections_of_a_poor_detector(field):
+    fleet, reports = Fleet.simulated(field, speed=1.0)
+    rule = {'detections.needed': 2, 'detections.of': 3}
+    fleet.start(remapped={'detections': '/scout_1/poor'}, **rule)
+    detector = field.talk(Bool, '/scout_1/poor', qos.READINGS)
+    pattern = cycle([True, False, False])
+    field.node.create_timer(0.06, lambda: detector.publish(Bool(data=next(pattern))))
+    # One of three, and then two of three.
+    for number, seen in enumerate((False, True), 1):
+        report = fleet.wait_for_report(reports, fleet.send(number, [0, 1, 2, 1, 0]))
+        readings = [reading for _, reading in report.readings]
+        assert readings.count(seen) >= 3
+        assert (not seen) not in readings
+        pattern = cycle([True, True, False])
+
+
+def test_a_rule_of_readings_that_no_detections_fulfil_is_refused(field):
+    Fleet(field).start(**{'detections.needed': 3, 'detections.of': 2})
+    code, told = field.until_failed('/scout_1/robot')
+    assert code == 2
+    assert 'parameter detections.needed is 3: it must be at most detections.of' in told
 
 
 # Number of injections of each failure.

@@ -30,6 +30,8 @@ VALUES = {
     'attempts': 3,
     'time_budget': 0.0,
     'retry_delay': 2.0,
+    'detections.needed': 1,
+    'detections.of': 1,
 }
 
 # A deployment ends after this time, if the robot is not back.

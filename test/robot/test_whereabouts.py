@@ -137,3 +137,34 @@ def test_a_jump_after_the_first_pose_vouches_for_no_step_before_it(has_odometry,
     if not has_odometry:
         assert 'jumped farther than the maximum speed' in track.doubt
         assert not any(step.is_entered for step in steps)
+
+
+@for_each('rule, seen, reading', [
+    ((1, 1), '', -1),
+    ((1, 1), '0', 0),
+    ((1, 1), '00100', 1),
+    ((2, 3), '11', -1),
+    ((2, 3), '110', 1),
+    ((2, 3), '101', 1),
+    ((2, 3), '100', 0),
+    ((2, 3), '1001001', 0),
+    ((2, 3), '100001100', 1),
+    ((3, 3), '11011011', 0),
+    ((3, 3), '0111', 1),
+])  # fmt: skip
+def test_a_reading_is_positive_if_enough_detections_in_a_row_are(rule, seen, reading):
+    """The robot drives into a cell, and is in it while its detector speaks each second."""
+    track, steps = Track(Grid(3, 1), 1.0, 0, *rule), [Step(1, NOW)]
+    for number in range(40):
+        x = min(0.5 + number / 5, 1.5)
+        if number == 3:
+            track.enter(is_own=True)
+        time = NOW + number * SECOND // 2
+        track.add(Place(x, 0.5, time, time, complex(x, 0.5), (0j, 1 + 0j)))
+    for number, each in enumerate(seen):
+        at = NOW + (6 + number) * SECOND
+        track.detect(1, at, at, each == '1')
+    track.end_goal(is_home=True)
+    track.judge(steps)
+    assert steps[0].is_entered
+    assert steps[0].reading == reading
