@@ -18,6 +18,7 @@ executables = [
     'estimator',
     'forecast',
     'planner',
+    'preflight',
     'recorder',
     'replay',
     'report',

@@ -23,7 +23,7 @@ EXTRAS = {
 # Each module has main(argv=None), which returns the exit code.
 COMMANDS = {
     name: f'kbnitp_ros.cli.{name}'
-    for name in ('demo', 'study', 'replay', 'report', 'watch', 'forecast')
+    for name in ('demo', 'study', 'replay', 'report', 'watch', 'forecast', 'preflight')
 }
 NODES = {
     name: f'kbnitp_ros.nodes.{name}'
@@ -93,5 +93,7 @@ def missing_rmw() -> str:
 
 
 # Called by `ros2 run kbnitp_ros NAME`.
-demo, study, replay, report, watch, forecast = (partial(start, name) for name in COMMANDS)
+demo, study, replay, report, watch, forecast, preflight = (
+    partial(start, name) for name in COMMANDS
+)
 planner, agent, robot, estimator, recorder = (partial(start, name) for name in NODES)

@@ -41,7 +41,7 @@ BELOW = {
         'nodes.runtime',
     },
     'cli': {
-        'files', 'core', 'messages', 'log', 'study', 'figures', 'report', 'configuration',
+        'files', 'core', 'messages', 'base', 'log', 'study', 'figures', 'report', 'configuration',
         'nodes.runtime',
     },
 }  # fmt: skip

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command preflight hears the base and its robots, and is green once all is mended."""
+
+from importlib.metadata import version
+import os
+import subprocess
+import sys
+
+from base import Base, GRID
+from kbnitp_msgs.msg import AgentHealth
+from kbnitp_ros.core import Grid
+from kbnitp_ros.messages.health import Health, health_message
+from kbnitp_ros.nodes.runtime import qos
+
+COMMAND = [sys.executable, '-m', 'kbnitp_ros', 'preflight']
+
+
+def preflight(field, wait):
+    """Run the command; return its exit code and its output."""
+    running = subprocess.Popen(
+        [*COMMAND, '--wait', str(wait)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=os.environ,
+    )
+    field.until(lambda: running.poll() is not None, 'end of the command')
+    return running.returncode, running.communicate()[0]
+
+
+def test_a_base_that_is_not_heard_is_named(field):
+    code, told = preflight(field, 0.5)
+    assert code == 2
+    assert told == (
+        'preflight: no planner is heard on /mission: start the base, or name another --namespace\n'
+    )
+
+
+def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
+    base = Base(field, robots=1, min_battery=0.3)
+    field.until(lambda: base.beliefs, 'prior')
+    publisher = field.node.create_publisher(AgentHealth, '/scout_1/health', qos.READINGS)
+    says = {'version': '0.9.0', 'battery': 0.18, 'journal': False, 'behind': 5 * 10**9}
+
+    def repeat():
+        now, health = field.now(), dict(says)
+        stamp = now - health.pop('behind')
+        publisher.publish(health_message('scout_1', Health(stamp, **health)))
+
+    def red(wait=5.0):
+        code, told = preflight(field, wait)
+        lines = [line for line in told.splitlines() if line.startswith('RED')]
+        assert code == bool(lines), told
+        return [line.partition(':')[0].split(maxsplit=1)[1] for line in lines]
+
+    assert red() == ['scout_1 heard']
+    field.node.create_timer(0.2, repeat)
+    field.stand('scout_1', Grid(6, 5), is_at_base=False)
+    reasons = ['version', 'field', 'at its base', 'journal', 'clock', 'battery']
+    mend = {
+        'version': lambda: says.update(version=version('kbnitp_ros')),
+        'field': lambda: field.stand('scout_1', GRID, is_at_base=False),
+        'at its base': lambda: field.stand('scout_1', GRID),
+        'journal': lambda: says.update(journal=True),
+        'clock': lambda: says.update(behind=0),
+        'battery': lambda: says.update(battery=0.9),
+    }
+    while reasons:
+        assert red() == [f'scout_1 {reason}' for reason in reasons]
+        mend[reasons.pop(0)]()
+    code, told = preflight(field, 60.0)
+    assert code == 0, told
+    assert 'GREEN scout_1 battery: 90 %' in told
+    assert 'INFO  scout_1 pose: not known' in told
+    assert 'GREEN disk: ' in told
+    assert 'INFO  losses: without hazards' in told
