@@ -12,7 +12,7 @@ import time
 import traceback
 from typing import Any, TypeVar
 
-from kbnitp_msgs.msg import AgentHealth, AgentState, AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import make_grid, value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.field import graded_note
@@ -317,9 +317,7 @@ class MissionNode(Node):
 
         def answer(response: Any, header: Any) -> None:
             if isinstance(response, Future):
-                response.add_done_callback(
-                    self.guarded(lambda done: send(done.result(), header))
-                )
+                response.add_done_callback(self.guarded(lambda done: send(done.result(), header)))
             else:
                 send(response, header)
 
@@ -366,7 +364,6 @@ class MissionNode(Node):
 AGENT_TOPICS: dict[type, str] = {
     Path: 'path',
     DeploymentReport: 'report',
-    AgentHealth: 'health',
     AgentState: 'state',
     AgentStatus: 'status',
     Recorded: 'recorded',
@@ -419,7 +416,7 @@ class FieldNode(MissionNode):
     ) -> Subscription:
         """Subscribe to a topic of an agent."""
         topic = f'{self.above}/{agent}/{AGENT_TOPICS[kind]}'
-        profile = {AgentState: qos.LATCHED, AgentHealth: qos.READINGS}.get(kind, qos.EVIDENCE)
+        profile = qos.LATCHED if kind is AgentState else qos.EVIDENCE
         return self.subscribe(kind, topic, callback, profile)
 
     def _on_map(self, message: OccupancyGrid) -> None:
