@@ -16,10 +16,10 @@ from kbnitp_ros.log.schema import check_installed
 from kbnitp_ros.messages.headers import shown
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.graph import full_name, NAMELESS
+from kbnitp_ros.nodes.runtime.node import MissionNode
 from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.exceptions import NameValidationException
-from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import qos_profile_parameter_events
 from rclpy.subscription import Subscription
@@ -108,7 +108,7 @@ Refuse = Callable[[str, object], None]
 class ParameterWatch:
     """Requests for the parameters of all nodes of a namespace, without blocking."""
 
-    def __init__(self, node: Node, namespace: str, take: Take, refuse: Refuse) -> None:
+    def __init__(self, node: MissionNode, namespace: str, take: Take, refuse: Refuse) -> None:
         self._node = node
         self._namespace = namespace
         self._take = take
@@ -182,7 +182,7 @@ class ParameterWatch:
 class Inquiry:
     """A request for all parameters of one node."""
 
-    def __init__(self, node: Node, name: str, take: Take, refuse: Refuse) -> None:
+    def __init__(self, node: MissionNode, name: str, take: Take, refuse: Refuse) -> None:
         # Whether the request has an answer, or has been given up.
         self.over = False
         self._node = node
