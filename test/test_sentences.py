@@ -42,6 +42,7 @@ SEARCHES = {
 # Functions that make a text of a text, log it once, or compare it with the record.
 WRITERS = {
     'base/agent_states.py': {'reasons', 'why_not_lost'},
+    'base/preflight.py': {'pose_check', 'robot_checks'},
     'log/replay.py': {'standing_difference'},
     'log/replayed.py': {'__str__'},
     'nodes/dispatch.py': {'follow', 'log_reasons', '_on_state'},

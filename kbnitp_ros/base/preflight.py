@@ -39,7 +39,7 @@ class Check(NamedTuple):
 
 
 class Heard(NamedTuple):
-    """What an agent said last; None for what it did not say."""
+    """The last messages of an agent; None for missing ones."""
 
     state: AgentState | None = None
     health: Health | None = None

@@ -48,7 +48,7 @@ The exit code is 0 if nothing is red, 1 if a check is red, and 2 if the base is 
 """
 
 EXAMPLES = (
-    'python3 -m kbnitp_ros preflight',
+    'python3 -m kbnitp_ros preflight --wait 3',
     'python3 -m kbnitp_ros preflight --namespace /mission --wait 30',
 )
 
