@@ -24,7 +24,8 @@ from kbnitp_ros.cli.parameters import assign, node_values, recorded_values, set_
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
 from kbnitp_ros.cli.replay import lines, replayed
 from kbnitp_ros.cli.report import report
-from kbnitp_ros.cli.watch import HOST, serving
+from kbnitp_ros.cli.server import Address
+from kbnitp_ros.cli.watch import serving
 from kbnitp_ros.configuration import (
     agent_names,
     make_estimator,
@@ -101,7 +102,7 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
         say(f'{reach}.')
     end_on_signals()
     try:
-        with serving(log, None, HOST, 0) if has_page else nullcontext():
+        with serving(log, None, Address(port=0)) if has_page else nullcontext():
             deploy(parameters)
             return conclude(log)
     except KeyboardInterrupt:

@@ -5,14 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-import errno
-from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import json
 from pathlib import Path
 from threading import Event, Thread
 import time
 
+from kbnitp_ros.cli import server
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
+from kbnitp_ros.cli.server import Address, HOST, PORT, Resource
 from kbnitp_ros.log.files import log_parts
 from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.read import is_finished
@@ -20,12 +20,15 @@ from kbnitp_ros.log.record import first_belief, required_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.mission import recorded_mission
-from kbnitp_ros.report.page import fitting_facts, page
+from kbnitp_ros.report.page import fitting_facts, page, policy
 from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
 Serve the page of a mission while it runs. The page follows the log as it grows. The command reads
 the log, takes no part in the mission and writes nothing. Ctrl-C ends it.
+
+Only the printed address opens the page: it has a token that is made anew at each start. For other
+machines give a certificate and its key, or use a tunnel.
 
 The exit code is 0 after Ctrl-C, and 2 if the log cannot be used or the port is taken.
 """
@@ -33,12 +36,8 @@ The exit code is 0 after Ctrl-C, and 2 if the log cannot be used or the port is 
 EXAMPLES = (
     'python3 -m kbnitp_ros watch runs/small',
     'python3 -m kbnitp_ros watch runs/small/mission.mcap --port 8081',
+    'python3 -m kbnitp_ros watch --host base.example --certificate base.pem --key base.key',
 )
-
-HOST, PORT = '127.0.0.1', 8080
-
-# Errors of a port that is taken or reserved.
-PORT_ERRORS = errno.EADDRINUSE, errno.EACCES
 
 # Seconds between two reads of the log, and seconds without growth after which the page reports the
 # standstill: a recorder writes diagnostics every second.
@@ -70,13 +69,26 @@ def main(argv: Sequence[str] | None = None) -> int:
         default=HOST,
         help=f'address to listen on; default {HOST}, which only this machine can reach',
     )
+    parser.add_argument(
+        '--name',
+        metavar='NAME',
+        help='name by which browsers reach this machine; default the one of --host',
+    )
+    for name, what in (('certificate', 'certificate'), ('key', 'private key')):
+        parser.add_argument(
+            f'--{name}',
+            metavar='FILE',
+            type=Path,
+            help=f'{what} of this machine (PEM); default none, without TLS',
+        )
     options = parser.parse_args(argv)
     end_on_signals()
     try:
         log = options.log or newest_log()
         if not log.exists():
             raise ValueError(f'{log} does not exist: name the log of a mission that has begun')
-        with serving(log, options.namespace, options.host, options.port):
+        where = Address(options.host, options.port, options.name, options.certificate, options.key)
+        with serving(log, options.namespace, where):
             while True:
                 time.sleep(LOOK)
     except KeyboardInterrupt:
@@ -95,36 +107,21 @@ def newest_log() -> Path:
 
 
 @contextmanager
-def serving(log: Path, namespace: str | None, host: str, port: int) -> Iterator[str]:
+def serving(log: Path, namespace: str | None, where: Address) -> Iterator[str]:
     """Serve the page of a log, and yield its address."""
-    if not 0 <= port < 2**16:
-        raise ValueError(f'--port is {port}: it must be from 0 to {2**16 - 1}')
-    wrong_host = f'--host is {host!r}: it must be an IPv4 address or a name of this machine'
-    if not host:
-        # It would listen on every address of this machine.
-        raise ValueError(wrong_host)
     follower = Follower(log_parts(log)[0], namespace)
-    try:
-        server = ThreadingHTTPServer((host, port), partial(Handler, follower))
-    except (OSError, UnicodeError) as error:
-        if isinstance(error, OSError) and error.errno in PORT_ERRORS:
-            raise OSError(
-                f'cannot listen on {host}:{port} ({error.strerror}): name another --port'
-            ) from error
-        raise ValueError(wrong_host) from error
-    server.daemon_threads = True
-    address = f'http://{host}:{server.server_port}/'
-    if host != HOST:
-        say(f'anyone who can reach {host} can read this mission')
-    for work in (server.serve_forever, follower.follow):
-        Thread(target=work, daemon=True).start()
-    say(f'the page of {follower.log} is at {address}')
-    try:
-        yield address
-    finally:
-        follower.is_over.set()
-        server.shutdown()
-        server.server_close()
+    resources = {
+        '/': Resource('text/html', lambda: page(follower.log), is_open=True),
+        '/facts': Resource('application/json', lambda: follower.facts),
+        '/events': Resource('application/x-ndjson', follower.changes),
+    }
+    with server.serving(resources, policy(), where) as address:
+        Thread(target=follower.follow, daemon=True).start()
+        say(f'the page of {follower.log} is at {address}')
+        try:
+            yield address
+        finally:
+            follower.is_over.set()
 
 
 class Follower:
@@ -160,6 +157,16 @@ class Follower:
                 self.sentence = f'The page is out of date, since the log cannot be read: {error}'
             # Reading a large log takes at most half of the time.
             self.is_over.wait(LOOK + time.monotonic() - began)
+
+    def changes(self) -> Iterator[str]:
+        """Yield the state and the version of the facts, as JSON in lines, when they change."""
+        shown = ''
+        while not self.is_over.is_set():
+            now = json.dumps({'told': self.sentence, 'version': self.version})
+            # An empty line, by which a write fails once the browser has left.
+            yield '\n' if now == shown else f'{now}\n'
+            shown = now
+            self.is_over.wait(LOOK)
 
     def _look(self) -> None:
         """Read what is new in the log, if it has changed."""
@@ -204,59 +211,3 @@ class Follower:
         if facts != self.facts:
             self.facts = facts
             self.version += 1
-
-
-class Handler(BaseHTTPRequestHandler):
-    """Request handler for the page, its facts and events."""
-
-    def __init__(self, follower: Follower, *arguments: object) -> None:
-        self._follower = follower
-        super().__init__(*arguments)  # type: ignore[arg-type]
-
-    def do_GET(self) -> None:
-        """Answer a request, unless its Host is foreign: other sites must not read the page."""
-        # A browser leaves out the port 80.
-        name = self.headers.get('Host', '').partition(':')[0]
-        if self.client_address[0] == HOST and name not in (HOST, 'localhost'):
-            self.send_error(403)
-        elif self.path == '/':
-            self._begin('text/html; charset=utf-8', page(self._follower.log))
-        elif self.path == '/facts':
-            self._begin('application/json', self._follower.facts)
-        elif self.path == '/events':
-            self._begin('text/event-stream')
-            self._send_changes()
-        else:
-            self.send_error(404)
-
-    def _begin(self, kind: str, content: str | None = None) -> None:
-        """Send the head of an answer, and its content if it is known."""
-        self.send_response(200)
-        self.send_header('Content-Type', kind)
-        self.send_header('Cache-Control', 'no-store')
-        if content is not None:
-            self.send_header('Content-Length', str(len(content.encode())))
-        self.end_headers()
-        self.wfile.write((content or '').encode())
-
-    def _send_changes(self) -> None:
-        """Send server-sent events until the browser or the server ends."""
-        version, sentence = 0, ''
-        while not self._follower.is_over.is_set():
-            # A comment of the protocol, which browsers ignore, and by which a write fails once the
-            # browser has left.
-            events = ': \n\n'
-            if sentence != (sentence := self._follower.sentence):
-                events += f'event: told\ndata: {" ".join(sentence.split())}\n\n'
-            if version != (version := self._follower.version):
-                events += f'event: facts\ndata: {version}\n\n'
-            self.wfile.write(events.encode())
-            self._follower.is_over.wait(LOOK)
-
-    def handle(self) -> None:
-        """Answer requests until the browser disconnects."""
-        with suppress(ConnectionError):
-            super().handle()
-
-    def log_message(self, *_: object) -> None:
-        """Log no requests."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from base64 import b64encode
 from functools import cache
+import gzip
+from hashlib import sha256
 from html import escape
 from importlib.resources import files
 import json
@@ -81,7 +83,20 @@ def shared_parts() -> dict[str, str]:
         'style': asset('page.css').decode(),
         'script': (asset('drawing.js') + asset('page.js')).decode(),
         'plotly': b64encode(asset('plotly-cartesian.min.js.gz')).decode(),
+        'policy': policy(),
     }
+
+
+@cache
+def policy() -> str:
+    """Return the content security policy of all pages, which allows their own scripts only."""
+    plotly = gzip.decompress(asset('plotly-cartesian.min.js.gz'))
+    digests = [sha256(code).digest() for code in (asset('drawing.js') + asset('page.js'), plotly)]
+    scripts = ' '.join(f"'sha256-{b64encode(digest).decode()}'" for digest in digests)
+    return (
+        f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; connect-src 'self'"
+    )
 
 
 def asset(name: str) -> bytes:

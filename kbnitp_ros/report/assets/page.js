@@ -566,20 +566,61 @@ async function load(text) {
   document.documentElement.dataset.ready = 'true';
 }
 
+// Take the token out of the address; a reload finds it again.
+function tokenOfServer() {
+  const given = location.hash.match(/^#token=(.+)$/);
+  if (given) {
+    sessionStorage.setItem('token', given[1]);
+    history.replaceState(null, '', location.pathname);
+  }
+  return sessionStorage.getItem('token') ?? '';
+}
+
+// Yield the lines of an answer as they arrive.
+async function* linesOf(answer) {
+  let text = '';
+  for await (const part of chunks(answer.body.pipeThrough(new TextDecoderStream()).getReader())) {
+    const lines = (text + part).split('\n');
+    text = lines.pop();
+    yield* lines.filter(Boolean);
+  }
+}
+
+// Only newer browsers iterate over streams.
+async function* chunks(reader) {
+  for (let part = await reader.read(); !part.done; part = await reader.read()) yield part.value;
+}
+
 // Follow the log of a running mission.
-function follow() {
-  const events = new EventSource('events');
-  let shown = '';
+async function follow() {
+  const headers = { 'X-Kbnitp-Token': tokenOfServer() };
+  const say = (text) => { page('live').textContent = text; };
+  let shown = 0;
   page('live').hidden = false;
-  events.addEventListener('told', (event) => { page('live').textContent = event.data; });
-  events.addEventListener('error', () => {
-    page('live').textContent = 'The command watch has ended, so the page no longer changes.';
-  });
-  events.addEventListener('facts', async (event) => {
-    shown = event.data;
-    const text = await (await fetch('facts')).text();
-    if (event.data === shown) attempt(() => load(text));
-  });
+  for (;;) {
+    try {
+      const events = await fetch('events', { headers });
+      if (events.status === 403) {
+        say('This is not the address that the command watch has printed at its last start: open that one.');
+        return;
+      }
+      for await (const line of events.ok ? linesOf(events) : []) {
+        const { told, version } = JSON.parse(line);
+        say(told);
+        if (version !== shown) {
+          const facts = await fetch('facts', { headers });
+          if (facts.ok) {
+            shown = version;
+            await attempt(async () => load(await facts.text()));
+          }
+        }
+      }
+    } catch (error) {
+      if (!(error instanceof TypeError)) throw error;
+    }
+    say('The command watch has ended, so the page no longer changes.');
+    await new Promise((resume) => { setTimeout(resume, 2000); });
+  }
 }
 
 async function attempt(work) {
