@@ -17,6 +17,7 @@ executables = [
     'demo',
     'estimator',
     'forecast',
+    'layout',
     'planner',
     'preflight',
     'recorder',

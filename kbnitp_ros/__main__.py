@@ -17,9 +17,10 @@ USAGE = f'usage: python3 -m kbnitp_ros NAME [ARGUMENTS], with NAME one of {", ".
 HELP = f"""{USAGE}
 
 demo runs a whole mission, study runs many missions without ROS, replay checks a log, report shows
-a log, watch shows a running mission, forecast predicts a mission, and preflight checks robots and
-base before the first departure. The other names are nodes. Use `python3 -m kbnitp_ros NAME --help`
-for each. --version shows the version and the folder in which it is installed.
+a log, watch shows a running mission, forecast predicts a mission, preflight checks robots and base
+before the first departure, and layout writes views of a mission for RViz, Foxglove and Lichtblick.
+The other names are nodes. Use `python3 -m kbnitp_ros NAME --help` for each. --version shows the
+version and the folder in which it is installed.
 
 example: python3 -m kbnitp_ros demo --robots 20 --out runs/small"""
 

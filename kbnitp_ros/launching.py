@@ -7,9 +7,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import os
 from pathlib import Path
 import signal
+from tempfile import mkdtemp
 from types import MappingProxyType
 from typing import Any
 
+from kbnitp_ros.cli.layout import write_views
 from kbnitp_ros.configuration import node_parameters, with_defaults
 from kbnitp_ros.configuration.given import check_counts, read_sections, values_for
 from kbnitp_ros.configuration.starts import awaited_nodes, DEFAULTS, OPTIONS, parameters_for
@@ -169,7 +171,12 @@ class Launch:
             for name, value in added.items()
             if said.get(name) in (None, PARAMETERS[name].default)
         } | self._options
-        view = share('config/rviz') / ('team.rviz' if len(self.agents) > 1 else 'mission.rviz')
+        if log:
+            views = log / 'mission' if log.is_dir() else log.with_suffix('')
+        else:
+            views = Path(mkdtemp()) / 'mission'
+        views.parent.mkdir(parents=True, exist_ok=True)
+        view, _ = write_views(views, self._namespace, self.agents)
         rviz = Node(
             package='rviz2', executable='rviz2', arguments=['-d', str(view)], remappings=self.poses
         )

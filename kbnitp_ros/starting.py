@@ -18,12 +18,13 @@ from kbnitp_ros.plugins import extra
 # Extras of pip that install the imports of a command; other executables need ROS 2.
 EXTRAS = {
     'replay': 'report', 'report': 'report', 'watch': 'report', 'study': 'study', 'forecast': 'all',
+    'layout': 'report',
 }  # fmt: skip
 
 # Each module has main(argv=None), which returns the exit code.
 COMMANDS = {
     name: f'kbnitp_ros.cli.{name}'
-    for name in ('demo', 'study', 'replay', 'report', 'watch', 'forecast', 'preflight')
+    for name in ('demo', 'study', 'replay', 'report', 'watch', 'forecast', 'preflight', 'layout')
 }
 NODES = {
     name: f'kbnitp_ros.nodes.{name}'
@@ -93,7 +94,7 @@ def missing_rmw() -> str:
 
 
 # Called by `ros2 run kbnitp_ros NAME`.
-demo, study, replay, report, watch, forecast, preflight = (
+demo, study, replay, report, watch, forecast, preflight, layout = (
     partial(start, name) for name in COMMANDS
 )
 planner, agent, robot, estimator, recorder = (partial(start, name) for name in NODES)

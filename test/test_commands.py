@@ -66,7 +66,9 @@ def help_options(told):
     return {flag: ' '.join(text.split()) for flag, text in options if flag != '--version'}
 
 
-@for_each('name', ['demo', 'study', 'replay', 'report', 'watch', 'forecast', 'preflight'])
+@for_each(
+    'name', ['demo', 'study', 'replay', 'report', 'watch', 'forecast', 'preflight', 'layout']
+)
 def test_the_help_of_a_command_has_ranges_and_valid_examples(name, capsys):
     with pytest.raises(SystemExit):
         commands.main([name, '--help'])

@@ -41,8 +41,8 @@ BELOW = {
         'nodes.runtime',
     },
     'cli': {
-        'files', 'core', 'messages', 'base', 'log', 'study', 'figures', 'report', 'configuration',
-        'nodes.runtime',
+        'files', 'core', 'messages', 'base', 'log', 'styles', 'study', 'figures', 'report',
+        'configuration', 'nodes.runtime',
     },
 }  # fmt: skip
 

@@ -21,7 +21,6 @@ from kbnitp_ros.messages.topics import REPORT
 from launches import interrupt, launched, node_pids, reports_in
 from laws import for_each
 import pytest
-import yaml
 
 ROOT = Path(__file__).parents[1]
 CONFIG = ROOT / 'config' / 'mission.yaml'
@@ -37,30 +36,6 @@ def test_the_configuration_has_every_parameter_with_its_default(node):
     assert {name: table[name].check(given[name]) for name in table.keys() & given.keys()} == {
         name: table[name].default for name in table.keys() - IN_FIELD.keys()
     }
-
-
-@for_each('name, agents', [('mission', 1), ('team', 8)])
-def test_rviz_shows_beliefs_paths_and_readings_to_a_late_joiner(name, agents):
-    view = yaml.safe_load((ROOT / 'config/rviz' / f'{name}.rviz').read_text())[
-        'Visualization Manager'
-    ]
-    assert view['Global Options']['Fixed Frame'] == 'map'
-    displays = [each for each in view['Displays'] if not each['Class'].endswith('/TF')]
-    assert len(view['Displays']) == len(displays) + 1
-    topics = {display['Topic']['Value']: display for display in displays}
-    scouts = [f'scout_{number}' for number in range(1, agents + 1)]
-    assert {topic: display['Class'].split('/')[1] for topic, display in topics.items()} == {
-        'belief/hazard': 'Map',
-        'belief/target': 'Map',
-        'belief/kappa': 'Map',
-        **{f'{scout}/{name}': 'Path' for scout in scouts for name in ('path', 'proposal')},
-        **{f'{scout}/readings': 'Marker' for scout in scouts},
-        'decision/lane': 'Path',
-    }
-    for display in topics.values():
-        assert display['Enabled']
-        assert display['Topic']['Durability Policy'] == 'Transient Local'
-        assert display['Topic']['Reliability Policy'] == 'Reliable'
 
 
 @for_each('name, file', [('kbnitp-base', 'base'), ('kbnitp-robot@', 'robot')])

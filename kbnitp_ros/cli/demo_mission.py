@@ -19,6 +19,7 @@ from typing import Any
 
 from kbnitp_msgs.msg import MissionStatus as StatusMessage
 from kbnitp_msgs.msg import Progress
+from kbnitp_ros.cli.layout import write_views
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import assign, node_values, recorded_values, set_parameter
 from kbnitp_ros.cli.processes import environment, given_domain, Processes
@@ -42,7 +43,7 @@ from kbnitp_ros.configuration.mission import check_search
 from kbnitp_ros.configuration.parameter import own_name
 from kbnitp_ros.configuration.starts import awaited_nodes, DEFAULTS, FIXED, OPTIONS, parameters_for
 from kbnitp_ros.core import METHODS
-from kbnitp_ros.files import in_words, share
+from kbnitp_ros.files import in_words
 from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAME, new_log
 from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replayed import Grade
@@ -103,7 +104,7 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
     end_on_signals()
     try:
         with serving(log, None, Address(port=0)) if has_page else nullcontext():
-            deploy(parameters)
+            deploy(log, parameters)
             return conclude(log)
     except KeyboardInterrupt:
         complain('demo', f'interrupted; {how_to_go_on(log)}')
@@ -220,14 +221,15 @@ def recorded_parameters(log: Path) -> dict[str, dict[str, Any]]:
     return parameters
 
 
-def deploy(parameters: Mapping[str, Mapping[str, Any]]) -> None:
+def deploy(log: Path, parameters: Mapping[str, Mapping[str, Any]]) -> None:
     """Start the nodes, watch until the mission is over, and stop the nodes."""
-    team = 'team' if len(parameters['planner']['agents']) > 1 else 'mission'
+    log.parent.mkdir(parents=True, exist_ok=True)
+    view, _ = write_views(log.with_suffix(''), '', parameters['planner']['agents'])
     with given_domain() as domain, Processes(domain) as processes:
         say(
             f'starting {", ".join(NODES)}; to watch them: ROS_DOMAIN_ID={domain} rviz2 -d '
-            f'{shlex.quote(str(share("config/rviz") / f"{team}.rviz"))}, or foxglove_bridge in '
-            'that domain'
+            f'{shlex.quote(str(view))}, or foxglove_bridge in that domain with the layout '
+            f'{shlex.quote(str(view.with_suffix(".json")))}'
         )
         for node in NODES:
             awaited = {'await_nodes': awaited_nodes(node, is_recorded=True)}

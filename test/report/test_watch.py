@@ -184,7 +184,9 @@ def test_a_demo_is_followed_when_its_recorder_is_killed_and_when_it_is_resumed(b
     assert 'of 40 robots lost' in ended[1]
     assert {each.name for each in log.parent.iterdir()} == {
         'metadata.yaml',
+        'mission.json',
         'mission.mcap',
+        'mission.rviz',
         'mission_1.mcap',
         'report',
     }
