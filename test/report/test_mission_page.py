@@ -389,13 +389,11 @@ def test_a_turned_field_is_drawn_upright_with_its_positions(opened, surveyed):
     arrows = {each['text']: complex(each['ax'], -each['ay']) for each in drawn['annotations']}
     for name, axis in (('x', 1.0), ('y', 1j)):
         assert arrows[name] / abs(arrows[name]) == pytest.approx(axis * np.exp(-0.7j))
-    (square,) = page.evaluate(
-        'document.getElementById("map").data.filter((each) => each.marker?.symbol === "square")'
+    (base,) = page.evaluate(
+        'document.getElementById("map").data.filter((each) => each.marker?.symbol === "pentagon")'
     )
     row, column = divmod(grid.base, grid.width)
-    assert (square['x'][0], square['y'][0]) == pytest.approx(
-        (0.1 * column + 0.05, 0.1 * row + 0.05)
-    )
+    assert (base['x'][0], base['y'][0]) == pytest.approx((0.1 * column + 0.05, 0.1 * row + 0.05))
     # The image of the map lies under the cells.
     images = """document.getElementById("map").layout.images
         .filter((each) => each.layer === "below")"""

@@ -251,7 +251,7 @@ function drawMap() {
       colorscale: [[0, gray], [1, gray]], showscale: false, hoverongaps: false, hoverinfo: 'skip', opacity: isShown('image') ? 0.6 : 1,
     }),
     scatter('markers', line(grid.bases.map((each) => [each])), {
-      marker: { symbol: 'square', size: 10, color: 'white', line: { color: 'black', width: 2 } },
+      marker: { symbol: 'pentagon', size: 12, color: 'white', line: { color: 'black', width: 2 } },
     }),
   ];
   // On a narrow phone the colour bar is below the map.
