@@ -12,7 +12,7 @@ import time
 import traceback
 from typing import Any, TypeVar
 
-from kbnitp_msgs.msg import AgentState, AgentStatus, DeploymentReport, Recorded
+from kbnitp_msgs.msg import AgentHealth, AgentState, AgentStatus, DeploymentReport, Recorded
 from kbnitp_ros.configuration import make_grid, value_for
 from kbnitp_ros.configuration.agents import own_base
 from kbnitp_ros.configuration.field import graded_note
@@ -364,6 +364,7 @@ class MissionNode(Node):
 AGENT_TOPICS: dict[type, str] = {
     Path: 'path',
     DeploymentReport: 'report',
+    AgentHealth: 'health',
     AgentState: 'state',
     AgentStatus: 'status',
     Recorded: 'recorded',
@@ -416,7 +417,7 @@ class FieldNode(MissionNode):
     ) -> Subscription:
         """Subscribe to a topic of an agent."""
         topic = f'{self.above}/{agent}/{AGENT_TOPICS[kind]}'
-        profile = qos.LATCHED if kind is AgentState else qos.EVIDENCE
+        profile = {AgentState: qos.LATCHED, AgentHealth: qos.READINGS}.get(kind, qos.EVIDENCE)
         return self.subscribe(kind, topic, callback, profile)
 
     def _on_map(self, message: OccupancyGrid) -> None:
