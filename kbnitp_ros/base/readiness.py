@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isnan, nan
+from math import hypot, isnan, nan
 from typing import Any, NamedTuple
 
 from kbnitp_ros.messages.health import Health
@@ -44,6 +44,13 @@ class Readiness:
         """Return the charge of the battery of an agent's robot, from 0 to 1; NaN if unknown."""
         health, heard = self._health.get(agent, (None, now))
         return nan if health is None or now > heard + MAX_AGE else health.battery
+
+    def distance(self, agent: str, x: float, y: float) -> float:
+        """Return how far from a point a robot was heard last, in metres; NaN if unknown."""
+        if agent not in self._health:
+            return nan
+        health, _ = self._health[agent]
+        return hypot(health.x - x, health.y - y)
 
     def waiting(self, agent: str, now: float) -> Waiting | None:
         """Return the condition that an agent's robot waits for; None if it may leave."""

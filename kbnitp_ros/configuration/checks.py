@@ -65,7 +65,12 @@ def check_reach(
 
 
 def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:
-    """Check that silent robots do not time out before their paths end."""
+    """Check that silent robots do not time out before their paths end, nor rounds leave apart."""
+    if values['separation'] and not values['rolling']:
+        raise ValueError(
+            f'separation is {values["separation"]}, and rolling is false: the robots of a round '
+            'leave together; set rolling to true, or separation to 0'
+        )
     for agent in agents:
         if values['silent_loss'] and value_for(values, 'step_period', agent) == 0.0:
             raise ValueError(

@@ -280,6 +280,9 @@ ROWS: tuple[Parameter | str, ...] = (
     changeable('min_battery', 0.0, limits=PROBABILITY, per_agent=True),
     'Minimum charge of a battery at departure, as a share: a robot with less, or whose charge is '
     'not known, stays at its base while others leave; 0 for no minimum.',
+    for_planner('separation', 0.0, limits=(0.0, 1e6)),
+    'Metres from their base that a robot must have reached, by its last place heard, before the '
+    'next robot of that base leaves; needs rolling; 0 for no distance.',
     for_planner('ready_topic', '', pattern=f'({NAME}(/{NAME})*)?'),
     'Topic below the name of each agent, a std_msgs/Bool published as hold is, that must be true '
     'for its robot to leave; empty for none.',

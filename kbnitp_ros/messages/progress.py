@@ -98,6 +98,7 @@ class Need(IntEnum):
 
     BATTERY = 1
     READY = 2
+    SEPARATION = 3
 
 
 @dataclass(frozen=True)

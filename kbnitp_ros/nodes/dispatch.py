@@ -84,6 +84,8 @@ class Dispatch:
         bases = {agent: own_base(self._values, agent, node.grid) for agent in agents}
         fields = {agent: node.grid.at(base) for agent, base in bases.items()}
         self.states = AgentStates(fields, self._values)
+        # The field of each agent, with its base.
+        self._fields = fields
         self._readiness = Readiness(self._values)
         # Start of each agent's wait for a condition, seconds; infinite once it was logged.
         self._waits: dict[tuple[str, Need], float] = {}
@@ -168,8 +170,35 @@ class Dispatch:
         """Return the conditions that keep robots at their base, by agent."""
         now, out = time.monotonic(), {key.agent for key in self._state.in_flight}
         at_base = [agent for agent in self._agents if agent not in out]
-        found = {agent: self._readiness.waiting(agent, now) for agent in at_base}
+        found = {
+            agent: self._readiness.waiting(agent, now) or self._separation(agent)
+            for agent in at_base
+        }
         return {agent: each for agent, each in found.items() if each is not None}
+
+    def _separation(self, agent: str) -> Waiting | None:
+        """Return the wait for a robot that is still near the base of this agent."""
+        if not (least := self._values['separation']):
+            return None
+        home = self._fields[agent]
+        ((x, y),) = home.centers([home.base]).tolist()
+        for key in self._state.in_flight.keys() - self._state.held:
+            away = self._readiness.distance(key.agent, x, y)
+            if self._fields[key.agent].base != home.base:
+                continue
+            if not self._state.is_away(key):
+                return Waiting(Need.SEPARATION, f'{key.agent} to depart (parameter separation)')
+            if away < least:
+                why = f'{key.agent} to be {least:g} m from the base: it was heard {away:.1f} m'
+                return Waiting(Need.SEPARATION, f'{why} from it (parameter separation)')
+        return None
+
+    def leaving(self, free: Sequence[str]) -> list[str]:
+        """Return the free agents that may leave at once: with a separation, one of each base."""
+        if not self._values['separation']:
+            return [*free]
+        first = {self._fields[agent].base: agent for agent in reversed(free)}
+        return [agent for agent in free if agent in first.values()]
 
     def _longest_absence(self, key: DeploymentKey) -> int:
         """Return the timeout of a silent robot, nanoseconds."""

@@ -259,7 +259,8 @@ class PlannerNode(FieldNode):
         newest = self._beliefs.newest
         assert newest is not None
         try:
-            plans = self._next_plans(newest, now.free_agents[: now.robots - now.sent])
+            leaving = self._dispatch.leaving(now.free_agents)
+            plans = self._next_plans(newest, leaving[: now.robots - now.sent])
         except NoPathError as error:
             self._goal.not_worth = str(error)
         if self._goal.why_over() is not None:

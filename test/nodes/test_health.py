@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Robots say how they are; a flat battery, or a switch, keeps one at its base and no other."""
 
+from dataclasses import replace
 from math import isnan, nan
 import time
 
+from base import GRID
 from fleet import Fleet
 from kbnitp_msgs.msg import AgentHealth, MissionStatus
 from kbnitp_ros.log.read import read_log
+from kbnitp_ros.messages.deployments import OrderState
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.health import Health, health_message
 from kbnitp_ros.nodes.runtime import qos
@@ -97,6 +100,33 @@ def test_a_robot_leaves_once_its_agent_is_ready(field):
     words = 'scout_1 waits: scout_1/dock/open says false (parameter ready_topic)'
     field.until(lambda: words in field.said('/planner'), words)
     assert not base.sent()
+
+
+def test_robots_of_one_base_leave_one_after_another(field):
+    agents = ('scout_1', 'scout_2', 'scout_3')
+    apart = {'separation': 3.0, 'rolling': True, 'return_deadline': 1e3, 'team.scout_3.base': 24}
+    other = replace(GRID, base=24, other_bases=[0])
+    base = Team(field, agents, fields={'scout_3': other}, robots=4, **apart)
+    # The robot at another base waits for nobody.
+    base.health = {'scout_1': {'x': 0.5, 'y': 0.5}}
+    base.until_sent(1)
+    base.until_waiting(scout_2=MissionStatus.SEPARATION)
+    base.until_sent(1, 'scout_3')
+    base.until_state('scout_2 waits: scout_1 to depart (parameter separation)')
+    base.until_named(base.say(OrderState.DEPARTED))
+    base.until_state('scout_2 waits: scout_1 to be 3 m from the base: it was heard 0.0 m from it')
+    base.health['scout_1']['x'] = 3.4
+    base.until_state('it was heard 2.9 m from it')
+    assert not base.sent('scout_2')
+    base.health['scout_1']['x'] = 3.6
+    base.until_sent(1, 'scout_2')
+
+
+def test_a_separation_of_the_robots_of_a_round_is_refused(field):
+    field.start('planner', {'separation': 3.0})
+    code, told = field.until_failed('/planner')
+    assert code == 2
+    assert 'separation is 3.0, and rolling is false' in told
 
 
 def test_health_that_is_not_valid_is_refused_by_name(field):
