@@ -4,15 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from math import ceil
+from itertools import combinations
+from math import ceil, dist
 from typing import Any
 
 from kbnitp_ros.configuration import find_parameter, value_for
 from kbnitp_ros.configuration.agents import most_distance, most_steps, own_base
+from kbnitp_ros.configuration.field import parking_place
 from kbnitp_ros.configuration.mission import check_search, with_defaults
 from kbnitp_ros.configuration.table import LEARN
 from kbnitp_ros.core import Grid, Ledger, RobotType
 import numpy as np
+
+# Distance up to which two places are one, metres.
+SAME_PLACE = 0.01
 
 
 def reach_note(grid: Grid, values: Mapping[str, Any], enough: float = 1.0) -> str:
@@ -62,6 +67,19 @@ def check_reach(
     note = reach_note(grid, values, least)
     if note and not confirm(f'{note}. Send robots all the same?'):
         raise ValueError(f'{note}, or minimum_reach to 0 for these cells only')
+
+
+def check_parking(grid: Grid, values: Mapping[str, Any]) -> None:
+    """Check that robots park in their bases, and those with a place of their own apart."""
+    homes = {agent: parking_place(values, agent, grid)[:2] for agent in values['agents']}
+    least = max(SAME_PLACE, 2.0 * values['robot_radius'])
+    for pair in combinations(homes, 2):
+        apart = dist(*(homes[agent] for agent in pair))
+        if apart <= least and any(value_for(values, 'parking', agent) for agent in pair):
+            raise ValueError(
+                f'parameter parking of {" and ".join(pair)}: the places are {apart:.2f} m apart: '
+                f'more than {least:g} m are needed (twice robot_radius, at least {SAME_PLACE} m)'
+            )
 
 
 def check_periods(values: Mapping[str, Any], agents: Iterable[str]) -> None:

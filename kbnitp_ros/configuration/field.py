@@ -130,6 +130,31 @@ def with_bases(grid: Grid, values: Mapping[str, Any]) -> Grid:
     return grid
 
 
+def parking_place(values: Mapping[str, Any], agent: str, grid: Grid) -> tuple[float, ...]:
+    """Return the home of an agent's robot: x and y in metres and, if it is given, yaw in rad."""
+    field = grid.at(own_base(values, agent, grid))
+    name = f'team.{agent}.parking' if f'team.{agent}.parking' in values else 'parking'
+    place, what = tuple(values[name]), f'parameter {name} is {list(values[name])}'
+    if not place:
+        ((x, y),) = field.centers([field.base]).tolist()
+        return x, y
+    if len(place) not in (2, 3) or not all(map(isfinite, place)):
+        raise ValueError(f'{what}: it must be [x, y] or [x, y, yaw], finite, or empty')
+    check_angle(f'the third number of parameter {name}', *place[2:] or (0.0,))
+    try:
+        cell = int(field.cells_at([place[:2]])[0])
+    except ValueError as error:
+        raise ValueError(f'parameter {name}: {error}') from error
+    if cell in field.blocked:
+        raise ValueError(f'{what}, in cell {cell}, which is blocked: park in cell {field.base}')
+    if cell != field.base:
+        raise ValueError(
+            f'{what}, in cell {cell}, and the base is cell {field.base}: park there, or set '
+            f'team.{agent}.base to {cell}'
+        )
+    return place
+
+
 def make_datum(values: Mapping[str, Any]) -> Datum | None:
     """Return the geographic datum of these parameters, or None; raise ValueError if invalid."""
     datum = Datum.of(values['datum'])

@@ -107,6 +107,9 @@ ROWS: tuple[Parameter | str, ...] = (
     Parameter('grid.base_position', (), GRID, element=float, per_agent=True),
     'Position of the base: x and y of a point in its cell, metres in the frame map, in place of '
     'grid.base; empty for none. Set team.AGENT.base_position for a single agent.',
+    Parameter('parking', (), ('planner', 'robot'), element=float, per_agent=True),
+    'Home of a robot in the cell of its base: x and y in metres in the frame map, and optionally '
+    'its yaw in rad; empty for the middle of the cell. Set team.AGENT.parking for each robot.',
     Parameter('grid.resolution', 0.0, GRID, limits=(0.0, 1000.0)),
     'Side of a cell in metres, at least the resolution of the map; 0 means 1 m, or the '
     'resolution of the map if that is coarser.',
@@ -281,8 +284,8 @@ ROWS: tuple[Parameter | str, ...] = (
     'Minimum charge of a battery at departure, as a share: a robot with less, or whose charge is '
     'not known, stays at its base while others leave; 0 for no minimum.',
     for_planner('separation', 0.0, limits=(0.0, 1e6)),
-    'Metres from their base that a robot must have reached, by its last place heard, before the '
-    'next robot of that base leaves; needs rolling; 0 for no distance.',
+    'Metres from the home of a robot that the robot of the same base before it must have reached, '
+    'by its last place heard, before it leaves; needs rolling; 0 for no distance.',
     for_planner('ready_topic', '', pattern=f'({NAME}(/{NAME})*)?'),
     'Topic below the name of each agent, a std_msgs/Bool published as hold is, that must be true '
     'for its robot to leave; empty for none.',
@@ -369,7 +372,7 @@ ROWS: tuple[Parameter | str, ...] = (
     for_robot('battery_topic', ''),
     'Topic of a sensor_msgs/BatteryState with the charge of the robot; empty for none.',
     for_robot('arrival_tolerance', 0.5, limits=(1e-3, 1e6)),
-    'Maximum distance of a robot at home from the middle of its base, metres.',
+    'Maximum distance of a robot from its home, where it is at its base, metres.',
     for_robot('stay_time', 2.0, limits=(0.0, 1e6)),
     'Seconds that a robot waits for each step of its path that stays in a cell.',
     for_robot('attempts', 3, limits=(1, 1000)),

@@ -15,6 +15,7 @@ from kbnitp_ros.base.readiness import Readiness, Waiting
 from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
+from kbnitp_ros.configuration.field import parking_place
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.core.field.observation import lost_after_contact
 from kbnitp_ros.core.inference.record import OPEN, Verdict
@@ -84,8 +85,9 @@ class Dispatch:
         bases = {agent: own_base(self._values, agent, node.grid) for agent in agents}
         fields = {agent: node.grid.at(base) for agent, base in bases.items()}
         self.states = AgentStates(fields, self._values)
-        # The field of each agent, with its base.
+        # The field of each agent, with its base, and the home of its robot.
         self._fields = fields
+        self._homes = {agent: parking_place(self._values, agent, node.grid) for agent in agents}
         self._readiness = Readiness(self._values)
         # Start of each agent's wait for a condition, seconds; infinite once it was logged.
         self._waits: dict[tuple[str, Need], float] = {}
@@ -177,20 +179,19 @@ class Dispatch:
         return {agent: each for agent, each in found.items() if each is not None}
 
     def _separation(self, agent: str) -> Waiting | None:
-        """Return the wait for a robot that is still near the base of this agent."""
+        """Return the wait for a robot that is still near the home of this one."""
         if not (least := self._values['separation']):
             return None
-        home = self._fields[agent]
-        ((x, y),) = home.centers([home.base]).tolist()
+        x, y, *_ = self._homes[agent]
         for key in self._state.in_flight.keys() - self._state.held:
             away = self._readiness.distance(key.agent, x, y)
-            if self._fields[key.agent].base != home.base:
+            if self._fields[key.agent].base != self._fields[agent].base:
                 continue
             if not self._state.is_away(key):
                 return Waiting(Need.SEPARATION, f'{key.agent} to depart (parameter separation)')
             if away < least:
-                why = f'{key.agent} to be {least:g} m from the base: it was heard {away:.1f} m'
-                return Waiting(Need.SEPARATION, f'{why} from it (parameter separation)')
+                why = f'{key.agent} to be {least:g} m away: it was heard {away:.1f} m'
+                return Waiting(Need.SEPARATION, f'{why} from its home (parameter separation)')
         return None
 
     def leaving(self, free: Sequence[str]) -> list[str]:

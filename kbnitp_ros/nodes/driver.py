@@ -108,22 +108,28 @@ DRIVERS: dict[str, tuple[Any, str]] = {
 }
 
 
-def goal_along(action: Any, points: NDArray[np.float64], stamp: int) -> Any:
-    """Return the goal of driving along points, shape (n, 2), the robot's position first."""
+def goal_along(
+    action: Any, points: NDArray[np.float64], stamp: int, yaws: Sequence[float] = ()
+) -> Any:
+    """Return the goal along points (n, 2), the robot's first; `yaws`: that of the last, if any."""
     if action is not FollowPath:
-        return action.Goal(poses=poses_along(points, stamp)[1:])
+        return action.Goal(poses=poses_along(points, stamp, yaws)[1:])
     stretches = [
         np.linspace(start, end, max(1, ceil(hypot(*(end - start)) / SPACING)), endpoint=False)
         for start, end in pairwise(points)
     ]
     dense = np.concatenate([*stretches, points[-1:]])
-    return action.Goal(path=Path(header=header(stamp), poses=poses_along(dense, stamp)))
+    return action.Goal(path=Path(header=header(stamp), poses=poses_along(dense, stamp, yaws)))
 
 
-def poses_along(points: NDArray[np.float64], stamp: int) -> list[PoseStamped]:
-    """Return a pose at each point, heading along the line from the point before it."""
+def poses_along(
+    points: NDArray[np.float64], stamp: int, yaws: Sequence[float] = ()
+) -> list[PoseStamped]:
+    """Return a pose at each point, heading from the point before it; `yaws`: the last one's."""
     moves = np.diff(points, axis=0)
     directions = np.arctan2(moves[:, 1], moves[:, 0]).tolist()
+    if yaws:
+        directions[-1:] = yaws
     return [
         PoseStamped(
             header=header(stamp),
@@ -149,7 +155,13 @@ class Driver:
     """A client that drives the robot along legs, one goal at a time."""
 
     def __init__(
-        self, node: MissionNode, name: str, namespace: str, grid: Grid, patience: float
+        self,
+        node: MissionNode,
+        name: str,
+        namespace: str,
+        grid: Grid,
+        home: Sequence[float],
+        patience: float,
     ) -> None:
         # Whether a goal is active.
         self.is_busy = False
@@ -159,6 +171,8 @@ class Driver:
         self.was_cancelled = False
         self._node = node
         self._grid = grid
+        # Place where legs into the base end: x, y and, if it matters, yaw.
+        self._home = home
         self._patience = patience
         action, server = DRIVERS[name]
         above = f'/{namespace.strip("/")}'.rstrip('/')
@@ -268,11 +282,14 @@ class Driver:
     def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
         """Send the robot from its position x, y along a leg that starts in its cell."""
         points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
+        yaws: Sequence[float] = ()
+        if leg[-1] == self._grid.base:
+            points[-1], yaws = self._home[:2], self._home[2:]
         self._number += 1
         number = self._number
         self.is_busy, self.failure, self.was_cancelled, self._handle = True, '', False, None
         self._fed_back_at = time.monotonic()
-        goal = self._goal_along(points, stamp)
+        goal = self._goal_along(points, stamp, yaws)
 
         def on_feedback(_: object) -> None:
             if number == self._number:

@@ -18,6 +18,7 @@ from kbnitp_ros.configuration import agent_names, find_parameter
 from kbnitp_ros.configuration.agents import make_robot_types
 from kbnitp_ros.configuration.checks import (
     check_changes,
+    check_parking,
     check_periods,
     check_reach,
     check_robots,
@@ -59,6 +60,7 @@ class PlannerNode(FieldNode):
         self.values |= settled_goal(self.values, self.grid)
         check_search(self.values, self.grid, {})
         check_periods(self.values, self._agents)
+        check_parking(self.grid, self.values)
         check_reach(self.grid, self.values)
         self._log_reachability()
         resume = self.values['resume']

@@ -15,7 +15,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from kbnitp_msgs.msg import AgentHealth, AgentStatus, DeploymentReport
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.agents import own_base
-from kbnitp_ros.configuration.field import make_datum
+from kbnitp_ros.configuration.field import make_datum, parking_place
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.core.inference.record import MAX_WALK, OrderState
 from kbnitp_ros.files import in_words, Waiting, waiting_for
@@ -34,12 +34,16 @@ from kbnitp_ros.robot.journal import Deployment, Journal, Step
 from kbnitp_ros.robot.track import BY_ODOMETRY, BY_POSES
 from kbnitp_ros.robot.trip import distance_home, Trip, USUAL_SPEED
 from kbnitp_ros.robot.whereabouts import Fixes, Place, Transforms
+import numpy as np
 from sensor_msgs.msg import BatteryState, NavSatFix
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker
 
 # Seconds after which the charge of a battery is not known any more.
 BATTERY_TIMEOUT = 60.0
+
+# Distance that rounding may cause, metres.
+NEGLIGIBLE = 1e-6
 
 # Exit code of a node that must be restarted, since DDS does not use new network links.
 NEW_LINKS = os.EX_TEMPFAIL
@@ -63,6 +67,7 @@ class RobotNode(FieldNode):
         values = self.values
         self._agent: str = values['agent']
         prefix = f'{self.above}/{self._agent}/'
+        self._home = parking_place(values, self._agent, self.grid)
         detections = detection_class(values['detection_type'])
         home = Path(os.environ.get('ROS_HOME', '~/.ros'), 'kbnitp_ros')
         journal = values['journal'] or home / f'{self._agent}.journal'
@@ -76,7 +81,12 @@ class RobotNode(FieldNode):
         self._hold = HoldSubscription(self)
         self._pending = PendingPaths(self, self._agent, self._journal, self._refuse)
         self._driver = Driver(
-            self, values['driver'], values['nav_namespace'], self.grid, values['server_timeout']
+            self,
+            values['driver'],
+            values['nav_namespace'],
+            self.grid,
+            self._home,
+            values['server_timeout'],
         )
         # The topic of the robot's pose, and its reader.
         self._source = {'tf': '/tf', 'fix': 'fix'}[values['position']]
@@ -117,10 +127,13 @@ class RobotNode(FieldNode):
                 f'robot. Once there is a link, this node ends with exit code {NEW_LINKS} and must '
                 'be started again'
             )
-        if values['arrival_tolerance'] > self.grid.resolution / 2:
+        # Distance from home to the next cell, cell sides.
+        edge = 0.5 - np.abs(self.grid.in_cells(self._home[:2]) % 1.0 - 0.5).max()
+        if values['arrival_tolerance'] > edge * self.grid.resolution + NEGLIGIBLE:
             self.get_logger().warning(
-                f'parameter arrival_tolerance is {values["arrival_tolerance"]} m, and half a cell '
-                f'{self.grid.resolution / 2} m: a robot in another cell counts as home'
+                f'parameter arrival_tolerance is {values["arrival_tolerance"]} m, and the next '
+                f'cell {edge * self.grid.resolution:.3g} m from home: a robot in another cell '
+                'counts as home'
             )
         if values['detections.needed'] > values['detections.of']:
             raise ValueError(
@@ -185,6 +198,7 @@ class RobotNode(FieldNode):
         key, warn = self._key(deployment), self.get_logger().warning
         return Trip(
             self.grid,
+            self._home,
             deployment,
             path,
             self.values,
@@ -324,7 +338,7 @@ class RobotNode(FieldNode):
         """Publish whether the robot can leave, and what stops it."""
         trip, place = self._trip, self._place
         tolerance = self.values['arrival_tolerance']
-        is_at_base = place is not None and distance_home(self.grid, place) <= tolerance
+        is_at_base = place is not None and distance_home(self._home, place) <= tolerance
         awaited = state.what if isinstance(state, Waiting) else ''
         publish = partial(self._states.publish, journal=self._journal.id)
         if trip is not None:
@@ -467,11 +481,11 @@ class RobotNode(FieldNode):
             return 'the clock to start'
         if self._place is None:
             return self._unplaced
-        away, tolerance = distance_home(self.grid, self._place), self.values['arrival_tolerance']
+        away, tolerance = distance_home(self._home, self._place), self.values['arrival_tolerance']
         if away > tolerance:
             return (
-                f'the robot to be at its base, cell {self.grid.base}: it is {away:.1f} m from the '
-                f'middle, at most {tolerance} m are allowed (parameter arrival_tolerance)'
+                f'the robot to be at its base, cell {self.grid.base}: it is {away:.1f} m from its '
+                f'home, at most {tolerance} m are allowed (parameter arrival_tolerance)'
             )
         return ''
 

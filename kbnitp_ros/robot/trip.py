@@ -26,10 +26,9 @@ MAX_LEAD = 0.2
 USUAL_SPEED = 2.0
 
 
-def distance_home(grid: Grid, place: Place) -> float:
-    """Return the distance of a place from the middle of the base, in metres."""
-    ((x, y),) = grid.centers([grid.base]).tolist()
-    return hypot(place.x - x, place.y - y)
+def distance_home(home: Sequence[float], place: Place) -> float:
+    """Return the distance of a place from the home of a robot, in metres."""
+    return hypot(place.x - home[0], place.y - home[1])
 
 
 class Drive(Protocol):
@@ -57,6 +56,7 @@ class Trip:
     def __init__(
         self,
         grid: Grid,
+        home: Sequence[float],
         deployment: Deployment,
         path: Sequence[int],
         values: Mapping[str, Any],
@@ -72,6 +72,7 @@ class Trip:
         # Why the last goal failed; empty if it succeeded, or a cell was entered since.
         self.failure = ''
         self._grid = grid
+        self._home = home
         self._values = values
         self._driver = driver
         # Records a step by its number.
@@ -281,7 +282,7 @@ class Trip:
 
     def _is_at_base(self, place: Place) -> bool:
         tolerance: float = self._values['arrival_tolerance']
-        return distance_home(self._grid, place) <= tolerance
+        return distance_home(self._home, place) <= tolerance
 
     def come_home(self, now: int) -> str:
         """End the walk at the base; return why no step is vouched for, or an empty text."""

@@ -2,6 +2,7 @@
 """Goals, priors and worlds follow parameters and files, or are refused."""
 
 from dataclasses import replace
+from math import inf, pi
 from pathlib import Path
 import re
 
@@ -13,7 +14,8 @@ from kbnitp_ros.configuration import (
     TABLE,
     with_defaults,
 )
-from kbnitp_ros.configuration.field import make_datum, read_world
+from kbnitp_ros.configuration.checks import check_parking
+from kbnitp_ros.configuration.field import make_datum, parking_place, read_world
 from kbnitp_ros.configuration.mission import (
     check_goal,
     make_estimator,
@@ -85,6 +87,56 @@ def test_cells_are_given_by_number_by_position_or_by_a_mask(tmp_path):
 def test_a_field_that_is_meant_otherwise_is_refused(given, why):
     with pytest.raises(ValueError, match=why):
         make_grid({**DEFAULTS, **given})
+
+
+# A field of 4 x 3 cells of 0.5 m, turned by a right angle, with two bases and an obstacle.
+PARKED = {
+    **DEFAULTS, 'grid.width': 4, 'grid.height': 3, 'grid.resolution': 0.5, 'grid.blocked': (5,),
+    'grid.origin': (2.0, 1.0, pi / 2), 'agents': ('a', 'b', 'c'), 'team.c.base': 2,
+}  # fmt: skip
+
+
+def homes(**given):
+    values = PARKED | {name.replace('__', '.'): place for name, place in given.items()}
+    grid = make_grid(values)
+    check_parking(grid, values)
+    return [parking_place(values, agent, grid) for agent in values['agents']]
+
+
+def test_robots_park_in_the_middle_of_their_base_or_at_a_place_of_their_own():
+    middles = [(1.75, 1.25), (1.75, 1.25), (1.75, 2.25)]
+    assert homes() == [pytest.approx(each) for each in middles]
+    own = homes(team__a__parking=(1.6, 1.4, -3.0), team__c__parking=(1.8, 2.1))
+    assert own == [(1.6, 1.4, -3.0), pytest.approx(middles[1]), (1.8, 2.1)]
+
+
+@for_each(
+    'place, why',
+    [
+        ((1.75, 1.75), 'in cell 1, and the base is cell 0: park there, or set team.a.base to 1'),
+        ((1.25, 1.75), 'in cell 5, which is blocked: park in cell 0'),
+        ((2.25, 1.25), r'parameter team.a.parking: point \(2.25, 1.25\) is outside the grid'),
+        ((1.75,), r'is \[1.75\]: it must be \[x, y\] or \[x, y, yaw\], finite, or empty'),
+        ((1.75, inf), 'finite, or empty'),
+        ((1.75, 1.25, 90.0), 'third number of parameter team.a.parking is 90.0: .* in rad'),
+        ((1.75, 1.25), 'parameter parking of a and b: the places are 0.00 m apart'),
+    ],
+)
+def test_a_place_where_no_robot_can_park_is_refused(place, why):
+    with pytest.raises(ValueError, match=why):
+        homes(team__a__parking=place)
+
+
+def test_robots_park_farther_apart_than_they_are_wide():
+    values = PARKED | {'robot_radius': 0.1, 'team.a.parking': (1.6, 1.1)}
+    grid = make_grid(values | {'robot_radius': 0.0})
+    for x, is_apart in ((1.75, False), (1.79, False), (1.81, True), (1.9, True)):
+        wide = values | {'team.b.parking': (x, 1.1)}
+        if is_apart:
+            check_parking(grid, wide)
+            continue
+        with pytest.raises(ValueError, match=r'more than 0.2 m are needed \(twice robot_radius'):
+            check_parking(grid, wide)
 
 
 def test_angles_in_degrees_of_maps_and_datums_are_refused(tmp_path):

@@ -34,7 +34,7 @@ import signal
 import sys
 import time
 
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TransformStamped, Vector3
 import irsim
 from lifecycle_msgs.msg import State
 from lifecycle_msgs.srv import GetState
@@ -118,6 +118,7 @@ class Goal:
         self.begun = time.monotonic()
         request = handle.request
         poses = request.path.poses if kind is FollowPath else request.poses
+        self.last = poses[-1]
         self.points = [
             in_world(placed, pose.pose.position.x, pose.pose.position.y) for pose in poses
         ]
@@ -153,6 +154,7 @@ class Robot:
         self._tf = node.create_publisher(TFMessage, f'{namespace}/tf', 100)
         self._static = node.create_publisher(TFMessage, f'{namespace}/tf_static', latched)
         self._fixes = node.create_publisher(NavSatFix, f'{namespace}/fix', 10)
+        self._goals = node.create_publisher(PoseStamped, f'{namespace}/goal', latched)
         self._pictures = deque()
         self._is_array = config['detection_type'] == 'detection2d_array'
         kind = Detection2DArray if self._is_array else Bool
@@ -224,6 +226,7 @@ class Robot:
         if self._goal is not None:
             self._end('abort', 'preempted by another goal')
         self._goal = Goal(handle, kind, self._take_wrong(), self._config['placed'])
+        self._goals.publish(self._goal.last)
 
     def _end(self, how, why=''):
         """End a goal: for rclpy its execution happens only now, in one step."""

@@ -114,11 +114,28 @@ def test_robots_of_one_base_leave_one_after_another(field):
     base.until_sent(1, 'scout_3')
     base.until_state('scout_2 waits: scout_1 to depart (parameter separation)')
     base.until_named(base.say(OrderState.DEPARTED))
-    base.until_state('scout_2 waits: scout_1 to be 3 m from the base: it was heard 0.0 m from it')
+    base.until_state('scout_2 waits: scout_1 to be 3 m away: it was heard 0.0 m from its home')
     base.health['scout_1']['x'] = 3.4
-    base.until_state('it was heard 2.9 m from it')
+    base.until_state('it was heard 2.9 m from its home')
     assert not base.sent('scout_2')
     base.health['scout_1']['x'] = 3.6
+    base.until_sent(1, 'scout_2')
+
+
+def test_robots_that_park_close_together_do_not_keep_each_other(field):
+    """Only a robot that is out keeps another, by its distance from where that one parks."""
+    parked = {'team.scout_1.parking': [0.3, 0.5], 'team.scout_2.parking': [0.9, 0.5, 1.57]}
+    apart = {'separation': 3.0, 'rolling': True, 'return_deadline': 1e3}
+    base = Team(field, robots=3, **apart, **parked)
+    base.health = {'scout_1': {'x': 0.3, 'y': 0.5}, 'scout_2': {'x': 0.9, 'y': 0.5}}
+    base.until_sent(1)
+    base.until_named(base.say(OrderState.DEPARTED))
+    base.until_state('scout_1 to be 3 m away: it was heard 0.6 m from its home')
+    # Back home it may leave again, though the other one stands near it.
+    base.come_back()
+    base.until_sent(2)
+    base.health['scout_1']['x'] = 4.0
+    base.until_named(base.say(OrderState.DEPARTED))
     base.until_sent(1, 'scout_2')
 
 
@@ -127,6 +144,17 @@ def test_a_separation_of_the_robots_of_a_round_is_refused(field):
     code, told = field.until_failed('/planner')
     assert code == 2
     assert 'separation is 3.0, and rolling is false' in told
+
+
+def test_two_robots_that_would_park_at_one_place_are_refused(field):
+    field.start('planner', {
+        'agents': ['scout_1', 'scout_2'],
+        'team.scout_1.parking': [0.3, 0.5],
+        'team.scout_2.parking': [0.3, 0.5, 1.57],
+    })  # fmt: skip
+    code, told = field.until_failed('/planner')
+    assert code == 2
+    assert 'parameter parking of scout_1 and scout_2: the places are 0.00 m apart' in told
 
 
 def test_health_that_is_not_valid_is_refused_by_name(field):

@@ -5,6 +5,7 @@ from collections import Counter
 from functools import reduce
 from itertools import count, cycle, product
 import json
+from math import atan2, hypot
 from operator import itemgetter
 import os
 import signal
@@ -12,6 +13,7 @@ import subprocess
 
 from extent import FULL, LONG, some
 from fleet import FIELD, Fleet, GRID, moves, TARGETS
+from geometry_msgs.msg import PoseStamped
 from kbnitp_msgs.msg import AgentState, AgentStatus, BeliefMaps
 from kbnitp_ros.log.read import read_log
 from kbnitp_ros.log.replay import replay
@@ -110,6 +112,45 @@ def test_a_robot_leaves_from_and_comes_home_to_its_own_base(field):
     report = fleet.wait_for_report(reports, fleet.send(2, orders))
     assert [cell for cell, _ in report.readings] == orders[1:]
     assert fleet.walked() == orders
+
+
+def test_two_robots_park_apart_at_one_base(field):
+    """Each leaves from its own place, comes back to it, and stands there as it was told."""
+    homes = {'scout_1': (0.25, 0.3, 3.0), 'scout_2': (0.75, 0.7)}
+    fleet = Fleet(field, tuple(homes))
+    states = {name: field.listen(AgentState, f'/{name}/state') for name in homes}
+    reports = {name: fleet.reports(name) for name in homes}
+    parked = {f'team.{name}.parking': list(place) for name, place in homes.items()}
+    # Each robot is where the other one parks.
+    fleet.simulate(scout_1=homes['scout_2'], scout_2=homes['scout_1'][:2])
+    goals = field.listen(PoseStamped, '/scout_1/goal')
+    for name in homes:
+        fleet.start(name, arrival_tolerance=0.2, **POSES, **parked)
+    words = 'is 0.6 m from its home, at most 0.2 m are allowed'
+    for said in states.values():
+        field.until(lambda said=said: said and words in said[-1].reason, words)
+        assert not said[-1].at_base
+    assert not any(reports.values())
+    fleet.end_simulator()
+    fleet.simulate(**{name: place[:2] for name, place in homes.items()})
+    for said in states.values():
+        field.until(lambda said=said: said[-1].state == AgentState.READY, 'robot at home')
+    orders = [0, 1, 14, 1, 0]
+    for name, (x, y, *_) in homes.items():
+        report = fleet.wait_for_report(reports[name], fleet.send(1, orders, name))
+        assert [cell for cell, _ in report.readings] == orders[1:]
+        last_x, last_y = fleet.truth()[name][-1]
+        assert hypot(last_x - x, last_y - y) < 0.2
+        field.until(lambda name=name: states[name][-1].at_base, f'{name} at its base')
+    yaw = goals[-1].pose.orientation
+    assert 2.0 * atan2(yaw.z, yaw.w) == pytest.approx(3.0)
+
+
+def test_a_robot_that_would_park_outside_its_base_is_refused(field):
+    Fleet(field).start(**{'team.scout_1.parking': [1.5, 0.5]})
+    code, told = field.until_failed('/scout_1/robot')
+    assert code == 2
+    assert 'parameter team.scout_1.parking is [1.5, 0.5], in cell 1, and the base is cell' in told
 
 
 def test_a_reading_needs_several_detections_of_a_poor_detector(field):

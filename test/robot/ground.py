@@ -307,8 +307,9 @@ class Robot:
         scenario = self.scenario
         speed = scenario.told_speed * scenario.speed * self.grid.resolution
         self.trip = Trip(
-            self.grid, self.deployment, self.deployment.path if path is None else path,
-            self.values, self.nav2, lambda *_: None, lambda *_: None, speed, lambda: self.time,
+            self.grid, self.grid.centers([self.grid.base])[0], self.deployment,
+            self.deployment.path if path is None else path, self.values, self.nav2,
+            lambda *_: None, lambda *_: None, speed, lambda: self.time,
         )  # fmt: skip
 
     @property
