@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import IntEnum
-from math import isnan
+from math import isnan, nan
 from typing import NamedTuple
 
 from kbnitp_ros.base.readiness import percent
@@ -14,6 +14,9 @@ from kbnitp_ros.messages.states import AgentState, Readiness
 
 # Largest difference of two clocks and age of a pose, seconds; standard deviation of a pose, cells.
 MAX_OFFSET, MAX_POSE_AGE, MAX_DEVIATION = 1.0, 2.0, 0.25
+
+# Checks that an operator may skip; the others are mandatory.
+OPTIONAL = ('clock', 'pose', 'action server', 'battery', 'disk', 'parameters')
 
 # Least free space on the disk of the log, bytes.
 MIN_FREE = 10**9
@@ -26,6 +29,8 @@ class Light(IntEnum):
     RED = 1
     # Not judged, or not known where it need not be.
     INFO = 2
+    # Red, and skipped by the operator.
+    SKIP = 3
 
 
 class Check(NamedTuple):
@@ -34,8 +39,6 @@ class Check(NamedTuple):
     name: str
     light: Light
     text: str
-    # Whether no robot should leave while it is red, whatever the operator thinks of it.
-    is_mandatory: bool = False
 
 
 class Heard(NamedTuple):
@@ -45,41 +48,43 @@ class Heard(NamedTuple):
     health: Health | None = None
     # Time by the robot's clock after the base's, when its health arrived, seconds.
     offset: float = 0.0
+    # Time of a service call to its node and back, seconds.
+    round_trip: float = nan
 
 
-def judged(
-    name: str, is_green: bool, found: str, remedy: str, *, is_mandatory: bool = False
-) -> Check:
+def judged(name: str, is_green: bool, found: str, remedy: str) -> Check:
     """Return a check that is green or red; the remedy is stated where it is red."""
     text = found if is_green else f'{found}: {remedy}'
-    return Check(name, Light.GREEN if is_green else Light.RED, text, is_mandatory)
+    return Check(name, Light.GREEN if is_green else Light.RED, text)
 
 
 def robot_checks(
     agent: str, heard: Heard, base: AgentState, version: str, min_battery: float
 ) -> Iterator[Check]:
     """Yield the checks of the robot of an agent, against the state and version of the base."""
-    state, health, offset = heard
+    state, health, offset, round_trip = heard
     if state is None:
         remedy = 'start its node; compare ROS_DOMAIN_ID and namespaces, and try the radio'
-        yield judged('heard', False, f'nothing on {agent}/state', remedy, is_mandatory=True)
+        yield judged('heard', False, f'nothing on {agent}/state', remedy)
         return
-    yield judged('heard', True, f'{agent}/state', '', is_mandatory=True)
+    yield judged('heard', True, f'{agent}/state', '')
     found = 'not known' if health is None else health.version
     remedy = f'install {version}, as at the base, and publish {agent}/health'
-    yield judged('version', found == version, found, remedy, is_mandatory=True)
+    yield judged('version', found == version, found, remedy)
     is_alike = state.field_id == base.field_id
     remedy = f'that of the base is {base.field_id}; {state.reason}'
-    yield judged('field', is_alike, state.field_id, remedy, is_mandatory=True)
+    yield judged('field', is_alike, state.field_id, remedy)
     remedy = state.reason or 'bring it to its base'
     where = 'at its base' if state.is_at_base else 'not at its base'
-    yield judged('at its base', state.is_at_base, where, remedy, is_mandatory=True)
+    yield judged('at its base', state.is_at_base, where, remedy)
+    trip = 'not known' if isnan(round_trip) else f'{1000.0 * round_trip:.0f} ms'
+    yield Check('round trip', Light.INFO, f'{trip} for a service call')
     if health is None:
         return
     has_journal = health.journal and state.readiness is not Readiness.NO_JOURNAL
     remedy = state.reason or 'make room on its disk'
     words = 'written' if has_journal else 'not written'
-    yield judged('journal', has_journal, words, remedy, is_mandatory=True)
+    yield judged('journal', has_journal, words, remedy)
     remedy = 'set the clocks of both computers alike, such as by chrony'
     is_alike = abs(offset) <= MAX_OFFSET
     yield judged('clock', is_alike, f'{offset:+.1f} s against the base', remedy)

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from math import nan
 from pathlib import Path
 import shutil
 import time
@@ -20,16 +21,25 @@ from kbnitp_msgs.msg import (
     RecorderState,
     Standings,
 )
-from kbnitp_ros.base.preflight import Check, disk_check, Heard, judged, Light, robot_checks
+from kbnitp_ros.base.preflight import (
+    Check,
+    disk_check,
+    Heard,
+    judged,
+    Light,
+    OPTIONAL,
+    robot_checks,
+)
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.configuration import value_for
 from kbnitp_ros.configuration.checks import failure_note, ignored_note
-from kbnitp_ros.files import installed
+from kbnitp_ros.files import installed, nearest
 from kbnitp_ros.messages.headers import SECOND
 from kbnitp_ros.messages.health import read_health
 from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.command_line import command_parser
+from kbnitp_ros.nodes.runtime.graph import full_name
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -42,7 +52,8 @@ from rclpy.utilities import try_shutdown
 DESCRIPTION = """
 Check the robots and the base of a mission before its first departure. The nodes of the base and
 the agents must run. A line for each check says what was found and, where it is red, the remedy.
-The command ends as soon as nothing is red, or after --wait seconds; it publishes nothing.
+The command ends as soon as nothing is red, or after --wait seconds; it publishes nothing, and
+a skip is not on record.
 
 The exit code is 0 if nothing is red, 1 if a check is red, and 2 if the base is not heard.
 """
@@ -50,6 +61,7 @@ The exit code is 0 if nothing is red, 1 if a check is red, and 2 if the base is 
 EXAMPLES = (
     'python3 -m kbnitp_ros preflight --wait 3',
     'python3 -m kbnitp_ros preflight --namespace /mission --wait 30',
+    'python3 -m kbnitp_ros preflight --skip clock --skip battery',
 )
 
 # Seconds of a look for messages.
@@ -68,10 +80,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         default=10.0,
         help='seconds to wait for what is missing or red, at least 0; default 10',
     )
+    parser.add_argument(
+        '--skip',
+        metavar='NAME',
+        action='append',
+        default=[],
+        help=f'a check whose red does not count: {", ".join(OPTIONAL)}. Can be repeated',
+    )
     options = parser.parse_args(argv)
     end_on_signals()
     try:
-        with listening(options.namespace) as (heard, look):
+        check_skipped(options.skip)
+        with listening(options.namespace, options.skip) as (heard, look):
             end = time.monotonic() + options.wait
             while not heard.is_green and time.monotonic() < end:
                 look()
@@ -83,15 +103,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     return int(any(each.light is Light.RED for each in checks))
 
 
+def check_skipped(names: Sequence[str]) -> None:
+    """Check that the checks of these names may be skipped."""
+    for name in names:
+        if name not in OPTIONAL:
+            raise ValueError(
+                f'--skip {name}: there is no such check that may be skipped; '
+                f'{nearest(name, OPTIONAL)}they are {", ".join(OPTIONAL)}'
+            )
+
+
 @contextmanager
-def listening(namespace: str) -> Iterator[tuple[Mission, Callable[[], None]]]:
+def listening(
+    namespace: str, skipped: Sequence[str]
+) -> Iterator[tuple[Mission, Callable[[], None]]]:
     """Yield a mission, and the function that hears what is new."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = Node('preflight', namespace=namespace)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        yield Mission(node), partial(executor.spin_once, timeout_sec=SPIN)
+        yield Mission(node, skipped), partial(executor.spin_once, timeout_sec=SPIN)
     finally:
         try_shutdown()
 
@@ -99,14 +131,17 @@ def listening(namespace: str) -> Iterator[tuple[Mission, Callable[[], None]]]:
 class Mission:
     """The last words of the base and the agents of a mission."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, skipped: Sequence[str]) -> None:
         self._node = node
+        self._skipped = tuple(skipped)
         # By topic.
         self._said: dict[str, Any] = {}
         # Parameters of a node that it has stated, by its full name.
         self._values: dict[str, dict[str, Any]] = {}
         self._clients: dict[str, AsyncParameterClient] = {}
-        self._asked: set[str] = set()
+        # Times of the first requests and of the first answers, seconds.
+        self._asked: dict[str, float] = {}
+        self._answered: dict[str, float] = {}
         self._agents: dict[str, Heard] = {}
         for kind, topic, profile in (
             (AgentState, 'state', qos.LATCHED),
@@ -126,14 +161,28 @@ class Mission:
     def values(self, topic: str) -> dict[str, Any]:
         """Return the parameters of the author of a topic; empty until they are known."""
         author = self._said[topic].author if topic in self._said else ''
-        if author and author not in self._clients:
-            self._clients[author] = AsyncParameterClient(self._node, author)
-        if author and author not in self._asked and self._clients[author].services_are_ready():
-            self._asked.add(author)
-            self._clients[author].list_parameters(callback=partial(self._on_names, author))
+        if author:
+            self._ask(author)
         return self._values.get(author, {})
 
+    def _ask(self, author: str) -> None:
+        """Ask a node for its parameters, once."""
+        if author not in self._clients:
+            self._clients[author] = AsyncParameterClient(self._node, author)
+        if author not in self._asked and self._clients[author].services_are_ready():
+            self._asked[author] = time.monotonic()
+            self._clients[author].list_parameters(callback=partial(self._on_names, author))
+
+    def _round_trip(self, agent: str) -> float:
+        """Return the time of a call to the node of an agent, seconds; NaN until it is known."""
+        for publisher in self._node.get_publishers_info_by_topic(f'{agent}/state'):
+            author = full_name(publisher.node_namespace, publisher.node_name)
+            self._ask(author)
+            return self._answered.get(author, nan) - self._asked.get(author, nan)
+        return nan
+
     def _on_names(self, author: str, answer: Any) -> None:
+        self._answered[author] = time.monotonic()
         names = answer.result().result.names
 
         def keep(values: Any) -> None:
@@ -170,6 +219,12 @@ class Mission:
 
     def checks(self) -> Iterator[Check]:
         """Yield the checks of the base and of each robot; ValueError if there is no base."""
+        for check in self._checks():
+            is_skipped = check.light is Light.RED and check.name.endswith(self._skipped)
+            yield check._replace(light=Light.SKIP) if is_skipped else check
+
+    def _checks(self) -> Iterator[Check]:
+        """Yield the checks, with nothing skipped."""
         planner, estimator = self.values('mission'), self.values('standings')
         if not planner or 'state' not in self._said:
             topic = self._node.resolve_topic_name('mission')
@@ -179,6 +234,7 @@ class Mission:
         base = read_state(self._said['state'], '')
         for agent, heard in self._agents.items():
             needed = value_for(planner, 'min_battery', agent)
+            heard = heard._replace(round_trip=self._round_trip(agent))
             for check in robot_checks(agent, heard, base, installed().split()[1], needed):
                 yield check._replace(name=f'{agent} {check.name}')
         yield judged('estimator', bool(estimator), 'parameters', 'start an estimator')

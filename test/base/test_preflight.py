@@ -4,7 +4,7 @@
 from dataclasses import replace
 from math import nan
 
-from kbnitp_ros.base.preflight import disk_check, Heard, Light, robot_checks
+from kbnitp_ros.base.preflight import disk_check, Heard, Light, OPTIONAL, robot_checks
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.health import Health
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
@@ -36,8 +36,9 @@ def test_a_robot_that_is_well_is_green():
         'heard', 'version', 'field', 'at its base', 'journal', 'clock', 'pose', 'action server',
         'battery',
     ]  # fmt: skip
-    mandatory = {name for name, each in lights(WELL, Light.GREEN).items() if each.is_mandatory}
-    assert mandatory == {'heard', 'version', 'field', 'at its base', 'journal'}
+    # The others are mandatory: without these no report of the robot would count.
+    optional = {'clock', 'pose', 'action server', 'battery', 'disk', 'parameters'}
+    assert {*OPTIONAL} == optional
 
 
 NO_JOURNAL = {'readiness': Readiness.NO_JOURNAL, 'reason': 'bring the robot to its base'}
@@ -70,8 +71,14 @@ def test_a_robot_is_red_for_one_reason_with_the_remedy(heard, name, words):
     (changed(state={'journal': ''}, health={'pose_age': nan}), 0.3, 'pose'),
 ])  # fmt: skip
 def test_what_need_not_be_known_is_for_information(heard, needed, name):
-    assert [*lights(heard, Light.INFO, needed)] == [name]
+    assert {*lights(heard, Light.INFO, needed)} == {'round trip', name}
     assert not lights(heard, Light.RED, needed)
+
+
+@for_each('seconds, text', [(nan, 'not known'), (0.0123, '12 ms'), (1.5, '1500 ms')])
+def test_a_round_trip_is_for_information(seconds, text):
+    info = lights(WELL._replace(round_trip=seconds), Light.INFO)
+    assert info['round trip'].text == f'{text} for a service call'
 
 
 @for_each('deviation, offset', [(nan, 0.0), (0.2, 1.0), (0.1, -1.0)])

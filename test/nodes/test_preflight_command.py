@@ -3,6 +3,7 @@
 
 from importlib.metadata import version
 import os
+import re
 import subprocess
 import sys
 
@@ -11,14 +12,15 @@ from kbnitp_msgs.msg import AgentHealth
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.health import Health, health_message
 from kbnitp_ros.nodes.runtime import qos
+from laws import for_each
 
 COMMAND = [sys.executable, '-m', 'kbnitp_ros', 'preflight']
 
 
-def preflight(field, wait):
+def preflight(field, wait, *options):
     """Run the command; return its exit code and its output."""
     running = subprocess.Popen(
-        [*COMMAND, '--wait', str(wait)],
+        [*COMMAND, '--wait', str(wait), *options],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -36,6 +38,16 @@ def test_a_base_that_is_not_heard_is_named(field):
     )
 
 
+@for_each('name, meant', [('journal', ''), ('battary', 'did you mean battery? ')])
+def test_a_check_that_is_mandatory_or_unknown_is_not_skipped(field, name, meant):
+    code, told = preflight(field, 0.5, '--skip', 'clock', '--skip', name)
+    assert code == 2
+    assert told == (
+        f'preflight: --skip {name}: there is no such check that may be skipped; {meant}they are '
+        'clock, pose, action server, battery, disk, parameters\n'
+    )
+
+
 def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
     base = Base(field, robots=1, min_battery=0.3)
     field.until(lambda: base.beliefs, 'prior')
@@ -47,8 +59,9 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
         stamp = now - health.pop('behind')
         publisher.publish(health_message('scout_1', Health(stamp, **health)))
 
-    def red(wait=5.0):
-        code, told = preflight(field, wait)
+    def red(*skipped):
+        options = [word for name in skipped for word in ('--skip', name)]
+        code, told = preflight(field, 5.0, *options)
         lines = [line for line in told.splitlines() if line.startswith('RED')]
         assert code == bool(lines), told
         return [line.partition(':')[0].split(maxsplit=1)[1] for line in lines]
@@ -67,10 +80,17 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
     }
     while reasons:
         assert red() == [f'scout_1 {reason}' for reason in reasons]
+        if reasons == ['clock', 'battery']:
+            assert red('clock') == ['scout_1 battery']
+            code, told = preflight(field, 60.0, '--skip', 'clock', '--skip', 'battery')
+            assert code == 0
+            assert 'SKIP  scout_1 battery: 18 %: 30 % needed' in told
+            assert 'SKIP  scout_1 clock: -5.' in told
         mend[reasons.pop(0)]()
     code, told = preflight(field, 60.0)
     assert code == 0, told
     assert 'GREEN scout_1 battery: 90 %' in told
     assert 'INFO  scout_1 pose: not known' in told
     assert 'GREEN disk: ' in told
+    assert re.search(r'INFO  scout_1 round trip: \d+ ms for a service call', told)
     assert 'INFO  losses: without hazards' in told
