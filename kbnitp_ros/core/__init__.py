@@ -21,7 +21,9 @@ from kbnitp_ros.core.field.world import Execution, World
 from kbnitp_ros.core.forecast import forecast
 
 # Inference: what is learnt.
-from kbnitp_ros.core.inference.estimator import Estimator, Ledger
+from kbnitp_ros.core.inference.annotation import Annotation, AnnotationKind
+from kbnitp_ros.core.inference.estimator import Estimator
+from kbnitp_ros.core.inference.ledger import Ledger
 from kbnitp_ros.core.inference.methods import METHODS, update
 from kbnitp_ros.core.inference.one_pass import KnownModel
 from kbnitp_ros.core.inference.record import (
@@ -47,6 +49,8 @@ __all__ = [
     'OBJECTIVES',
     'ORDINARY',
     'PLANNERS',
+    'Annotation',
+    'AnnotationKind',
     'Area',
     'Belief',
     'Beta',

@@ -3,7 +3,7 @@
 
 from kbnitp_ros.base.state import BaseState, EvidenceName
 from kbnitp_ros.core import Ledger
-from kbnitp_ros.core.inference import estimator as estimator_module
+from kbnitp_ros.core.inference import ledger as ledger_module
 from kbnitp_ros.core.inference.record import MissionRecord, Verdict
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
@@ -83,7 +83,7 @@ def forget_what_is_taken_back(patch):
 
 def believe_lost_who_is_back(patch):
     """Ignore that a refused report shows that its robot is back."""
-    patch.setattr(estimator_module, 'is_back', lambda *_: False)
+    patch.setattr(ledger_module, 'is_back', lambda *_: False)
 
 
 def ignore_refusals_of_orders(patch):

@@ -129,6 +129,8 @@ class Verdict(IntEnum):
     HELD = 5
     # The agent refused the order, so that the robot stayed at the base.
     VOID = 6
+    # A person withdrew it: sent, not lost, and no evidence of the field.
+    WITHDRAWN = 7
 
     @property
     def is_over(self) -> bool:
@@ -138,7 +140,7 @@ class Verdict(IntEnum):
     @property
     def is_evidence(self) -> bool:
         """Return whether the belief holds the deployment."""
-        return self in (Verdict.RETURN, Verdict.UNMOVED, Verdict.LOSS)
+        return self in (Verdict.RETURN, Verdict.UNMOVED, Verdict.LOSS, Verdict.WITHDRAWN)
 
     @property
     def is_loss(self) -> bool:
@@ -164,6 +166,8 @@ class Cause(IntEnum):
     ORDER_REFUSED = 6
     # The robot is reported lost, and a refused report shows that it is back.
     IS_BACK = 7
+    # The robot was lost while the field was changed, before or after.
+    CHANGED = 8
 
 
 class Refusal(NamedTuple):
@@ -191,6 +195,8 @@ class Standing:
         Hashes of all reports that were judged.
     order : frozenset of OrderState
         States of the order by then.
+    annotation : int
+        Hash of the annotation by which it stands; 0 without one.
 
     """
 
@@ -199,6 +205,7 @@ class Standing:
     refusals: tuple[Refusal, ...] = ()
     judged: frozenset[int] = frozenset()
     order: frozenset[OrderState] = frozenset()
+    annotation: int = 0
 
     @property
     def why(self) -> str:
