@@ -110,6 +110,8 @@ class BaseState(MissionRecord):
         self.unmoved: set[DeploymentKey] = set()
         self.ended = 0
         self.void: set[DeploymentKey] = set()
+        # Hashes of the remarks of people that were judged.
+        self.remarks: frozenset[int] = frozenset()
         # Deployments with a report or a refusal that was not judged, in order of arrival.
         self.unjudged: dict[DeploymentKey, None] = {}
         # The first status of each order with each state.
@@ -269,17 +271,18 @@ class BaseState(MissionRecord):
         if said.is_complete:
             absent = self.standings.keys() - said.standings.keys()
             lacking = [key for key in absent if self.standings[key].judged]
-            if lacking and said.epoch > own:
-                first = min(lacking, key=deployment_order)
+            unsaid = self.remarks.difference(said.remarks)
+            if (lacking or unsaid) and said.epoch > own:
+                first = min(lacking, key=deployment_order, default='a remark of a person')
                 raise LackingError(
-                    f'{len(lacking)} judged deployments, such as {first}, are missing: the '
-                    'estimator was started without the evidence of this mission; start it with '
-                    'the parameter resume set to the log'
+                    f'{len(lacking) + len(unsaid)} judged messages, such as {first}, are missing: '
+                    'the estimator was started without the evidence of this mission; start it '
+                    'with the parameter resume set to the log'
                 )
             for key in absent:
                 self.stand(key, OPEN)
         self.evidence = EvidenceName(said.epoch, said.changes)
-        self.events = said.events
+        self.events, self.remarks = said.events, frozenset(said.remarks)
         for key, standing in said.standings.items():
             self.stand(key, standing)
         return True
@@ -402,7 +405,11 @@ class BaseState(MissionRecord):
     def outcome(self, key: DeploymentKey) -> Observation | None:
         """Return the outcome of a robot; None if nothing counts."""
         report = self.report(key)
-        return None if report is None else self.heard[key][report].outcome
+        if report is None:
+            return None
+        outcome = self.heard[key][report].outcome
+        known = self.annotations.get(self.standings[key].annotation)
+        return outcome if known is None else known[1].applied(self.paths[key], outcome)
 
     @property
     def outcomes(self) -> dict[DeploymentKey, Observation]:

@@ -18,7 +18,7 @@ from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
 from kbnitp_ros.messages.states import AgentState
-from kbnitp_ros.messages.topics import TRUTH
+from kbnitp_ros.messages.topics import REMARKS, TRUTH
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,6 +34,7 @@ ROLES = (
     'standings',
     'state',
     'status',
+    *REMARKS,
     *TRUTH,
 )
 
@@ -148,7 +149,7 @@ def read_history(
     )
     for role, logged in messages:
         with log.leaving_out(logged):
-            if role.name in ('path', 'report', 'standings', 'status'):
+            if role.name in ('path', 'report', 'standings', 'status', *REMARKS):
                 evidence.take(role, logged)
             elif role.name == 'belief':
                 snapshot = logged.said

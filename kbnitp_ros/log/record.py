@@ -19,7 +19,8 @@ from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import read_cells, Source
 from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction, read_operator_action
-from kbnitp_ros.messages.topics import BELIEF
+from kbnitp_ros.messages.remarks import Remark
+from kbnitp_ros.messages.topics import BELIEF, REMARKS
 
 
 def fold_evidence(
@@ -46,6 +47,10 @@ def record(deployments: MissionRecord, role: Role, logged: LoggedMessage) -> boo
         return deployments.record_status(key, status.state, status.stamp)
     if role.name == 'report':
         return deployments.record_report(*logged.said)
+    if role.name in REMARKS:
+        assert isinstance(deployments, Ledger)
+        logged.said.record(deployments)
+        return True
     path = read_cells(deployments.grid, logged.message)
     return deployments.record_path(logged.said[0], path, content_hash(logged.message))
 
@@ -138,6 +143,8 @@ class RecordedMission(BaseState):
         # Index of each path among the paths, reports and statuses.
         self.places: dict[DeploymentKey, int] = {}
         self._count = 0
+        # Remarks of people, in order.
+        self.said: list[Remark] = []
         # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
         # All reports, by hash of the message.
@@ -160,6 +167,12 @@ class RecordedMission(BaseState):
             action = read_operator_action(self.grid, logged.message)
             if self.take_action(action):
                 self.messages[action.stamp] = logged.data
+        elif role.name == 'annotations':
+            remark = logged.said
+            self.annotations.setdefault(remark.content, remark.said)
+            self.said.append(remark)
+        elif role.name in REMARKS:
+            self.said.append(logged.said)
         elif role.name == 'belief':
             self.allow(logged.said.max_steps, logged.said.robot_types)
         elif is_of_mission(role, logged, self.mission):
@@ -259,7 +272,8 @@ def read_resumed(
     record.prior = prior
     if prior:
         record.allow(prior.max_steps, prior.robot_types)
-    for role, logged in log.read('path', 'report', 'status', 'standings', 'operator'):
+    roles = 'path', 'report', 'status', 'standings', 'operator', 'annotations'
+    for role, logged in log.read(*roles):
         with log.leaving_out(logged):
             record.take(role, logged)
     return record
@@ -317,5 +331,5 @@ def read_ledger(log: MissionLog) -> Ledger:
             'prior is not on record'
         )
     ledger, mission = begun(prior), read_mission(log)
-    fold_evidence(ledger, log.read('path', 'report', 'status'), mission)
+    fold_evidence(ledger, log.read('path', 'report', 'status', *REMARKS), mission)
     return ledger

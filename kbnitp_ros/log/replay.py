@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from hashlib import blake2b
 from pathlib import Path
@@ -39,12 +40,15 @@ from kbnitp_ros.log.replayed_decisions import (
 from kbnitp_ros.log.roles import MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import belief_fields, Snapshot
 from kbnitp_ros.messages.headers import Fields, MAX_REASON, NO_MISSION
+from kbnitp_ros.messages.remarks import Remark
 from kbnitp_ros.messages.standings import Standings
-from kbnitp_ros.messages.topics import VIEWS
+from kbnitp_ros.messages.topics import REMARKS, VIEWS
 
 # Roles that are computed from the beliefs, and all other roles that are read.
 COMPUTED = (*(f'belief/{name}' for name in VIEWS), 'model', *DECISIONS)
-READ = ('belief', 'mission', 'operator', 'path', 'report', 'standings', 'state', 'status')
+READ = (
+    'belief', 'mission', 'operator', 'path', 'report', 'standings', 'state', 'status', *REMARKS,
+)  # fmt: skip
 ACKNOWLEDGEMENTS = 'recorded', 'operator/recorded'
 
 # Maximum number of standings and beliefs that wait for evidence recorded after them.
@@ -118,6 +122,8 @@ class Fold:
         self._said: list[tuple[Role, LoggedMessage]] = []
         self._places: dict[tuple[DeploymentKey, int], int] = {}
         self._statuses: dict[tuple[DeploymentKey, OrderState], int] = {}
+        # Remarks of people on record, by the hash of the message.
+        self._remarks: dict[int, Remark] = {}
         # Reports that were judged, by deployment.
         self._judged: dict[DeploymentKey, frozenset[int]] = {}
         # Standings and beliefs that wait for evidence, in order.
@@ -154,6 +160,8 @@ class Fold:
                 key, status = logged.said
                 self._statuses.setdefault((key, status.state), len(self._said))
             self._said.append((role, logged))
+        elif role.name in REMARKS:
+            self._remarks.setdefault(logged.said.content, logged.said)
         elif role.name in ('standings', 'belief'):
             if role.name == 'belief':
                 self.report.beliefs.note(logged.said)
@@ -251,6 +259,7 @@ class Fold:
             said.standings.keys() <= paths
             and said.reports <= self._places.keys()
             and said.order_states <= self._statuses.keys()
+            and self._remarks.keys() >= {*said.remarks}
         )
 
     def _judge(self, logged: LoggedMessage, said: Standings) -> None:
@@ -278,6 +287,12 @@ class Fold:
             if key not in ledger.paths and (path := self._path(key)) is not None:
                 self._record(path)
             self._record(place)
+        for content in said.remarks:
+            with suppress(KeyError, ValueError):
+                self._remarks[content].record(ledger)
+        if ledger.remarks != [*said.remarks]:
+            text = f'has {len(said.remarks)} hashes, computed are {len(ledger.remarks)}'
+            found.append(Difference('remarks', text))
         # The first standings of an epoch may hold judgements of earlier ones.
         is_change = said.changes > self._evidence[1]
         if said.events > self._events and is_change != (ledger.changes > before):
@@ -496,6 +511,8 @@ def standing_difference(theirs: Standing, ours: Standing) -> str:
     refused = [(each.content, each.cause) for each in theirs.refusals]
     if refused != [(each.content, each.cause) for each in ours.refusals]:
         return f'refuses {len(theirs.refusals)} reports otherwise than computed'
+    if theirs.annotation != ours.annotation:
+        return f'stands by the annotation {theirs.annotation}, computed is {ours.annotation}'
     if theirs.why != ours.why[:MAX_REASON]:
         return f'has the reason {theirs.why!r}, computed is {ours.why!r}'
     return ''

@@ -32,7 +32,7 @@ from kbnitp_ros.messages.progress import (
     NOT_CHECKED,
     NOT_KNOWN,
 )
-from kbnitp_ros.messages.topics import VIEWS
+from kbnitp_ros.messages.topics import REMARKS, VIEWS
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -133,6 +133,7 @@ ACKNOWLEDGED = {
     'status': Acknowledged.DEPARTURE,
     'report': Acknowledged.REPORT,
     'operator': Acknowledged.ACTION,
+    **dict.fromkeys(REMARKS, Acknowledged.REMARK),
 }
 
 
@@ -373,7 +374,9 @@ class ReplayedAcknowledgements:
             self._said.append(logged)
             return
         kind, mission, stamp = ACKNOWLEDGED[role.name], NO_MISSION, logged.said
-        if role.name != 'operator':
+        if role.name in REMARKS:
+            stamp = stamp.stamp
+        elif role.name != 'operator':
             (_, stamp), said = logged.said
             if role.name == 'path':
                 mission = said

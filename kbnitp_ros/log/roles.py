@@ -34,6 +34,7 @@ from kbnitp_ros.messages.progress import (
     read_mission_status,
     read_model_belief,
 )
+from kbnitp_ros.messages.remarks import read_remark
 from kbnitp_ros.messages.standings import read_standings
 from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.messages.topics import (
@@ -42,6 +43,7 @@ from kbnitp_ros.messages.topics import (
     OF_AGENT,
     OF_MISSION,
     PATH,
+    REMARKS,
     REPORT,
     ROBOTS,
     topic_names,
@@ -275,6 +277,8 @@ def read_content(role: Role, message: Any) -> Any:
             return read_health(message, role.agent)
         case 'operator':
             return read_action_name(message)
+        case name if name in REMARKS:
+            return read_remark(name, message)
         case 'belief':
             operator.index(message.deployments)
             return read_belief_maps(message)

@@ -158,7 +158,7 @@ def belief_fields(
     is_other = not ledger.deployments and (learnt or coupling or len(estimator.kinds) > 1)
     given = estimator.prior.joint if is_other else np.empty(0)
     return Fields(
-        header=header_fields(ledger.newest_stamp if ledger.newest else started),
+        header=header_fields(ledger.newest_stamp or started),
         mission=stamp_fields(mission),
         info=metadata_fields(grid),
         base=grid.base,

@@ -54,6 +54,7 @@ class Acknowledged(IntEnum):
     REPORT = 4
     ACCEPTANCE = 5
     REFUSAL = 6
+    REMARK = 7
 
 
 STATUS_KINDS = {

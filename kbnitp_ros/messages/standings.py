@@ -48,6 +48,8 @@ class Standings:
     changes: int
     # Events of the standings that these add to; 0 if these are complete.
     since: int
+    # Hashes of the remarks of people, in the order in which they were judged.
+    remarks: tuple[int, ...]
     standings: Mapping[DeploymentKey, Standing]
 
     @property
@@ -89,12 +91,14 @@ def standings_fields(
         events=ledger.events,
         changes=ledger.changes,
         since=since,
+        remarks=np.array(ledger.remarks, dtype=np.uint64),
         standings=[
             Fields(
                 agent=key.agent,
                 deployment=stamp_fields(key.stamp),
                 verdict=int(standing.verdict),
                 report=standing.report,
+                annotation=standing.annotation,
                 judged=np.array(sorted(standing.judged), dtype=np.uint64),
                 order=np.array(sorted(ledger.statuses.get(key, ())), dtype=np.uint8),
                 refused=np.array([each.content for each in standing.refusals], dtype=np.uint64),
@@ -146,6 +150,7 @@ def read_standings(message: Any) -> Standings:
         events=message.events,
         changes=message.changes,
         since=message.since,
+        remarks=tuple(int(each) for each in message.remarks),
         standings=standings,
     )
 
@@ -175,4 +180,5 @@ def read_standing(name: str, message: Any) -> Standing:
     whys = [message.reason, *[''] * len(refused)]
     refusals = tuple(Refusal(*each) for each in zip(refused, causes, whys))
     states = [read_choice(f'{name}.order', int(each), OrderState) for each in message.order]
-    return Standing(verdict, report, refusals, judged, frozenset(states))
+    annotation = int(message.annotation)
+    return Standing(verdict, report, refusals, judged, frozenset(states), annotation)

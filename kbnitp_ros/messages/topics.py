@@ -6,9 +6,11 @@ from __future__ import annotations
 from enum import auto, Enum
 from typing import NamedTuple
 
+ANNOTATION = 'kbnitp_msgs/msg/Annotation'
 BELIEF = 'kbnitp_msgs/msg/BeliefMaps'
 BOOL = 'std_msgs/msg/Bool'
 DECISION = 'kbnitp_msgs/msg/Decision'
+FINDING = 'kbnitp_msgs/msg/Finding'
 GRID = 'nav_msgs/msg/OccupancyGrid'
 HEALTH = 'kbnitp_msgs/msg/AgentHealth'
 MISSION = 'kbnitp_msgs/msg/MissionStatus'
@@ -19,6 +21,7 @@ PROGRESS = 'kbnitp_msgs/msg/Progress'
 RECORDED = 'kbnitp_msgs/msg/Recorded'
 RECORDERS = 'kbnitp_msgs/msg/RecorderState'
 REPORT = 'kbnitp_msgs/msg/DeploymentReport'
+REVOCATION = 'kbnitp_msgs/msg/Revocation'
 STANDINGS = 'kbnitp_msgs/msg/Standings'
 STATE = 'kbnitp_msgs/msg/AgentState'
 STATUS = 'kbnitp_msgs/msg/AgentStatus'
@@ -52,6 +55,9 @@ ROBOTS = ('agent', 'robot')
 BASE = ('planner', 'estimator')
 ESTIMATOR, PLANNER, RECORDER = ('estimator',), ('planner',), ('recorder',)
 
+# What people say of the field and of deployments.
+REMARKS = {'findings': FINDING, 'annotations': ANNOTATION, 'revocations': REVOCATION}
+
 # The maps of a belief, and those of the hidden truth.
 VIEWS = ('hazard', 'target', 'kappa')
 TRUTH = ('truth/hazard', 'truth/target')
@@ -68,7 +74,8 @@ OF_MISSION = {
         *(Topic(f'belief/{name}', GRID, History.LAST, ESTIMATOR) for name in VIEWS),
         Topic('mission', MISSION, History.LAST, PLANNER, ESTIMATOR),
         Topic('operator', OPERATOR, History.ALL, PLANNER),
-        Topic('operator/recorded', RECORDED, History.ALL, RECORDER, PLANNER),
+        *(Topic(name, kind, History.ALL, ESTIMATOR) for name, kind in REMARKS.items()),
+        Topic('operator/recorded', RECORDED, History.ALL, RECORDER, BASE),
         Topic('hold', BOOL, History.LAST, PLANNER, (*PLANNER, *ROBOTS)),
         Topic('state', STATE, History.LAST, PLANNER, (*PLANNER, *ROBOTS)),
         Topic('recorders', RECORDERS, History.NONE, RECORDER, RECORDER),

@@ -23,11 +23,14 @@ from kbnitp_ros.messages.deployments import AgentStatus as Status
 from kbnitp_ros.messages.deployments import hear_report, read_path, read_status
 from kbnitp_ros.messages.headers import check_mission, content_hash, from_stamp, mission_of_path
 from kbnitp_ros.messages.progress import Checked, read_mission_status
+from kbnitp_ros.messages.remarks import Remark
 from kbnitp_ros.messages.standings import standings_fields, standings_message
+from kbnitp_ros.messages.topics import REMARKS
 from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.models import Models
 from kbnitp_ros.nodes.presence import Repeated
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
+from kbnitp_ros.nodes.remarks import Evidence, Remarks
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -117,6 +120,7 @@ class EstimatorNode(FieldNode):
             self.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
         self.subscribe(MissionStatus, 'mission', self._on_mission, qos.LATCHED)
+        self._remarks = Remarks(self, self._judged, self._take_remark)
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''
@@ -128,7 +132,7 @@ class EstimatorNode(FieldNode):
         """Judge the recorded paths, reports and statuses; duplicates change nothing."""
         if self._mission is None:
             self._mission = read_mission(log)
-        evidence = log.read('path', 'report', 'status', 'standings')
+        evidence = log.read('path', 'report', 'status', 'standings', *REMARKS)
         messages = self.log_progress(evidence, f'reading {log.path}')
         self._epoch = max(self._epoch, fold_evidence(self._ledger, messages, self._mission))
 
@@ -146,7 +150,7 @@ class EstimatorNode(FieldNode):
             self._publish_standings()
             # A replay of the log starts from the prior.
             self._publish(self._prior)
-            if self._ledger.deployments:
+            if self._ledger.changes:
                 self._publish(self._ledger)
             self._update_state()
 
@@ -285,6 +289,21 @@ class EstimatorNode(FieldNode):
             self._log_outcome(key)
         self._update_state()
 
+    def _judged(self) -> tuple[Evidence, Ledger]:
+        """Return the evidence that was judged; ValueError before the first belief."""
+        if not self._started:
+            raise ValueError('no belief has been published yet: call again later')
+        return Evidence(self._epoch, self._ledger.events), self._ledger
+
+    def _take_remark(self, remark: Remark) -> None:
+        """Judge a remark that is on record, and publish what it changes."""
+        remark.record(self._ledger)
+        who = f' ({remark.author})' if remark.author else ''
+        self.get_logger().info(f'{type(remark.said).__name__} of a person{who} counts')
+        self._publish_standings()
+        self._publish(self._ledger)
+        self._update_state()
+
     def _is_begun_by(self, mission: int) -> bool:
         """Return whether a path that states `mission` makes it the current mission."""
         # Before the first belief, paths of several missions may arrive, as from an old bag: the
@@ -295,9 +314,11 @@ class EstimatorNode(FieldNode):
     def _join(self, mission: int) -> None:
         """Begin a mission, or check that it is the current mission."""
         if self._is_begun_by(mission):
-            ledger = self._prior.copy()
-            ledger.copy_pending(self._ledger)
-            self._ledger = ledger
+            # Remarks may come before the first path.
+            if self._ledger.paths:
+                ledger = self._prior.copy()
+                ledger.copy_pending(self._ledger)
+                self._ledger = ledger
         else:
             check_mission(mission, self._mission)
         self._mission = mission

@@ -37,7 +37,8 @@ from kbnitp_ros.messages.headers import (
     to_stamp,
 )
 from kbnitp_ros.messages.health import Health
-from kbnitp_ros.messages.topics import BELIEF
+from kbnitp_ros.messages.remarks import Remark
+from kbnitp_ros.messages.topics import BELIEF, REMARKS
 from kbnitp_ros.nodes.presence import check_author, LOG, OPERATORS, Recorders
 from kbnitp_ros.nodes.recorded_topics import (
     message_class,
@@ -62,13 +63,14 @@ SHARED = ('/clock', DIAGNOSTICS, '/tf', '/tf_static')
 LEFT_OUT = ('/parameter_events', '/rosout')
 
 # Roles that nodes act on: messages are synced at once, statuses if an acknowledgement is due.
-ACTED_ON = ('path', 'report', 'status', 'operator')
+ACTED_ON = ('path', 'report', 'status', 'operator', *REMARKS)
 
 # Kinds of the messages that are acknowledged, by role; those of statuses differ.
 KINDS = {
     'path': Acknowledged.PATH,
     'operator': Acknowledged.ACTION,
     'report': Acknowledged.REPORT,
+    **dict.fromkeys(REMARKS, Acknowledged.REMARK),
 }
 
 # Roles whose authors repeat a message while anybody waits: only changes are recorded.
@@ -138,7 +140,7 @@ class RecorderNode(MissionNode):
         # By agent ('' for the operator) and role: publishers of acknowledgements; and messages on
         # record, also of before this start, that are not acknowledged yet: stamp in nanoseconds,
         # hash of the content, start of the mission in nanoseconds, and kind.
-        self._recorded = {('', 'operator'): self._operators}
+        self._recorded = {('', name): self._operators for name in ('operator', *REMARKS)}
         self._unacknowledged: dict[tuple[str, str], deque[tuple[int, int, int, int]]] = (
             defaultdict(deque)
         )
@@ -188,6 +190,8 @@ class RecorderNode(MissionNode):
                 return
         elif role.name == 'report':
             (_, stamp), _ = logged.said
+        elif isinstance(stamp, Remark):
+            stamp = stamp.stamp
         restored = self._unacknowledged[role.agent, role.name]
         restored.append((stamp, content, mission, kind))
         if len(restored) > qos.DEPTH:
@@ -426,7 +430,7 @@ class RecorderNode(MissionNode):
             key, report = said
             self._await_acknowledgement(topic, key.stamp, report.content, kind=Acknowledged.REPORT)
         elif role.name in ACTED_ON:
-            stamp, mission = said, NO_MISSION
+            stamp, mission = said.stamp if isinstance(said, Remark) else said, NO_MISSION
             if role.name == 'path':
                 (_, stamp), mission = said
                 check_mission(mission, self._tracker.mission)

@@ -74,8 +74,6 @@ class Ledger(MissionRecord):
     ----------
     findings : dict of int to Finding
         Findings in force, by the hash of the message.
-    annotations : dict of int to tuple of DeploymentKey and Annotation
-        Annotations in force, by the hash of the message.
     remarks : list of int
         Hashes of all findings, annotations and revocations, in order of arrival.
     outcomes : dict of DeploymentKey to Observation
@@ -106,7 +104,6 @@ class Ledger(MissionRecord):
         self.events = self.changes = 0
         self.assimilations = 0
         self.findings: dict[int, Finding] = {}
-        self.annotations: dict[int, tuple[DeploymentKey, Annotation]] = {}
         self.remarks: list[int] = []
         self._last_remark = 0
         # Findings that count for nothing, since the other evidence rules them out, and why.
@@ -152,8 +149,7 @@ class Ledger(MissionRecord):
         other.deployments = self.deployments.copy()
         other._judged, other._changed = self._judged.copy(), self._changed.copy()
         other._stamps, other.remarks = self._stamps.copy(), self.remarks.copy()
-        other.findings, other.annotations = self.findings.copy(), self.annotations.copy()
-        other.impossible = self.impossible.copy()
+        other.findings, other.impossible = self.findings.copy(), self.impossible.copy()
         return other
 
     @property

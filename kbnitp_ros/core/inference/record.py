@@ -15,6 +15,7 @@ from kbnitp_ros.core.field.check import in_short, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import of_each, ORDINARY, RobotType
+from kbnitp_ros.core.inference.annotation import Annotation
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -270,6 +271,8 @@ class MissionRecord:
         States of the orders with a known path.
     standings : dict of DeploymentKey to Standing
         What counts of each deployment that was judged.
+    annotations : dict of int to tuple of DeploymentKey and Annotation
+        Annotations, by the hash of the message.
     held : dict of DeploymentKey to str
         Held deployments, each with the reason.
     lost : int
@@ -300,6 +303,7 @@ class MissionRecord:
         self.heard: dict[DeploymentKey, dict[Report, HeardReport]] = {}
         self.statuses: dict[DeploymentKey, set[OrderState]] = {}
         self.standings: dict[DeploymentKey, Standing] = {}
+        self.annotations: dict[int, tuple[DeploymentKey, Annotation]] = {}
         self.held: dict[DeploymentKey, str] = {}
         self.duplicates = self.lost = self.pending = 0
         self._pending: dict[DeploymentKey, dict[Report, Report]] = {}
@@ -331,7 +335,7 @@ class MissionRecord:
         """Return an independent copy."""
         other = copy(self)
         other.paths, other.standings = self.paths.copy(), self.standings.copy()
-        other.held = self.held.copy()
+        other.held, other.annotations = self.held.copy(), self.annotations.copy()
         other.path_contents = self.path_contents.copy()
         other.heard = {key: reports.copy() for key, reports in self.heard.items()}
         other.statuses = {key: states.copy() for key, states in self.statuses.items()}

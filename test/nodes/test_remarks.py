@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Findings, annotations and revocations by real services, and their effect across crashes."""
+
+import time
+
+from base import Base, GRID
+from kbnitp_msgs.msg import Annotation, Finding, Revocation, Standing, Standings
+from kbnitp_msgs.srv import AddFinding, Annotate, Revoke
+from kbnitp_ros.core import Observation, Verdict
+from kbnitp_ros.log.record import read_ledger
+from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.messages.beliefs import read_belief_maps
+from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.messages.standings import read_standings
+import pytest
+
+SERVICES = {'add_finding': AddFinding, 'annotate': Annotate, 'revoke': Revoke}
+
+
+class Person:
+    """A person beside the base, who says what she knows."""
+
+    def __init__(self, base):
+        self.base, self.field = base, base.field
+        self.clients = {
+            name: self.field.node.create_client(kind, f'/{name}')
+            for name, kind in SERVICES.items()
+        }
+        self.standings = self.field.listen(Standings, '/standings')
+
+    def ask(self, service, **request):
+        """Call a service; again if no estimator answers, as after it was killed."""
+        client, calls = self.clients[service], []
+        self.field.until(client.service_is_ready, service)
+
+        def is_answered():
+            if not calls or time.monotonic() > calls[-1][0] + 5.0:
+                made = client.call_async(SERVICES[service].Request(**request))
+                calls.append((time.monotonic(), made))
+            return any(call.done() for _, call in calls)
+
+        self.field.until(is_answered, f'answer of {service}')
+        return next(call.result() for _, call in calls if call.done())
+
+    def say(self, service, **request):
+        """Say something after its preview; return the answer and the effect foreseen."""
+        foreseen = self.ask(service, preview=True, **request)
+        assert foreseen.success, foreseen.message
+        assert foreseen.content == 0
+        named = foreseen.effect
+        answer = self.ask(service, epoch=named.epoch, events=named.events, **request)
+        assert answer.success, answer.message
+        assert (answer.message, answer.effect.events) == (foreseen.message, named.events)
+        return answer
+
+    def standing(self, agent='scout_1'):
+        """Return the newest standings of the deployments of an agent, by stamp."""
+        told = {}
+        for message in self.standings:
+            told |= read_standings(message).standings
+        return [told[key] for key in sorted(told) if key.agent == agent]
+
+
+def report_of(base, survived, agent='scout_1', stamp=None):
+    """Report the newest robot of an agent; return its key and path."""
+    key, cells = read_path(GRID, agent, base.paths[agent][-1])
+    steps = len(cells) - 1
+    outcome = Observation(cells, survived, [False] * steps if survived else None)
+    now = base.field.now() if stamp is None else stamp
+    base.reports[agent].publish(report_message(key, outcome, now))
+    return key, cells
+
+
+@pytest.mark.parametrize('killed', ['none', 'estimator', 'recorder', 'planner', 'all'])
+def test_what_people_say_counts_and_lasts(field, killed):
+    base = Base(field)
+    person = Person(base)
+    base.until_sent(1)
+    lost, path = report_of(base, survived=False)
+    base.until_held(1)
+    base.until_sent(2)
+    before = read_belief_maps(base.beliefs[-1]).belief
+    flat = Annotation(agent='scout_1', deployment=to_stamp(lost.stamp), steps=[2])
+    flat.kind, flat.author = Annotation.NO_HAZARD, 'Ann'
+    person.say('annotate', annotation=flat)
+    field.until(lambda: person.standing()[0].annotation, 'annotated standing')
+    assert person.standing()[0].verdict is Verdict.LOSS
+    walked = Finding(cells=[int(path[3])], walked=0.9, note='on foot')
+    answer = person.say('add_finding', finding=walked)
+    assert answer.effect.hazards[1] < answer.effect.hazards[0]
+    if killed == 'all':
+        base.crash()
+    elif killed != 'none':
+        field.kill(f'/{killed}')
+        field.start(killed, {**base.parameters, 'resume': str(base.log)})
+    report_of(base, survived=True)
+    base.until_held(2)
+    base.until_sent(3)
+    withdrawn, _ = report_of(base, survived=False)
+    base.until_held(3)
+    base.until_sent(4)
+    out = Annotation(agent='scout_1', deployment=to_stamp(withdrawn.stamp))
+    out.kind = Annotation.WITHDRAW
+    answer = person.say('annotate', annotation=out)
+    assert answer.effect.lost.tolist() == [2, 1]
+    field.until(lambda: person.standing()[2].verdict is Verdict.WITHDRAWN, 'withdrawal')
+    revocation = Revocation(revokes=answer.content)
+    answer = person.say('revoke', revocation=revocation)
+    assert answer.effect.lost.tolist() == [1, 2]
+    field.until(lambda: person.standing()[2].verdict is Verdict.LOSS, 'revocation')
+    refused = person.ask('revoke', preview=True, revocation=revocation)
+    assert 'was revoked before' in refused.message
+    report_of(base, survived=True)
+    base.until_held(4)
+    base.until_state('4 of 4 robots')
+    field.until(lambda: from_stamp(base.beliefs[-1].header.stamp), 'belief')
+    last = read_belief_maps(base.beliefs[-1]).belief
+    base.replayed()
+    ledger = read_ledger(MissionLog(base.log))
+    assert ledger.belief.joint.tobytes() == last.joint.tobytes()
+    assert len(ledger.remarks) == 4
+    assert (last.hazard[path[1:-1]] != before.hazard[path[1:-1]]).any()
+
+
+def test_a_change_holds_a_loss_until_its_order_is_told(field):
+    base = Base(field)
+    person = Person(base)
+    base.until_sent(1)
+    sent, path = read_path(GRID, 'scout_1', base.paths['scout_1'][-1])
+    dug = Finding(cells=[int(path[2])], hazard=Finding.ABSENT, changed=True)
+    # The estimator may learn of the path after the test.
+    field.until(
+        lambda: person.ask('add_finding', preview=True, finding=dug).effect.out, 'robot out'
+    )
+    answer = person.say('add_finding', finding=dug)
+    assert list(answer.effect.out) == [str(sent)]
+    report_of(base, survived=False)
+    field.until(lambda: person.standing(), 'standing')
+    assert person.standing()[0].verdict is Verdict.HELD
+    base.until_state('the operator to decide on')
+    told = Annotation(agent='scout_1', deployment=to_stamp(sent.stamp), kind=Annotation.BEFORE)
+    person.say('annotate', annotation=told)
+    base.until_held(1)
+    base.until_sent(2)
+    base.replayed(has_refused=True)
+
+
+def test_places_are_cells_points_and_polygons(field):
+    base = Base(field)
+    person = Person(base)
+    base.until_sent(1)
+    walked = Finding(walked=0.5)
+    x, y = GRID.centers([3, 8]).T.tolist()
+    person.say('add_finding', finding=walked, x=x, y=y)
+    side = [0.0, 2.1, 2.1, 0.0], [3.0, 3.0, 5.0, 5.0]
+    person.say('add_finding', finding=walked, x=side[0], y=side[1], polygon=True)
+    report_of(base, survived=True)
+    base.until_held(1)
+    base.replayed()
+    first, second = read_ledger(MissionLog(base.log)).findings.values()
+    assert first.cells.tolist() == [3, 8]
+    assert second.cells.tolist() == [15, 16, 20, 21]
+
+
+def test_bad_remarks_change_nothing(field):
+    base = Base(field)
+    person = Person(base)
+    base.until_sent(1)
+    key, path = report_of(base, survived=True)
+    base.until_held(1)
+    changes = base.beliefs[-1].changes
+    at = to_stamp(key.stamp)
+    said = {'agent': 'scout_1', 'deployment': at}
+    cases = [
+        ('add_finding', {'finding': Finding(cells=[99], walked=0.5)}, '99'),
+        ('add_finding', {'finding': Finding(cells=[1], hazard=1, confidence=1.0)}, 'below 1'),
+        ('add_finding', {'finding': Finding(cells=[1])}, 'say one of them'),
+        ('add_finding', {'finding': Finding(cells=[1], walked=2.0)}, 'walked is 2.0'),
+        ('add_finding', {'finding': Finding(cells=[], walked=0.5)}, 'at least one cell'),
+        ('add_finding', {'finding': Finding(walked=0.5), 'x': [1.0], 'y': []}, 'x has 1 values'),
+        (
+            'add_finding',
+            {'finding': Finding(walked=0.5), 'x': [1.0], 'y': [1.0], 'geographic': True},
+            'datum is empty',
+        ),
+        (
+            'add_finding',
+            {'finding': Finding(walked=0.5), 'x': [0.1, 0.2], 'y': [1.0, 1.0], 'polygon': True},
+            'at least 3',
+        ),
+        ('annotate', {'annotation': Annotation(kind=1, agent='scout_9', deployment=at)}, 'known'),
+        ('annotate', {'annotation': Annotation(kind=9, **said)}, 'kind is 9'),
+        ('annotate', {'annotation': Annotation(kind=1, **said)}, 'not reported lost'),
+        ('annotate', {'annotation': Annotation(kind=4, report=5, **said)}, 'no such report'),
+        ('annotate', {'annotation': Annotation(kind=4, steps=[1], **said)}, 'WITHDRAW has none'),
+        ('revoke', {'revocation': Revocation(revokes=7)}, 'was never said'),
+        ('revoke', {'revocation': Revocation()}, 'revokes is 0'),
+    ]
+    for service, request, words in cases:
+        for preview in (True, False):
+            asked = {} if preview else {'epoch': base.beliefs[-1].epoch, 'events': 1}
+            answer = person.ask(service, preview=preview, **asked, **request)
+            assert not answer.success
+            assert words in answer.message, (service, answer.message)
+    fine = Finding(cells=[int(path[1])], walked=0.5)
+    stale = person.ask('add_finding', finding=fine)
+    assert 'ask for the preview again' in stale.message
+    assert base.beliefs[-1].changes == changes
+    base.replayed()
+
+
+def test_messages_state_no_default_that_counts():
+    assert Finding().confidence == 0.99
+    assert Annotate.Request().cell == -1
+    assert Standing().annotation == 0
