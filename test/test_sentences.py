@@ -25,7 +25,7 @@ FOR_PEOPLE = {'reason', 'message'}
 NAMES = {
     'agent', 'author', 'dynamics', 'field_id', 'goal', 'instance', 'journal', 'log', 'method',
     'name', 'target_dynamics', 'told', 'agents', 'parameters', 'kind', 'alternative',
-    'version', 'waiting',
+    'version', 'waiting', 'held', 'note', 'out',
 }  # fmt: skip
 
 # Attributes with a text for people, beside fields of messages: of standings, of nodes on
@@ -155,7 +155,10 @@ def test_a_sentence_that_is_passed_on_is_no_decision(harmless):
 
 def test_every_text_field_is_for_people_or_a_name():
     kinds = [getattr(msg, name) for name in dir(msg) if name[0].isupper()]
-    for service in (srv.Draws, srv.GiveUp):
+    for name in dir(srv):
+        service = getattr(srv, name)
+        if not hasattr(service, 'Request'):
+            continue
         kinds += [service.Request, service.Response]
     texts = set()
     for kind in kinds:

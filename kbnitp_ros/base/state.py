@@ -273,11 +273,13 @@ class BaseState(MissionRecord):
             lacking = [key for key in absent if self.standings[key].judged]
             unsaid = self.remarks.difference(said.remarks)
             if (lacking or unsaid) and said.epoch > own:
-                first = min(lacking, key=deployment_order, default='a remark of a person')
+                what = f'{len(unsaid)} remarks of people'
+                if lacking:
+                    first = min(lacking, key=deployment_order)
+                    what = f'{len(lacking)} judged deployments, such as {first},'
                 raise LackingError(
-                    f'{len(lacking) + len(unsaid)} judged messages, such as {first}, are missing: '
-                    'the estimator was started without the evidence of this mission; start it '
-                    'with the parameter resume set to the log'
+                    f'{what} are missing: the estimator was started without the evidence of this '
+                    'mission; start it with the parameter resume set to the log'
                 )
             for key in absent:
                 self.stand(key, OPEN)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Told(IntEnum):
-    """What is said of hazards or targets, as in kbnitp_msgs/Finding."""
+    """A statement on hazards or targets, as in kbnitp_msgs/Finding."""
 
     UNTOLD = 0
     ABSENT = 1
@@ -43,7 +43,7 @@ class LossCause(IntEnum):
 
 @dataclass(frozen=True)
 class Remark:
-    """What a person said, when, and who, as stated."""
+    """A remark of a person: what was said, when, and by whom, as stated."""
 
     # Time at which it was said, nanoseconds of ROS time, different for each remark.
     stamp: int

@@ -48,9 +48,9 @@ class Standings:
     changes: int
     # Events of the standings that these add to; 0 if these are complete.
     since: int
-    # Hashes of the remarks of people, in the order in which they were judged.
-    remarks: tuple[int, ...]
     standings: Mapping[DeploymentKey, Standing]
+    # Hashes of the remarks of people, in the order in which they were judged.
+    remarks: tuple[int, ...] = ()
 
     @property
     def is_complete(self) -> bool:

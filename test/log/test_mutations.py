@@ -8,7 +8,7 @@ from math import isnan
 from pathlib import Path
 import re
 
-from kbnitp_msgs.msg import AgentStatus, Progress, Recorded
+from kbnitp_msgs.msg import AgentStatus, Annotation, Finding, Progress, Recorded, Revocation
 from kbnitp_ros.cli.replay import lines, replayed
 from kbnitp_ros.configuration.known import node_parameters
 from kbnitp_ros.core import Lane, Observation, RobotType, Unknowns
@@ -24,7 +24,7 @@ from kbnitp_ros.messages.deployments import (
     status_message,
 )
 from kbnitp_ros.messages.grids import occupancy_grid
-from kbnitp_ros.messages.headers import content_hash, header
+from kbnitp_ros.messages.headers import content_hash, header, to_stamp
 from kbnitp_ros.messages.operator_actions import Action, operator_action_message, OperatorAction
 from kbnitp_ros.messages.progress import (
     Helper,
@@ -33,8 +33,9 @@ from kbnitp_ros.messages.progress import (
     MissionStatus,
     Obstacle,
 )
+from kbnitp_ros.messages.remarks import read_remark
 from kbnitp_ros.messages.states import Readiness, state_message
-from kbnitp_ros.messages.topics import History, OF_AGENT, OF_MISSION, TRUTH
+from kbnitp_ros.messages.topics import History, OF_AGENT, OF_MISSION, REMARKS, TRUTH
 from kbnitp_ros.nodes.recorded_topics import message_class
 from laws import for_each
 from mission_log import Deciding, instead, MAX_STEPS, record_to, without
@@ -60,7 +61,10 @@ TOPICS = {
     for name, topic in {f'{place}{name}': topic for name, topic in topics.items()}.items()
     if topic.history is not History.NONE
 }
-KINDS = {'path': Recorded.PATH, 'operator': Recorded.ACTION, 'report': Recorded.REPORT}
+KINDS = {
+    'path': Recorded.PATH, 'operator': Recorded.ACTION, 'report': Recorded.REPORT,
+    **dict.fromkeys(REMARKS, Recorded.REMARK),
+}  # fmt: skip
 STATUS_KINDS = {
     AgentStatus.ACCEPTED: Recorded.ACCEPTANCE,
     AgentStatus.DEPARTED: Recorded.DEPARTURE,
@@ -82,7 +86,9 @@ class Acknowledged(Deciding):
             self.publish(
                 f'{agent or "operator"}/recorded',
                 Recorded(
-                    stamp=getattr(message, 'deployment', message.header.stamp),
+                    stamp=getattr(
+                        message, '' if name in REMARKS else 'deployment', message.header.stamp
+                    ),
                     content=content_hash(message),
                     agent=agent,
                     kind=kind,
@@ -111,6 +117,16 @@ class Acknowledged(Deciding):
     def act(self, action, paths=(), **options):
         action = OperatorAction(self.now, action, 1, dict(paths), **options)
         self.publish('operator', operator_action_message(self.grid, action))
+
+    def say(self, topic, message):
+        """Publish and record a remark of a person; return its hash."""
+        message.header, message.author, message.note = header(self.now), 'Ann', 'seen'
+        self.publish(topic, message)
+        remark = read_remark(topic, message)
+        remark.record(self.ledger)
+        self.publish_standings()
+        self.publish_belief()
+        return remark.content
 
     def say_state(self, state, obstacle, ends_by, **numbers):
         status = MissionStatus(
@@ -152,6 +168,17 @@ def whole_mission():
     key = whole.order(tour, AGENT, *back)
     lost = Observation(tour, False, lost_at=[0.0, 0.5, 1.0, 0.5])
     whole.hear_report(*whole.come_back(key, lost))
+    for steps in ([2, 3], [3, 4]):
+        located = Annotation(kind=Annotation.LOCATED, cause=Annotation.HAZARD, steps=steps)
+        located.agent, located.deployment = key.agent, to_stamp(key.stamp)
+        located.report = whole.ledger.standings[key].report
+        whole.say('annotations', located)
+    for cells in ([3, 8], [4, 9]):
+        since = to_stamp(whole.now)
+        found = Finding(cells=cells, hazard=1, target=1, confidence=0.9, walked=0.4, since=since)
+        whole.say('findings', found)
+    for said in [*whole.ledger.findings]:
+        whole.say('revocations', Revocation(revokes=said))
     whole.order(tour, OTHER, OrderState.REFUSED)
     key = whole.order([2, 3, 4, 3, 2], OTHER, *back)
     heard = content_hash(whole.sent[0].message)

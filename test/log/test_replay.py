@@ -736,12 +736,13 @@ def test_messages_that_are_recorded_twice_do_not_stop_a_replay(tmp_path):
 
 
 def test_checks_of_two_beliefs_with_one_stamp_are_told_apart(tmp_path):
-    """A late return may be dated before the loss that it replaces."""
+    """A late return may have the stamp of the loss that it replaces."""
     whole = Mission(unknowns=Unknowns(lethality=(0.0, 1.0)))
     path = [2, 7, 12, 7, 2]
     whole.deploy(Observation(path, False))
     late = whole.deploy(Observation(path, False))
-    back = report_message(late, Observation(path, True, [True, False, True, False]), late.stamp)
+    at = whole.ledger.newest_stamp
+    back = report_message(late, Observation(path, True, [True, False, True, False]), at)
     whole.publish(f'{late.agent}/report', back)
     assert whole.hear_report(*read_report(back))
     models = [each.message for each in whole.sent if each.topic == '/model']

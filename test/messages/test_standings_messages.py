@@ -58,14 +58,14 @@ def test_standings_are_read_as_they_were_judged():
     ({'changes': 99}, 'since is 0 and changes is 99: there are only 4 events'),
     ({'standings': of(0, agent='')}, "standings[0].agent is '': it must name the agent"),
     ({'standings': of(1, deployment=to_stamp(10**9))}, 'standings[1] is of scout_1 at'),
-    ({'standings': of(0, verdict=7)}, 'standings[0].verdict is 7: it must be from 0 to 6'),
+    ({'standings': of(0, verdict=8)}, 'standings[0].verdict is 8: it must be from 0 to 7'),
     ({'standings': of(0, report=5)}, 'names the report with hash 5, which is not among'),
     ({'standings': of(1, judged=[])}, 'which is not among those judged'),
     ({'standings': of(1, refused=[5])}, 'names the report with hash 5, which is not among'),
     ({'standings': of(0, report=0)}, 'standings[0].report is 0, and its verdict is RETURN'),
     ({'standings': of(0, verdict=5)}, 'and its verdict is HELD'),
     ({'standings': of(1, cause=[])}, 'has 1 refused reports and 0 causes'),
-    ({'standings': of(1, cause=[9])}, 'standings[1].cause is 9: it must be from 0 to 7'),
+    ({'standings': of(1, cause=[9])}, 'standings[1].cause is 9: it must be from 0 to 8'),
     ({'standings': of(1, reason='')}, "standings[1].reason is '': it must be the reason"),
     ({'standings': of(0, reason='why')}, "standings[0].reason is 'why': it must be the reason"),
     ({'standings': of(1, reason='x' * 501)}, 'reason has 501 characters'),
@@ -103,7 +103,7 @@ def test_a_report_that_nobody_heard_gives_no_outcome():
 def test_all_messages_of_a_mission_have_the_same_version():
     kinds = {topic.type_name for topic in [*OF_MISSION.values(), *OF_AGENT.values()]}
     own = [message_class(kind) for kind in kinds if kind.startswith('kbnitp_msgs/')]
-    assert len(own) == 13
+    assert len(own) == 16
     assert {kind.VERSION for kind in own} == {2}
 
 

@@ -35,7 +35,7 @@ class AnnotationKind(IntEnum):
 @dataclass(frozen=True)
 class Annotation:
     """
-    What a person knows of one deployment, by the report that it speaks of.
+    Knowledge of a person about one deployment, by the report that it speaks of.
 
     Attributes
     ----------

@@ -307,7 +307,7 @@ class Ledger(MissionRecord):
         is_out = key.stamp < finding.since < last
         return is_out and bool(np.isin(self.paths[key], finding.cells).any())
 
-    def _changes_of(self, key: DeploymentKey) -> list[Finding]:
+    def _spanned_changes(self, key: DeploymentKey) -> list[Finding]:
         """Return the changes of the field while a robot was out in their cells."""
         return [each for each in self.findings.values() if self._is_spanned(key, each)]
 
@@ -332,7 +332,7 @@ class Ledger(MissionRecord):
                 if other == event and each.kind is AnnotationKind.AFTER
             ]
             if after:
-                moved = max((each.since or 0 for each in self._changes_of(event)), default=0)
+                moved = max((each.since or 0 for each in self._spanned_changes(event)), default=0)
         return max(event.stamp, moved), 2 * (moved > event.stamp), event.agent, event.stamp
 
     def _remark(self, content: int, stamp: int, about: Finding | DeploymentKey) -> None:
@@ -477,7 +477,7 @@ class Ledger(MissionRecord):
                     continue
                 elif signs - {*(report.settled or ())}:
                     cause = Cause.IS_BACK
-            if changes := self._changes_of(key):
+            if changes := self._spanned_changes(key):
                 outcome, is_told = self._around(key, report.content, outcome, changes)
                 cause = cause or (Cause.NONE if is_told else Cause.CHANGED)
             if cause:

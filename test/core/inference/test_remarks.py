@@ -137,8 +137,8 @@ def expected(kind, made, found, said):
         if around and not outcome.survived:
             held.append(key)
             continue
-        for each in around:
-            entered = outcome.is_entered & ~np.isin(path[1:], each.cells)
+        for change in around:
+            entered = outcome.is_entered & ~np.isin(path[1:], change.cells)
             outcome = replace(outcome, entered=entered)
         events.append((key.stamp, 0, outcome))
     events += [(each.since, 1, each) for each in found.values()]

@@ -62,7 +62,7 @@ class Person:
         return [told[key] for key in sorted(told) if key.agent == agent]
 
 
-def report_of(base, survived, agent='scout_1', stamp=None):
+def report(base, survived, agent='scout_1', stamp=None):
     """Report the newest robot of an agent; return its key and path."""
     key, cells = read_path(GRID, agent, base.paths[agent][-1])
     steps = len(cells) - 1
@@ -77,7 +77,7 @@ def test_what_people_say_counts_and_lasts(field, killed):
     base = Base(field)
     person = Person(base)
     base.until_sent(1)
-    lost, path = report_of(base, survived=False)
+    lost, path = report(base, survived=False)
     base.until_held(1)
     base.until_sent(2)
     before = read_belief_maps(base.beliefs[-1]).belief
@@ -94,10 +94,10 @@ def test_what_people_say_counts_and_lasts(field, killed):
     elif killed != 'none':
         field.kill(f'/{killed}')
         field.start(killed, {**base.parameters, 'resume': str(base.log)})
-    report_of(base, survived=True)
+    report(base, survived=True)
     base.until_held(2)
     base.until_sent(3)
-    withdrawn, _ = report_of(base, survived=False)
+    withdrawn, _ = report(base, survived=False)
     base.until_held(3)
     base.until_sent(4)
     out = Annotation(agent='scout_1', deployment=to_stamp(withdrawn.stamp))
@@ -111,7 +111,7 @@ def test_what_people_say_counts_and_lasts(field, killed):
     field.until(lambda: person.standing()[2].verdict is Verdict.LOSS, 'revocation')
     refused = person.ask('revoke', preview=True, revocation=revocation)
     assert 'was revoked before' in refused.message
-    report_of(base, survived=True)
+    report(base, survived=True)
     base.until_held(4)
     base.until_state('4 of 4 robots')
     field.until(lambda: from_stamp(base.beliefs[-1].header.stamp), 'belief')
@@ -135,7 +135,7 @@ def test_a_change_holds_a_loss_until_its_order_is_told(field):
     )
     answer = person.say('add_finding', finding=dug)
     assert list(answer.effect.out) == [str(sent)]
-    report_of(base, survived=False)
+    report(base, survived=False)
     field.until(lambda: person.standing(), 'standing')
     assert person.standing()[0].verdict is Verdict.HELD
     base.until_state('the operator to decide on')
@@ -155,7 +155,7 @@ def test_places_are_cells_points_and_polygons(field):
     person.say('add_finding', finding=walked, x=x, y=y)
     side = [0.0, 2.1, 2.1, 0.0], [3.0, 3.0, 5.0, 5.0]
     person.say('add_finding', finding=walked, x=side[0], y=side[1], polygon=True)
-    report_of(base, survived=True)
+    report(base, survived=True)
     base.until_held(1)
     base.replayed()
     first, second = read_ledger(MissionLog(base.log)).findings.values()
@@ -167,7 +167,7 @@ def test_bad_remarks_change_nothing(field):
     base = Base(field)
     person = Person(base)
     base.until_sent(1)
-    key, path = report_of(base, survived=True)
+    key, path = report(base, survived=True)
     base.until_held(1)
     changes = base.beliefs[-1].changes
     at = to_stamp(key.stamp)
