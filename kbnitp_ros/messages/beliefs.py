@@ -143,6 +143,7 @@ def belief_fields(
     """Return the message fields of a ledger's belief."""
     belief, grid = ledger.belief, ledger.grid
     newest = ledger.newest or DeploymentKey('', 0)
+    stamp = ledger.newest_stamp if ledger.deployments or ledger.remarks else started
     estimator = ledger.estimator
     targets = estimator.target_dynamics
     learnt = {
@@ -158,7 +159,7 @@ def belief_fields(
     is_other = not ledger.deployments and (learnt or coupling or len(estimator.kinds) > 1)
     given = estimator.prior.joint if is_other else np.empty(0)
     return Fields(
-        header=header_fields(ledger.newest_stamp or started),
+        header=header_fields(stamp),
         mission=stamp_fields(mission),
         info=metadata_fields(grid),
         base=grid.base,

@@ -369,8 +369,8 @@ class Ledger(MissionRecord):
             place = self._first_new(events, {key})
         else:
             place = bisect_left(self._judged, self._order(key), key=self._order)
-            is_new = self._judged[place : place + 1] != [key]
-            events = [*self._judged[:place], key, *self._judged[place + (not is_new) :]]
+            later = self._judged[place:]
+            events = [*self._judged[:place], key, *(each for each in later if each != key)]
         before = self.changes
         rulings = self._fold(events, place, key if events == self._judged else None)
         self.changes = min(self.changes, before + 1)
