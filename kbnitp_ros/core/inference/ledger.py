@@ -81,9 +81,9 @@ class Ledger(MissionRecord):
     deployments : list of DeploymentKey
         Deployments in the belief, in deployment order.
     newest : DeploymentKey or None
-        Deployment in the belief whose report has the greatest stamp; None before the first.
+        Deployment in the belief that was reported last; None before the first.
     newest_stamp : int
-        This stamp, or that of a later remark, nanoseconds of ROS time; 0 before the first.
+        Stamp of its report, or of a later remark, nanoseconds of ROS time; 0 before the first.
     events, changes : int
         Number of standings that changed, and of judgements that changed the evidence.
     assimilations : int
@@ -127,20 +127,22 @@ class Ledger(MissionRecord):
         """Return the belief after all assimilated deployments."""
         return self.estimator.belief
 
-    # Of what counts alone, since a resumed estimator may judge reports in another order.
-
     @property
     def newest(self) -> DeploymentKey | None:
         """Return the deployment in the belief that was reported last."""
-        stamps = self._stamps.items()
-        return max(stamps, key=lambda each: (each[1], deployment_order(each[0])), default=(None,))[
-            0
-        ]
+
+        # A function of what counts alone, since a resumed estimator may judge reports in another
+        # order. If the clock is set back, the stamps of deployments still increase.
+        def reported(key: DeploymentKey) -> tuple[int, tuple[int, str]]:
+            return max(self._stamps[key], key.stamp), deployment_order(key)
+
+        return max(self._stamps, key=reported, default=None)
 
     @property
     def newest_stamp(self) -> int:
-        """Return the greatest stamp of remarks and of the reports that count."""
-        return max(self._last_remark, *self._stamps.values(), 0)
+        """Return the stamp of its report, or of a later remark."""
+        newest = self.newest
+        return max(self._last_remark, 0 if newest is None else self._stamps[newest])
 
     def copy(self) -> Ledger:
         """Return an independent copy."""
