@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings, annotations and revocations by real services, and their effect across crashes."""
 
+import re
+import shlex
 import time
 
 from base import Base, GRID
+from documented import ROOT
 from kbnitp_msgs.msg import Annotation, Finding, Revocation, Standing, Standings
 from kbnitp_msgs.srv import AddFinding, Annotate, Revoke
 from kbnitp_ros.core import Observation, Verdict
@@ -14,6 +17,7 @@ from kbnitp_ros.messages.deployments import read_path, report_message
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.messages.standings import read_standings
 import pytest
+import yaml
 
 SERVICES = {'add_finding': AddFinding, 'annotate': Annotate, 'revoke': Revoke}
 
@@ -208,6 +212,48 @@ def test_bad_remarks_change_nothing(field):
     assert 'ask for the preview again' in stale.message
     assert base.beliefs[-1].changes == changes
     base.replayed()
+
+
+def fill(message, values):
+    """Set the fields of a message, as `ros2 service call` does."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            fill(getattr(message, name), value)
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def test_services_are_called_as_on_the_page(field):
+    base = Base(field)
+    person = Person(base)
+    base.until_sent(1)
+    key, _ = report(base, survived=False)
+    base.until_held(1)
+    lines = re.findall(
+        r'(?m)^ros2 service call (.*)$', ROOT.joinpath('docs/people.md').read_text()
+    )
+    assert len(lines) == 8
+    for line in lines:
+        name, kind, request = shlex.split(line)
+        assert kind == f'kbnitp_msgs/srv/{SERVICES[name[1:]].__name__}'
+        asked = yaml.safe_load(request)
+        if 'annotation' in asked:
+            asked['annotation']['deployment'] = {
+                'sec': key.stamp // 10**9, 'nanosec': key.stamp % 10**9,
+            }  # fmt: skip
+        answer = person.ask(name[1:], **fields(SERVICES[name[1:]], asked))
+        refusals = {'revocation': 'was never said', 'epoch': 'ask for the preview again'}
+        why = next((refusals[each] for each in refusals if each in asked), '')
+        assert (answer.success, why in answer.message) == (not why, True), answer.message
+    base.until_sent(2)
+    base.replayed()
+
+
+def fields(service, asked):
+    """Return the fields of a request as messages."""
+    request = fill(service.Request(), asked)
+    return {name: getattr(request, name) for name in asked}
 
 
 def test_messages_state_no_default_that_counts():

@@ -130,13 +130,13 @@ class Ledger(MissionRecord):
     @property
     def newest(self) -> DeploymentKey | None:
         """Return the deployment in the belief that was reported last."""
+        return max(self._stamps, key=self._reported, default=None)
 
-        # A function of what counts alone, since a resumed estimator may judge reports in another
-        # order. If the clock is set back, the stamps of deployments still increase.
-        def reported(key: DeploymentKey) -> tuple[int, tuple[int, str]]:
-            return max(self._stamps[key], key.stamp), deployment_order(key)
-
-        return max(self._stamps, key=reported, default=None)
+    def _reported(self, key: DeploymentKey) -> tuple[int, tuple[int, str]]:
+        """Return the sorting key of deployments by their reports."""
+        # Of what counts alone, since a resumed estimator may judge reports in another order. If
+        # the clock is set back, the stamps of deployments still increase.
+        return max(self._stamps[key], key.stamp), deployment_order(key)
 
     @property
     def newest_stamp(self) -> int:
