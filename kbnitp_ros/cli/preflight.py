@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from math import nan
+from math import isnan, nan
 from pathlib import Path
 import shutil
 import time
@@ -43,7 +43,7 @@ from kbnitp_ros.nodes.runtime.graph import full_name
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
@@ -52,8 +52,8 @@ from rclpy.utilities import try_shutdown
 DESCRIPTION = """
 Check the robots and the base of a mission before its first departure. The nodes of the base and
 the agents must run. A line for each check says what was found and, where it is red, the remedy.
-The command ends as soon as nothing is red, or after --wait seconds; it publishes nothing, and
-a skip is not on record.
+The command ends as soon as nothing is red, or after --wait seconds; it publishes nothing. What
+--skip names is added to the planner's parameter preflight_skip, which is on record.
 
 The exit code is 0 if nothing is red, 1 if a check is red, and 2 if the base is not heard.
 """
@@ -64,8 +64,9 @@ EXAMPLES = (
     'python3 -m kbnitp_ros preflight --skip clock --skip battery',
 )
 
-# Seconds of a look for messages.
+# Seconds of a look for messages, and until agents without an answer do without a round trip.
 SPIN = 0.1
+MAX_TRIP = 5.0
 
 
 @command('preflight')
@@ -85,7 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar='NAME',
         action='append',
         default=[],
-        help=f'a check whose red does not count: {", ".join(OPTIONAL)}. Can be repeated',
+        help=f'a check whose red does not count from now on: {", ".join(OPTIONAL)}. Can be '
+        'repeated',
     )
     options = parser.parse_args(argv)
     end_on_signals()
@@ -133,7 +135,9 @@ class Mission:
 
     def __init__(self, node: Node, skipped: Sequence[str]) -> None:
         self._node = node
-        self._skipped = tuple(skipped)
+        self._begun = time.monotonic()
+        # Checks to skip that the planner was not asked to skip yet.
+        self._skipped = skipped
         # By topic.
         self._said: dict[str, Any] = {}
         # Parameters of a node that it has stated, by its full name.
@@ -207,6 +211,18 @@ class Mission:
         self._subscribe(AgentState, f'{agent}/state', qos.LATCHED, keep_state)
         self._subscribe(AgentHealth, f'{agent}/health', qos.READINGS, keep_health)
 
+    def _skip(self, planner: dict[str, Any]) -> None:
+        """Add checks to those that the planner has on record as skipped."""
+        names = sorted({*(planner['preflight_skip'] or ()), *self._skipped})
+        self._skipped = ()
+
+        def keep(answer: Any) -> None:
+            if answer.result().results[0].successful:
+                planner['preflight_skip'] = names
+
+        client = self._clients[self._said['mission'].author]
+        client.set_parameters([Parameter('preflight_skip', value=names)], callback=keep)
+
     @property
     def is_green(self) -> bool:
         """Return whether all was heard, and no check is red."""
@@ -214,13 +230,18 @@ class Mission:
         for agent in values[0].get('agents', ()):
             if agent not in self._agents:
                 self._listen_to(agent)
+        if values[0] and self._skipped:
+            self._skip(values[0])
         is_heard = all(values) and {'state', 'recorders'} <= self._said.keys()
+        if time.monotonic() < self._begun + MAX_TRIP:
+            is_heard &= not any(isnan(self._round_trip(agent)) for agent in self._agents)
         return is_heard and not any(each.light is Light.RED for each in self.checks())
 
     def checks(self) -> Iterator[Check]:
         """Yield the checks of the base and of each robot; ValueError if there is no base."""
+        skipped = tuple(self.values('mission').get('preflight_skip') or ())
         for check in self._checks():
-            is_skipped = check.light is Light.RED and check.name.endswith(self._skipped)
+            is_skipped = check.light is Light.RED and check.name.endswith(skipped)
             yield check._replace(light=Light.SKIP) if is_skipped else check
 
     def _checks(self) -> Iterator[Check]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
+from kbnitp_ros.base.preflight import OPTIONAL
 from kbnitp_ros.base.state import MAX_ROBOTS
 from kbnitp_ros.configuration.parameter import NAME, Parameter
 from kbnitp_ros.core import ALLOCATIONS, METHODS, OBJECTIVES, PLANNERS
@@ -289,6 +290,9 @@ ROWS: tuple[Parameter | str, ...] = (
     for_planner('ready_topic', '', pattern=f'({NAME}(/{NAME})*)?'),
     'Topic below the name of each agent, a std_msgs/Bool published as hold is, that must be true '
     'for its robot to leave; empty for none.',
+    changeable('preflight_skip', (), element=str, choices=OPTIONAL),
+    'Checks of preflight whose red does not count, which its option --skip adds: as a change of a '
+    'parameter it is on record.',
     for_planner('keep_running', True),
     'Whether the planner keeps running when the mission is over.',
     for_planner('rolling', False),

@@ -91,7 +91,7 @@ class PlannerNode(FieldNode):
         self._status, self._said_at = NOT_KNOWN, -inf
         self._statuses = Repeated(self, MissionStatus, 'mission', qos.LATCHED)
         # Values of parameters that may change, as they were given at this start.
-        self._given = {name: self.values[name] for name in changeable(self.values)}
+        self._given = {name: as_plain(self.values[name]) for name in changeable(self.values)}
         if log and record:
             self._restore(log, record)
             check_robots(self.values['robots'], self._counted)
@@ -180,9 +180,8 @@ class PlannerNode(FieldNode):
     def _go_on(self) -> None:
         if not self._is_begun and self.now() > 0:
             self._is_begun = True
-            given = {name: as_plain(value) for name, value in self._given.items()}
-            if given != self._state.operator.given:
-                self._operator.record_settings(given, Action.START)
+            if self._given != self._state.operator.given:
+                self._operator.record_settings(self._given, Action.START)
         if self._log and isinstance(self._state, RecordedMission):
             self._dispatch.read_again(self._log, self._state)
         self._dispatch.log_departures()

@@ -11,6 +11,7 @@ from base import Base, GRID
 from kbnitp_msgs.msg import AgentHealth
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.health import Health, health_message
+from kbnitp_ros.messages.operator_actions import Action
 from kbnitp_ros.nodes.runtime import qos
 from laws import for_each
 
@@ -82,10 +83,12 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
         assert red() == [f'scout_1 {reason}' for reason in reasons]
         if reasons == ['clock', 'battery']:
             assert red('clock') == ['scout_1 battery']
-            code, told = preflight(field, 60.0, '--skip', 'clock', '--skip', 'battery')
+            code, told = preflight(field, 60.0, '--skip', 'battery')
             assert code == 0
             assert 'SKIP  scout_1 battery: 18 %: 30 % needed' in told
             assert 'SKIP  scout_1 clock: -5.' in told
+            assert field.set_parameter('/planner', 'preflight_skip', ['pose']).successful
+            assert red() == ['scout_1 clock', 'scout_1 battery']
         mend[reasons.pop(0)]()
     code, told = preflight(field, 60.0)
     assert code == 0, told
@@ -94,3 +97,10 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
     assert 'GREEN disk: ' in told
     assert re.search(r'INFO  scout_1 round trip: \d+ ms for a service call', told)
     assert 'INFO  losses: without hazards' in told
+    # What is skipped is on record, and lasts.
+    changes = [each.parameters for each in base.actions if each.action == Action.SET]
+    skipped = ('[clock]', '[battery, clock]', '[pose]')
+    assert changes == [[f'{{preflight_skip: {names}}}'] for names in skipped]
+    base.crash()
+    words = "parameter preflight_skip is ['pose'], as the operator had set"
+    field.until(lambda: words in field.said('/planner'), words)
