@@ -30,7 +30,7 @@ from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.models import Models
 from kbnitp_ros.nodes.presence import Repeated
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
-from kbnitp_ros.nodes.remarks import Evidence, Remarks
+from kbnitp_ros.nodes.remarks import Evidence, Remarks, Trial
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
@@ -87,6 +87,8 @@ class EstimatorNode(FieldNode):
         self._mission: int | None = None
         # Start of this estimator, later than those of all earlier ones on record, nanoseconds.
         self._epoch = 0
+        # Number of messages and logs that the ledger has taken.
+        self._taken = 0
         if self.values['resume']:
             log = resumed_log(self.values['resume'], self.roles)
             check_same_field(log, self.grid, robot_types)
@@ -135,6 +137,7 @@ class EstimatorNode(FieldNode):
         evidence = log.read('path', 'report', 'status', 'standings', *REMARKS)
         messages = self.log_progress(evidence, f'reading {log.path}')
         self._epoch = max(self._epoch, fold_evidence(self._ledger, messages, self._mission))
+        self._taken += 1
 
     def _publish_first(self) -> None:
         missing, now = self.missing_listeners([self._belief]), self.now()
@@ -275,6 +278,7 @@ class EstimatorNode(FieldNode):
 
     def _publish_news(self, key: DeploymentKey) -> None:
         """Publish what a message about a deployment has changed."""
+        self._taken += 1
         ledger = self._ledger
         self._update_warning()
         events, changes = self._published
@@ -289,15 +293,20 @@ class EstimatorNode(FieldNode):
             self._log_outcome(key)
         self._update_state()
 
-    def _judged(self) -> tuple[Evidence, Ledger]:
+    def _judged(self) -> tuple[Evidence, Trial]:
         """Return the evidence that was judged; ValueError before the first belief."""
         if not self._started:
             raise ValueError('no belief has been published yet: call again later')
-        return Evidence(self._epoch, self._ledger.events), self._ledger
+        return Evidence(self._epoch, self._ledger.events), Trial(self._ledger, self._taken)
 
-    def _take_remark(self, remark: Remark) -> None:
+    def _take_remark(self, remark: Remark, trial: Trial) -> None:
         """Judge a remark that is on record, and publish what it changes."""
-        remark.record(self._ledger)
+        if trial.taken == self._taken:
+            # Judging again may take minutes, which the trial has done beside this thread.
+            self._ledger = trial.ledger
+        else:
+            remark.record(self._ledger)
+        self._taken += 1
         who = f' ({remark.author})' if remark.author else ''
         self.get_logger().info(f'{type(remark.said).__name__} of a person{who} counts')
         self._publish_standings()

@@ -41,10 +41,19 @@ class Evidence(NamedTuple):
     events: int
 
 
+class Trial(NamedTuple):
+    """A copy of the ledger, and the number of messages that the ledger had taken by then."""
+
+    ledger: Ledger
+    taken: int
+
+
 class Pending(NamedTuple):
     """A remark that is not on record yet, and the call that it answers."""
 
     remark: Remark
+    # The ledger with the remark.
+    trial: Trial
     response: Any
     answer: Future
 
@@ -55,13 +64,13 @@ class Remarks:
     def __init__(
         self,
         node: FieldNode,
-        known: Callable[[], tuple[Evidence, Ledger]],
-        take: Callable[[Remark], None],
+        known: Callable[[], tuple[Evidence, Trial]],
+        take: Callable[[Remark, Trial], None],
     ) -> None:
         self._node = node
-        # The evidence judged now; ValueError before the first belief.
+        # The evidence judged now and its ledger; ValueError before the first belief.
         self._known = known
-        # Called with a remark on record.
+        # Called with a remark on record, and the ledger with it.
         self._take = take
         self._is_busy = False
         self._pending: Pending | None = None
@@ -145,7 +154,7 @@ class Remarks:
     ) -> Any:
         """Try a remark on a copy of the ledger; put it on record unless only asked for."""
         try:
-            evidence, ledger = self._known()
+            evidence, (ledger, taken) = self._known()
             if self._is_busy:
                 raise ValueError(
                     'another remark is being judged, or waits for the recorder: call again later'
@@ -182,12 +191,13 @@ class Remarks:
                 answer.set_result(response)
                 return
             self._last, self._is_busy = stamp, True
-            self._pending = Pending(remark, response, answer)
+            self._pending = Pending(remark, Trial(trial, taken), response, answer)
             self._publishers[topic].publish(message)
             if not self._node.values['recorded']:
                 self._finish()
 
-        self._node.compute(partial(self._tried, ledger, ledger.copy(), remark), reply)
+        trial = ledger.copy()
+        self._node.compute(partial(self._tried, ledger, trial, remark), reply)
         return answer
 
     def _refused(self, service: str, response: Any, error: Exception) -> Any:
@@ -235,10 +245,10 @@ class Remarks:
     def _finish(self) -> None:
         """Judge the remark that is on record, and answer the call."""
         assert self._pending is not None
-        remark, response, answer = self._pending
+        remark, trial, response, answer = self._pending
         self._pending, self._is_busy = None, False
         try:
-            self._take(remark)
+            self._take(remark, trial)
         except ValueError as error:
             answer.set_result(self._refused('remarks', response, error))
             return
