@@ -46,6 +46,12 @@ def describe_obstacle(now: PlannerState, obstacle: Obstacle) -> str:
             return '; '.join(filter(None, [last, held_robots(now)]))
         case Obstacle.PAUSED:
             return f'the operator to end the pause by the service {now.service("pause")}'
+        case Obstacle.GOAL_LOST:
+            return (
+                'the operator, since the goal was reached and no longer holds: call '
+                f'{now.service("pause")} with false to send robots again, or '
+                f'{now.service("end_mission")}'
+            )
         case Obstacle.NO_FREE_AGENT:
             return free_agent(now)
         case Obstacle.SEARCHING:

@@ -41,6 +41,7 @@ ENDED_BY = {
     Obstacle.DECIDING: Helper.ESTIMATOR,
     Obstacle.NO_SUBSCRIBER: Helper.ROBOT,
     Obstacle.PAUSED: Helper.OPERATOR,
+    Obstacle.GOAL_LOST: Helper.OPERATOR,
     Obstacle.WORTHLESS: Helper.OPERATOR,
     Obstacle.UNAPPROVED: Helper.OPERATOR,
 }
@@ -136,6 +137,8 @@ class PlannerState:
         base = self.base
         if self.unrecorded_action is not None:
             return Obstacle.ACTION_UNRECORDED
+        if base.operator.is_goal_lost:
+            return Obstacle.GOAL_LOST
         # Without an estimator the operator can still end the mission.
         awaits_estimator = not base.operator.is_ended or bool(self.estimators)
         if self.why_unfollowed is not None and awaits_estimator:
@@ -151,7 +154,8 @@ class PlannerState:
                 return Obstacle.UNJUDGED
             if self.newest != base.evidence:
                 return Obstacle.BELIEF_BEHIND
-        if base.ended >= self.robots:
+        # A goal that was reached may be lost by the report of the last robot.
+        if base.ended >= self.robots and (self.is_decided or not base.operator.reached):
             return Obstacle.ALL_DEPLOYED
         if not self.is_decided:
             return Obstacle.DECIDING
@@ -208,4 +212,5 @@ class PlannerState:
             return MissionState.ENDED
         if obstacle.is_end:
             return MissionState.DONE
-        return MissionState.PAUSED if self.base.operator.is_paused else MissionState.RUNNING
+        is_holding = self.base.operator.is_holding
+        return MissionState.PAUSED if is_holding else MissionState.RUNNING

@@ -82,6 +82,8 @@ def state_by_evidence(report: ReplayReport, planner: Mapping[str, Any]) -> Missi
         return MissionState.ENDED
     if decision is not None:
         decision = decision.judged(values['stop.confidence'] or None)
+    if evidence.operator.is_goal_lost:
+        return MissionState.PAUSED
     # Robots that came back without a step are sent again.
     is_over = evidence.ended >= values['robots'] + len(evidence.unmoved)
     # Plans are not computed again, so that the planner alone knows whether one is worth a robot.
@@ -110,7 +112,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
         f'method {report.method or "not on record"}'
     )
     for action in evidence.actions:
-        yield f'the operator {action}, at {in_seconds(action.stamp)}'
+        yield f'{action}, at {in_seconds(action.stamp)}'
     yield from report.changes
     if report.standing is not NOT_KNOWN:
         state, reason = report.standing.state, report.standing.reason

@@ -31,20 +31,25 @@ class Action(IntEnum):
     END = 6
     SET = 7
     START = 8
+    REACHED = 9
+    GOAL_LOST = 10
 
 
-# Description of each action, after "the operator".
+# Description of each action.
 WORDS = {
-    Action.PAUSE: 'paused the mission',
-    Action.RESUME: 'ended the pause',
-    Action.APPROVE: 'approved of the paths of',
-    Action.REFUSE: 'refused the paths of',
-    Action.GIVE_UP: 'gave up',
-    Action.END: 'ended the mission',
-    Action.SET: 'set',
-    Action.START: 'started the planner with',
+    Action.PAUSE: 'the operator paused the mission',
+    Action.RESUME: 'the operator ended the pause',
+    Action.APPROVE: 'the operator approved of the paths of',
+    Action.REFUSE: 'the operator refused the paths of',
+    Action.GIVE_UP: 'the operator gave up',
+    Action.END: 'the operator ended the mission',
+    Action.SET: 'the operator set',
+    Action.START: 'the operator started the planner with',
+    Action.REACHED: 'the goal was reached:',
+    Action.GOAL_LOST: 'the goal no longer held',
 }
 OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
+OF_PARAMETERS = (Action.SET, Action.START, Action.REACHED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +67,15 @@ class OperatorAction:
     steps_survived: int = 0
     # Hashes of the reports that were heard of a robot that is given up.
     settled: tuple[int, ...] = ()
-    # Values of parameters of the planner, by name.
+    # Values of parameters of the planner, by name; of REACHED those of the goal.
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return a description of the action."""
         robots = ', '.join(map(str, self.paths))
         contact = f', last contact after step {self.steps_survived}'
-        values = ', '.join(f'{name} to {value!r}' for name, value in self.parameters.items())
+        link = 'is' if self.action == Action.REACHED else 'to'
+        values = ', '.join(f'{name} {link} {value!r}' for name, value in self.parameters.items())
         return ' '.join(filter(None, [WORDS[self.action], robots, values])) + (
             contact if self.steps_survived else ''
         )
@@ -121,7 +127,7 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
             f'settled names {len(settled)} reports, and action is {action.name}: only GIVE_UP '
             'settles a deployment'
         )
-    if bool(message.parameters) != (action in (Action.SET, Action.START)):
+    if bool(message.parameters) != (action in OF_PARAMETERS):
         raise ValueError(
             f'parameters has {len(message.parameters)} values, and action is {action.name}'
         )
@@ -166,6 +172,11 @@ class OperatorState:
         self.actions: dict[int, OperatorAction] = {}
         # Whether departures are paused.
         self.is_paused = False
+        # Parameters of the goal that was reached; empty without one. A goal with other ones is
+        # another goal, which a person chose.
+        self.reached: Mapping[str, Any] = {}
+        # Whether the goal was reached and no longer is, and nobody has resumed the mission since.
+        self.is_goal_lost = False
         # Whether the operator has ended the mission.
         self.is_ended = False
         # Robots given up, each with the action.
@@ -177,7 +188,7 @@ class OperatorState:
     @property
     def is_holding(self) -> bool:
         """Return whether departures are held."""
-        return self.is_paused or self.is_ended
+        return self.is_paused or self.is_goal_lost or self.is_ended
 
     def apply(self, action: OperatorAction) -> bool:
         """Apply an action; return whether it is new."""
@@ -186,6 +197,7 @@ class OperatorState:
         self.actions[action.stamp] = action
         if action.action in (Action.PAUSE, Action.RESUME):
             self.is_paused = action.action == Action.PAUSE
+            self.is_goal_lost &= self.is_paused
         elif action.action == Action.GIVE_UP:
             self.given_up |= dict.fromkeys(action.paths, action)
         elif action.action == Action.SET:
@@ -196,8 +208,11 @@ class OperatorState:
                 if name in self.given and self.given[name] != value:
                     self.settings.pop(name, None)
             self.given = dict(action.parameters)
+        elif action.action in (Action.REACHED, Action.GOAL_LOST):
+            self.reached = action.parameters
+            self.is_goal_lost = action.action == Action.GOAL_LOST
         elif action.action == Action.END:
-            self.is_ended = True
+            self.is_ended, self.is_goal_lost, self.reached = True, False, {}
         return True
 
     def refused(self, robots_left: int) -> list[list[NDArray[np.intp]]]:

@@ -76,6 +76,7 @@ class Obstacle(IntEnum):
     SEARCHING = 14
     WORTHLESS = 15
     UNAPPROVED = 16
+    GOAL_LOST = 17
 
     @property
     def is_end(self) -> bool:

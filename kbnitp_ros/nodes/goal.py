@@ -23,7 +23,7 @@ from kbnitp_ros.nodes.runtime.node import FieldNode
 # Seconds between two requests for the same draws.
 PAUSE = 1.0
 
-# Seconds for which a decision that ends the mission must stay the same.
+# Seconds for which a decision that ends the mission, or takes its end back, must stay the same.
 CONFIRMED = 1.0
 
 
@@ -89,7 +89,18 @@ class GoalState:
         if self.goal is None:
             return True
         decision = self._decision
-        return decision is not None and (not decision.reached or self._is_confirmed)
+        if decision is None:
+            return False
+        changes_end = decision.reached or self._state.operator.reached
+        return not changes_end or self._is_confirmed
+
+    @property
+    def is_reached(self) -> bool | None:
+        """Return whether the goal is reached; None without a goal, or until it is decided."""
+        if self.goal is None or not self.is_decided:
+            return None
+        decision = self._decision
+        return decision is not None and decision.reached
 
     @property
     def _is_confirmed(self) -> bool:

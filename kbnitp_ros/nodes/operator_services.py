@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
@@ -109,19 +110,15 @@ class Operator:
             return None
         topic = self._node.resolve_topic_name('operator/recorded')
         action, _, _ = next(iter(self._pending.values()))
-        return (
-            f'the recorder to confirm the action "the operator {action}" on {topic} (parameter '
-            'recorded)'
-        )
+        return f'the recorder to confirm the action "{action}" on {topic} (parameter recorded)'
 
     def _on_pause(self, request: SetBool.Request, response: Response) -> Response | Future:
         # A pending action may change the state.
-        releases = not request.data and self._state.still_agents
-        if not self._pending and request.data == self._state.operator.is_paused and not releases:
+        operator = self._state.operator
+        releases = not request.data and (self._state.still_agents or operator.is_goal_lost)
+        if not self._pending and request.data == operator.is_paused and not releases:
             state = 'is paused' if request.data else 'is not paused'
-            return answered(
-                response, not self._state.operator.is_ended, f'the mission {state} already'
-            )
+            return answered(response, not operator.is_ended, f'the mission {state} already')
         return self._decide(response, Action.PAUSE if request.data else Action.RESUME)
 
     def _on_approve(self, request: SetBool.Request, response: Response) -> Response | Future:
@@ -204,30 +201,33 @@ class Operator:
         self._publisher.publish(message)
         return action, content_hash(message)
 
-    def record_settings(self, values: Mapping[str, Any], what: Action = Action.SET) -> None:
-        """Put values of parameters on record, which last beyond a restart."""
+    def record(self, what: Action, values: Mapping[str, Any] = MappingProxyType({})) -> None:
+        """Put values of parameters or a change of the goal on record, beyond a restart."""
         action, content = self._publish(what, {}, 0, (), dict(values))
         # A start that is not on record changes nothing: the next one is compared with an earlier.
-        if self._node.values['recorded'] and what is Action.SET:
+        if self._node.values['recorded'] and what is not Action.START:
             self._pending[content] = action, None, None
         else:
-            self._state.take_action(action)
+            self._apply(action)
 
     def _on_recorded(self, message: Recorded) -> None:
         if message.content not in self._pending:
             return
         action, response, future = self._pending.pop(message.content)
         if future is None:
-            self._state.take_action(action)
+            self._apply(action)
             self._act(action)
         else:
             future.set_result(self._take(action, response))
 
-    def _take(self, action: OperatorAction, response: Response) -> Response:
-        """Apply an action."""
+    def _apply(self, action: OperatorAction) -> None:
         self._state.take_action(action)
         self.hold(self._state.operator.is_holding)
-        self._node.get_logger().info(f'the operator {action}')
+
+    def _take(self, action: OperatorAction, response: Response) -> Response:
+        """Apply an action of a service, and answer."""
+        self._apply(action)
+        self._node.get_logger().info(str(action))
         pending = ''.join(
             f'; {key} was held, since {why}: it counts as lost from now on'
             for key, why in self._state.held.items()
@@ -238,7 +238,7 @@ class Operator:
         out = [key for key in state.in_flight if key not in {*state.undeparted, *state.held}]
         if action.action == Action.END and out:
             pending = f'; the mission is over once {some(out)} are reported'
-        return answered(response, True, f'the operator {action}{pending}')
+        return answered(response, True, f'{action}{pending}')
 
 
 def answered(response: Response, success: bool, message: str) -> Response:

@@ -49,6 +49,9 @@ from kbnitp_ros.nodes.runtime.process import run
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
+# Parameters that say which goal is reached.
+GOAL = ('goal.kind', 'goal.cells', 'stop.confidence')
+
 
 class PlannerNode(FieldNode):
     """Plan paths on the newest belief, and send robots of free agents along them."""
@@ -165,9 +168,8 @@ class PlannerNode(FieldNode):
         self._changes += 1
         self._goal.not_worth = None
         if values := {each.name: each.value for each in changes if each.name in self._given}:
-            self._operator.record_settings(
-                {name: as_plain(value) for name, value in values.items()}
-            )
+            plain = {name: as_plain(value) for name, value in values.items()}
+            self._operator.record(Action.SET, plain)
 
     def _look_at_graph(self) -> None:
         if self._peers.look():
@@ -181,7 +183,7 @@ class PlannerNode(FieldNode):
         if not self._is_begun and self.now() > 0:
             self._is_begun = True
             if self._given != self._state.operator.given:
-                self._operator.record_settings(self._given, Action.START)
+                self._operator.record(Action.START, self._given)
         if self._log and isinstance(self._state, RecordedMission):
             self._dispatch.read_again(self._log, self._state)
         self._dispatch.log_departures()
@@ -246,8 +248,21 @@ class PlannerNode(FieldNode):
         self._has_subscribers = missing is None
         return missing
 
+    def _record_goal(self) -> None:
+        """Put on record that the goal is reached, or that it no longer is."""
+        operator, is_reached = self._state.operator, self._goal.is_reached
+        if is_reached is None or operator.is_ended or self._operator.awaited is not None:
+            return
+        goal = {name: as_plain(self.values[name]) for name in GOAL}
+        if is_reached and operator.reached != goal:
+            self._operator.record(Action.REACHED, goal)
+        elif not is_reached and operator.reached == goal:
+            self.get_logger().warning('the goal was reached and no longer holds: no robot leaves')
+            self._operator.record(Action.GOAL_LOST)
+
     def _deploy(self) -> None:
         """Send the next robots, unless a condition blocks them."""
+        self._record_goal()
         now = self._planner_state()
         if obstacle := now.obstacle:
             self._publish_obstacle(now, obstacle)

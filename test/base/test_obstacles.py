@@ -88,6 +88,7 @@ def made(out=(), reported=(), actions=(), values=VALUES, **changes):
 
 MADE_BY = {
     Obstacle.ACTION_UNRECORDED: {'unrecorded_action': 'the recorder'},
+    Obstacle.GOAL_LOST: {'actions': [Action.GOAL_LOST]},
     Obstacle.UNFOLLOWED: {'why_unfollowed': 'resume'},
     Obstacle.NO_BELIEF: {'newest': None},
     Obstacle.UNREPORTED: {'out': [key(1)]},
@@ -144,6 +145,25 @@ def test_where_robots_leave_one_by_one_only_the_free_ones_do():
     assert rolling.obstacle is Obstacle.ALL_LEFT
 
 
+@for_each('ended_by, obstacle', [
+    (Action.RESUME, Obstacle.NONE),
+    (Action.REACHED, Obstacle.NONE),
+    (Action.END, Obstacle.ALL_DEPLOYED),
+    (Action.PAUSE, Obstacle.GOAL_LOST),
+])  # fmt: skip
+def test_a_goal_that_no_longer_holds_stops_robots_until_a_person_resumes(ended_by, obstacle):
+    assert made(actions=[Action.GOAL_LOST, ended_by]).obstacle is obstacle
+
+
+def test_a_mission_is_over_by_its_last_robot_once_its_goal_is_decided():
+    over = made(values={**VALUES, 'robots': 0}, is_decided=False)
+    assert over.obstacle is Obstacle.ALL_DEPLOYED
+    action = OperatorAction(1, Action.REACHED, 1, parameters={'goal.kind': 'lane'})
+    over.base.take_action(action)
+    assert over.obstacle is Obstacle.DECIDING
+    assert replace(over, is_decided=True).obstacle is Obstacle.ALL_DEPLOYED
+
+
 @for_each('change, free', [
     ({'left_alone': ['scout_1']}, False),
     ({'silent': ['scout_1']}, False),
@@ -182,6 +202,7 @@ def test_an_ended_mission_waits_for_departed_robots_only():
     ([Action.PAUSE], Obstacle.UNREPORTED, MissionState.PAUSED),
     ([Action.PAUSE], Obstacle.ALL_DEPLOYED, MissionState.DONE),
     ([Action.PAUSE, Action.END], Obstacle.UNREPORTED, MissionState.ENDED),
+    ([Action.GOAL_LOST], Obstacle.GOAL_LOST, MissionState.PAUSED),
 ])  # fmt: skip
 def test_the_state_of_the_mission(actions, obstacle, state):
     assert made(actions=actions).mission_state(obstacle) is state
@@ -203,6 +224,7 @@ def test_the_state_of_the_mission(actions, obstacle, state):
     (Obstacle.BELIEF_BEHIND, {}, 'a belief that holds all that counts on /a/belief'),
     (Obstacle.DECIDING, {}, 'the decision on /a/decision'),
     (Obstacle.PAUSED, {}, 'by the service /b/pause'),
+    (Obstacle.GOAL_LOST, {}, 'no longer holds: call /b/pause with false'),
     (Obstacle.ALL_DEPLOYED, {}, '1 of 0 robots deployed'),
     (Obstacle.ALL_DEPLOYED, {'actions': [Action.END]}, 'robots deployed, ended by the'),
     (Obstacle.OVER, {}, '1 of 3 robots deployed: the lane is free'),
@@ -227,6 +249,7 @@ def test_an_obstacle_is_stated_with_its_remedy(obstacle, change, words):
     (Obstacle.UNJUDGED, {}, Helper.ESTIMATOR),
     (Obstacle.DECIDING, {}, Helper.ESTIMATOR),
     (Obstacle.PAUSED, {}, Helper.OPERATOR),
+    (Obstacle.GOAL_LOST, {}, Helper.OPERATOR),
     (Obstacle.OVER, {}, Helper.NOBODY),
     (Obstacle.NO_FREE_AGENT, {}, Helper.ROBOT),
 ])  # fmt: skip

@@ -198,12 +198,13 @@ def test_paths_from_each_base_are_refused_by_operators():
 
 
 @for_each('fields, told', [
-    ({'action': 0}, 'action is 0: it must be from 1 to 8'),
+    ({'action': 0}, 'action is 0: it must be from 1 to 10'),
     ({'action': Action.REFUSE}, "agents is '': REFUSE must have agents"),
     ({'agents': ['scout_1']}, 'agents has 1 names for 0 paths'),
     ({'settled': [7]}, 'settled names 1 reports, and action is PAUSE: only GIVE_UP settles'),
     ({'parameters': ['robots: 3']}, 'parameters has 1 values, and action is PAUSE'),
     ({'action': Action.SET}, 'parameters has 0 values, and action is SET'),
+    ({'action': Action.REACHED}, 'parameters has 0 values, and action is REACHED'),
     ({'action': Action.SET, 'parameters': ['robots']}, "'robots': it must be NAME: VALUE"),
     ({'action': Action.SET, 'parameters': ['a: 1', 'a: 2']}, "'a: 2': it must be NAME: VALUE"),
     ({'action': Action.SET, 'parameters': ['[']}, r"'\[': it must be YAML"),
