@@ -18,7 +18,12 @@ from kbnitp_ros.log.roles import MAX_SHOWN, MissionLog, Role
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.deployments import read_cells, Source
 from kbnitp_ros.messages.headers import content_hash
-from kbnitp_ros.messages.operator_actions import Action, OperatorAction, read_operator_action
+from kbnitp_ros.messages.operator_actions import (
+    Action,
+    OperatorAction,
+    OperatorState,
+    read_operator_action,
+)
 from kbnitp_ros.messages.remarks import Remark
 from kbnitp_ros.messages.topics import BELIEF, REMARKS
 
@@ -315,6 +320,17 @@ def read_mission(log: MissionLog) -> int | None:
             if mission in stated:
                 return mission
     return next(reversed(stated), None)
+
+
+def read_no_go(log: MissionLog, grid: Grid) -> list[tuple[int, ...]]:
+    """Return the no-go cells of a mission, at first none, after each action of its operator."""
+    no_go: list[tuple[int, ...]] = [()]
+    state = OperatorState()
+    for _, logged in log.read('operator', corrupt=[]):
+        with log.leaving_out(logged):
+            state.apply(read_operator_action(grid, logged.message))
+            no_go.append(state.no_go)
+    return no_go
 
 
 def is_of_mission(role: Role, logged: LoggedMessage, mission: int | None) -> bool:

@@ -19,7 +19,14 @@ from pathlib import Path
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.core.inference.record import OPEN, OrderState, Standing, Verdict
 from kbnitp_ros.log.read import Bookmark, is_finished, LoggedMessage, parameter_changes
-from kbnitp_ros.log.record import begun, is_of_mission, record, RecordedMission, required_belief
+from kbnitp_ros.log.record import (
+    begun,
+    is_of_mission,
+    read_no_go,
+    record,
+    RecordedMission,
+    required_belief,
+)
 from kbnitp_ros.log.replayed import (
     ACKNOWLEDGED,
     belief_name,
@@ -76,6 +83,7 @@ def replay(
         else:
             fold.views.note(role, logged)
     fold.decisions.confidences = recorded_confidences(log, bookmark)
+    fold.decisions.no_go = read_no_go(log, first.grid)
     for role, logged in log.read(*READ, *ACKNOWLEDGEMENTS, corrupt=[], progress=progress):
         if role.name == 'mission':
             report.standing = logged.said

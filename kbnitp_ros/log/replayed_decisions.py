@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from kbnitp_ros.core import Decision, Goal, Ledger
 from kbnitp_ros.core.decision.hazard_draws import joint_hazards
 from kbnitp_ros.core.decision.told import with_told
+from kbnitp_ros.core.planning.regions import without
 from kbnitp_ros.log.read import LoggedMessage
 from kbnitp_ros.log.replayed import (
     belief_name,
@@ -59,11 +60,13 @@ class ReplayedDecisions:
         self._asked = asked
         # All confidences of the estimator on record.
         self.confidences: set[float] = set()
+        # The no-go cells, at first none, after each action of the operator on record.
+        self.no_go: list[tuple[int, ...]] = [()]
         # Recorded decisions that are not compared yet, by the evidence of their belief.
         self._decisions = defaultdict[tuple[int, int], list[LoggedMessage]](list)
-        # Recorded lanes by stamp, and computed lanes by stamp and belief.
+        # Recorded lanes by stamp, and computed lanes by stamp, belief and no-go cells.
         self._lanes = defaultdict[int, list[LoggedMessage]](list)
-        self._computed_lanes = defaultdict[int, dict[str, Fields]](dict)
+        self._computed_lanes = defaultdict[int, dict[tuple[str, tuple[int, ...]], Fields]](dict)
 
     def note(self, logged: LoggedMessage) -> None:
         """Keep a decision or its lane until its belief is computed."""
@@ -78,31 +81,49 @@ class ReplayedDecisions:
         key, belief = said.evidence, belief_name(said.newest)
         if self._asked is None or not (key in self._decisions or said.stamp in self._lanes):
             return
-        decision = self._decide(ledger)
-        for logged in self._decisions.pop(key, []):
+        recorded = self._decisions.pop(key, [])
+        named = {tuple(logged.message.no_go) for logged in recorded} & {*self.no_go}
+        decisions = {no_go: self._decide(ledger, no_go) for no_go in named or {*self.no_go}}
+        for no_go, decision in decisions.items():
+            lane = decision_fields(ledger.grid, decision, 0, said.stamp, said.mission).path
+            self._computed_lanes[said.stamp][belief, no_go] = lane
+        for logged in recorded:
+            no_go = tuple(logged.message.no_go)
+            if no_go not in named:
+                self._add(
+                    logged, belief, [Difference('no_go', 'has cells that were never on record')]
+                )
+                continue
+            decision = decisions[no_go]
             # Without a confidence on record a decision may be reached by any.
             is_told = logged.message.reached and (self.confidences or logged.message.told)
             if is_told and not decision.told:
                 decision = with_told(decision, ledger.estimator, said.deployments)
+                decisions[no_go] = decision
             stated = decision if is_told else replace(decision, told={})
             of_belief = said.deployments, said.stamp, said.mission
             computed = decision_fields(
-                ledger.grid, stated, *of_belief, self._asked.cells, said.author, *said.evidence
+                ledger.grid,
+                stated,
+                *of_belief,
+                self._asked.cells,
+                said.author,
+                *said.evidence,
+                no_go,
             )
             # These follow from the numbers of the message, which may be rounded differently.
             del computed.reached, computed.reason
             found = [*differences(logged.message, computed, TOLERANCE, ROUNDED)]
             found += self._misjudged(decision, logged.message)
             self._add(logged, belief, found)
-        lane = decision_fields(ledger.grid, decision, 0, said.stamp, said.mission).path
-        self._computed_lanes[said.stamp][belief] = lane
 
-    def _decide(self, ledger: Ledger) -> Decision:
-        """Return the decision on the ledger's belief."""
+    def _decide(self, ledger: Ledger, no_go: tuple[int, ...]) -> Decision:
+        """Return the decision on the ledger's belief, without ways through the no-go cells."""
         assert self._asked is not None
         hazards = joint_hazards(ledger.estimator, len(ledger.deployments))
         model = ledger.estimator.model
-        return self._asked.goal.decide(ledger.grid, hazards, model, self._asked.max_steps)
+        grid = without(ledger.grid, no_go)
+        return self._asked.goal.decide(grid, hazards, model, self._asked.max_steps)
 
     def _misjudged(self, decision: Decision, message: Any) -> Iterator[Difference]:
         """Yield a difference if `reached` and `reason` follow from no confidence on record."""
@@ -120,16 +141,16 @@ class ReplayedDecisions:
     def finish(self, ledger: Ledger | None) -> None:
         """Compare lanes, report the decisions and lanes left over, and decide on a ledger."""
         if self._asked and ledger is not None:
-            self._report.decision = self._decide(ledger)
+            self._report.decision = self._decide(ledger, self.no_go[-1])
         for stamp in self._lanes.keys() & self._computed_lanes.keys():
             for logged in self._lanes.pop(stamp):
                 found = {
-                    belief: [*differences(logged.message, lane, TOLERANCE)]
-                    for belief, lane in self._computed_lanes[stamp].items()
+                    name: [*differences(logged.message, lane, TOLERANCE)]
+                    for name, lane in self._computed_lanes[stamp].items()
                 }
                 # Beliefs may share a stamp.
-                belief = min(found, key=lambda each: len(found[each]))
-                self._add(logged, belief, found[belief])
+                name = min(found, key=lambda each: len(found[each]))
+                self._add(logged, name[0], found[name])
         stamps, missing = self._report.beliefs.stamps, self._report.beliefs.missing
         for evidence, decisions in self._decisions.items():
             self._leave(decisions, evidence in stamps or evidence in missing)

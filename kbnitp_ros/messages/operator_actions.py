@@ -33,6 +33,8 @@ class Action(IntEnum):
     START = 8
     REACHED = 9
     GOAL_LOST = 10
+    NO_GO = 11
+    LIFT = 12
 
 
 # Description of each action.
@@ -47,8 +49,13 @@ WORDS = {
     Action.START: 'the operator started the planner with',
     Action.REACHED: 'the goal was reached:',
     Action.GOAL_LOST: 'the goal no longer held',
+    Action.NO_GO: 'the operator closed cells',
+    Action.LIFT: 'the operator opened cells',
 }
 OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
+# Maximum number of cells that a description names.
+MAX_NAMED = 10
+OF_CELLS = (Action.NO_GO, Action.LIFT)
 OF_PARAMETERS = (Action.SET, Action.START, Action.REACHED)
 
 
@@ -69,6 +76,10 @@ class OperatorAction:
     settled: tuple[int, ...] = ()
     # Values of parameters of the planner, by name; of REACHED those of the goal.
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    # Cells that are closed or opened, with the reason and who says so.
+    cells: tuple[int, ...] = ()
+    reason: str = ''
+    author: str = ''
 
     def __str__(self) -> str:
         """Return a description of the action."""
@@ -76,9 +87,11 @@ class OperatorAction:
         contact = f', last contact after step {self.steps_survived}'
         link = 'is' if self.action == Action.REACHED else 'to'
         values = ', '.join(f'{name} {link} {value!r}' for name, value in self.parameters.items())
-        return ' '.join(filter(None, [WORDS[self.action], robots, values])) + (
-            contact if self.steps_survived else ''
-        )
+        said = ', '.join(map(shown, filter(None, [self.reason, self.author])))
+        cells = ', '.join(map(str, self.cells[:MAX_NAMED]))
+        cells += ' ...' * (len(self.cells) > MAX_NAMED)
+        parts = [WORDS[self.action], robots, values, cells, f'({said})' * bool(said)]
+        return ' '.join(filter(None, parts)) + (contact if self.steps_survived else '')
 
 
 def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorAction:
@@ -97,6 +110,9 @@ def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorA
             yaml.safe_dump({name: value}, default_flow_style=True, width=inf).strip()
             for name, value in action.parameters.items()
         ],
+        cells=[*action.cells],
+        reason=action.reason,
+        author=action.author,
     )
 
 
@@ -131,6 +147,11 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         raise ValueError(
             f'parameters has {len(message.parameters)} values, and action is {action.name}'
         )
+    if bool(message.cells) != (action in OF_CELLS):
+        raise ValueError(f'cells has {len(message.cells)} cells, and action is {action.name}')
+    cells = tuple(map(int, message.cells))
+    if max(cells, default=0) >= grid.cells:
+        raise ValueError(f'cells has {max(cells)}, off the map of {grid.cells} cells')
     return OperatorAction(
         stamp,
         action,
@@ -139,6 +160,9 @@ def read_operator_action(grid: Grid, message: Any) -> OperatorAction:
         int(message.steps_survived),
         settled,
         read_parameters(message.parameters),
+        cells,
+        message.reason,
+        message.author,
     )
 
 
@@ -156,10 +180,10 @@ def read_parameters(texts: Iterable[str]) -> dict[str, Any]:
     return values
 
 
-# Maximum number of resumed pauses, and of refused proposals, in a mission, so that endless calls
-# fill neither the planner's memory nor the disk.
+# Maximum number of resumed pauses, of refused proposals, and of changed no-go areas, in a mission,
+# so that endless calls fill neither the planner's memory nor the disk.
 MAX_TIMES = 1000
-REPEATED = (Action.RESUME, Action.REFUSE)
+REPEATED = (Action.RESUME, Action.REFUSE, *OF_CELLS)
 
 Paths = Mapping[DeploymentKey, NDArray[np.intp]]
 
@@ -177,6 +201,8 @@ class OperatorState:
         self.reached: Mapping[str, Any] = {}
         # Whether the goal was reached and no longer is, and nobody has resumed the mission since.
         self.is_goal_lost = False
+        # Cells that no robot is sent into, in order.
+        self.no_go: tuple[int, ...] = ()
         # Whether the operator has ended the mission.
         self.is_ended = False
         # Robots given up, each with the action.
@@ -211,6 +237,10 @@ class OperatorState:
         elif action.action in (Action.REACHED, Action.GOAL_LOST):
             self.reached = action.parameters
             self.is_goal_lost = action.action == Action.GOAL_LOST
+        elif action.action == Action.NO_GO:
+            self.no_go = tuple(sorted({*self.no_go, *action.cells}))
+        elif action.action == Action.LIFT:
+            self.no_go = tuple(sorted({*self.no_go} - {*action.cells}))
         elif action.action == Action.END:
             self.is_ended, self.is_goal_lost, self.reached = True, False, {}
         return True

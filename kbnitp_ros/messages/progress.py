@@ -126,6 +126,8 @@ class MissionStatus:
     confidence: float = 0.0
     # Agents whose robots are kept at their base, and why.
     waiting: Mapping[str, Need] = field(default_factory=dict)
+    # Cells that no robot is sent into.
+    no_go: tuple[int, ...] = ()
     # The obstacle in words; empty if it needs none.
     reason: str = ''
 
@@ -151,6 +153,7 @@ def mission_status_message(status: MissionStatus) -> msg.MissionStatus:
         confidence=status.confidence,
         waiting=[*status.waiting],
         waits_for=[*status.waiting.values()],
+        no_go=[*status.no_go],
         reason=status.reason,
     )
 
@@ -186,6 +189,7 @@ def read_mission_status(message: Any) -> MissionStatus:
             agent: read_choice('waits_for', each, Need)
             for agent, each in zip(message.waiting, message.waits_for)
         },
+        no_go=tuple(map(int, message.no_go)),
         reason=message.reason,
     )
 
@@ -356,8 +360,9 @@ def decision_fields(
     author: str = '',
     epoch: int = 0,
     changes: int = 0,
+    no_go: Sequence[int] = (),
 ) -> Fields:
-    """Return the fields of a decision on a belief."""
+    """Return the fields of a decision on a belief, without ways through `no_go`."""
     return Fields(
         header=header_fields(stamp),
         deployments=deployments,
@@ -375,6 +380,7 @@ def decision_fields(
         reached=decision.reached,
         reason=decision.reason,
         goal_cells=[*goal_cells],
+        no_go=[*no_go],
         told=[*decision.told],
         **{
             f'told_{column}': np.array(values)

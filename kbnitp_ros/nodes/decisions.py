@@ -11,10 +11,11 @@ from typing import Any, NamedTuple, TypeVar
 
 from kbnitp_msgs.msg import Decision as DecisionMessage
 from kbnitp_msgs.srv import Draws
+from kbnitp_ros.base.no_go import open_grid
 from kbnitp_ros.base.state import EvidenceName
 from kbnitp_ros.configuration import make_goal
 from kbnitp_ros.configuration.mission import checked_goal
-from kbnitp_ros.core import Decision, Estimator, Goal, HazardDraws, Ledger, safest_path
+from kbnitp_ros.core import Decision, Estimator, Goal, Grid, HazardDraws, Ledger, safest_path
 from kbnitp_ros.core.decision.hazard_draws import joint_hazards
 from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.files import counted
@@ -60,8 +61,11 @@ class Decisions:
         self._drawn: tuple[Estimator, HazardDraws] | None = None
         self._drawing = Lock()
         self._deciding: futures.Future[Decision] | None = None
-        # The belief and the confidence of the last decision begun.
-        self._begun: tuple[Known | None, float] = None, 0.0
+        # Cells that no way may lead through, and the grid without them.
+        self._no_go: tuple[int, ...] = ()
+        self.open_grid = node.grid
+        # The belief, the confidence and the no-go cells of the last decision begun.
+        self._begun: tuple[Known | None, float, tuple[int, ...]] = None, 0.0, ()
         # Services with a call that is being answered.
         self._answering: set[str] = set()
         self._publisher = Repeated(node, DecisionMessage, 'decision', qos.LATCHED)
@@ -82,6 +86,14 @@ class Decisions:
         evidence = EvidenceName(epoch, ledger.changes)
         self._newest = Known(ledger.estimator, len(ledger.deployments), stamp, mission, evidence)
         self._decide()
+
+    def close(self, no_go: tuple[int, ...]) -> None:
+        """Decide with other no-go cells from now on; raise ValueError if they are impossible."""
+        if no_go != self._no_go:
+            most = self._node.values['max_steps']
+            self.open_grid = open_grid(self._grid, no_go, self._goal, most)
+            self._no_go = no_go
+            self._decide()
 
     def finish(self) -> None:
         """Publish the decision on the last belief, if it takes less than `LAST`."""
@@ -106,17 +118,18 @@ class Decisions:
 
     def _decide(self) -> None:
         """Start the decision on the newest belief, unless it was started or another one runs."""
-        due = self._newest, self._node.values['stop.confidence']
+        due = self._newest, self._node.values['stop.confidence'], self._no_go
         if self._goal is None or self._newest is None or self._deciding or due == self._begun:
             return
         self._begun = due
         goal, known, most = self._goal, self._newest, self._node.values['max_steps']
-        self._deciding = self._node.compute(partial(self._decision, goal, known, most), self._take)
+        decide = partial(self._decision, goal, self.open_grid, known, most)
+        self._deciding = self._node.compute(decide, self._take)
 
-    def _decision(self, goal: Goal, known: Known, max_steps: int) -> Decision:
+    def _decision(self, goal: Goal, grid: Grid, known: Known, max_steps: int) -> Decision:
         """Decide, and find the numbers that a reached goal trusts."""
         hazards = joint_hazards(known.estimator, known.deployments)
-        decision = goal.decide(self._grid, hazards, known.estimator.model, max_steps)
+        decision = goal.decide(grid, hazards, known.estimator.model, max_steps)
         if decision.reached:
             decision = with_told(decision, known.estimator, known.deployments)
         return decision
@@ -133,7 +146,7 @@ class Decisions:
             of_belief = known.deployments, known.stamp, known.mission
             author = self._node.get_fully_qualified_name()
             fields = decision_fields(
-                self._grid, decision, *of_belief, cells, author, *known.evidence
+                self._grid, decision, *of_belief, cells, author, *known.evidence, self._begun[2]
             )
             message = decision_message(fields)
             self._publisher.publish(message)
@@ -193,13 +206,13 @@ class Decisions:
                 f'probability {found.p_free:.3f}, survival probability {found.survival:.3f}'
             )
 
-        find = partial(self._safest_path, known, start, to)
+        find = partial(self._safest_path, self.open_grid, known, start, to)
         return self._answered('safest_path', response, find, fill)
 
-    def _safest_path(self, known: Known, start: int, to: int) -> Decision:
+    def _safest_path(self, grid: Grid, known: Known, start: int, to: int) -> Decision:
         model, most = known.estimator.model, self._node.values['max_steps']
         hazards = joint_hazards(known.estimator, known.deployments)
-        return safest_path(self._grid, hazards, model, start, to, most)
+        return safest_path(grid, hazards, model, start, to, most)
 
     def _answered(
         self, service: str, response: Any, find: Callable[[], T], fill: Callable[[T], None]

@@ -16,7 +16,7 @@ from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger, Report
 from kbnitp_ros.core.inference.record import OPEN, Verdict
 from kbnitp_ros.files import counted, waiting_for
-from kbnitp_ros.log.record import check_same_field, fold_evidence, read_mission
+from kbnitp_ros.log.record import check_same_field, fold_evidence, read_mission, read_no_go
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus as Status
@@ -89,10 +89,12 @@ class EstimatorNode(FieldNode):
         self._epoch = 0
         # Number of messages and logs that the ledger has taken.
         self._taken = 0
+        no_go: tuple[int, ...] = ()
         if self.values['resume']:
             log = resumed_log(self.values['resume'], self.roles)
             check_same_field(log, self.grid, robot_types)
             self._take_in(log)
+            no_go = read_no_go(log, self.grid)[-1]
         agents = agent_names(self.values, self.grid)
         # Create the views first: nodes that discover `belief` then know the views already.
         self._views = Views(self, agents)
@@ -102,6 +104,7 @@ class EstimatorNode(FieldNode):
         has_model = estimator.parameters or estimator.check.alternatives
         self._models = Models(self, self._warn_of_doubt) if has_model else None
         self._decisions = Decisions(self)
+        self._decisions.close(no_go)
         self._doubt = ''
         # The last confidence of the planner that is not possible here.
         self._refused_confidence: float | None = None
@@ -122,7 +125,7 @@ class EstimatorNode(FieldNode):
             self.subscribe_to_agent(DeploymentReport, agent, partial(self._on_report, agent))
             self.subscribe_to_agent(AgentStatus, agent, partial(self._on_status, agent))
         self.subscribe(MissionStatus, 'mission', self._on_mission, qos.LATCHED)
-        self._remarks = Remarks(self, self._judged, self._take_remark)
+        self._remarks = Remarks(self, self._judged, self._take_remark, self._decisions)
         self._started = 0
         self._unconverged = ''
         self._weak_density = ''
@@ -260,13 +263,17 @@ class EstimatorNode(FieldNode):
         self._publish_news(key)
 
     def _on_mission(self, message: MissionStatus) -> None:
-        """Show how the mission stands, and take the confidence of its planner."""
+        """Show how the mission stands; take its planner's confidence and no-go cells."""
         try:
             status = read_mission_status(message)
         except ValueError as error:
             self.diagnostics.refuse('mission', error)
             return
         self._views.show_status(status)
+        try:
+            self._decisions.close(status.no_go)
+        except ValueError as error:
+            self.diagnostics.refuse('mission', f'no_go: {error}')
         confidence = status.confidence
         if confidence not in (self.values['stop.confidence'], self._refused_confidence):
             answer = self.set_parameters([Parameter('stop.confidence', value=confidence)])[0]

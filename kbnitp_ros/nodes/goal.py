@@ -37,9 +37,9 @@ class GoalState:
         # None to map the field. Decisions are judged by the present confidence, not by the goal's.
         self.goal = make_goal(node.values, state.grid)
         self._newest = EvidenceName(0, 0)
-        # The last decision with its evidence, the hash of its message, and the time since which
-        # it is the same, seconds.
-        self._decided: tuple[EvidenceName, Decision] | None = None
+        # The last decision with its evidence and no-go cells, the hash of its message, and the
+        # time since which it is the same, seconds.
+        self._decided: tuple[EvidenceName, tuple[int, ...], Decision] | None = None
         self._content, self._same_since = 0, 0.0
         self._drawn: tuple[EvidenceName, HazardDraws] | None = None
         # The belief of the last request for draws, unless it was answered.
@@ -78,7 +78,7 @@ class GoalState:
         if (content := content_hash(message)) != self._content:
             self._content, self._same_since = content, time.monotonic()
         evidence = EvidenceName(from_stamp(message.epoch), message.changes)
-        self._decided = evidence, decision
+        self._decided = evidence, tuple(message.no_go), decision
         # An estimator that was restarted answers in place of the one that ended.
         self._asked = None
         self._act()
@@ -112,9 +112,12 @@ class GoalState:
     @property
     def _decision(self) -> Decision | None:
         """Return the decision on the newest belief, by the confidence of this planner."""
-        if self._decided is None or self._decided[0] != self._newest:
+        if self._decided is None:
             return None
-        return self._decided[1].judged(self._node.values['stop.confidence'] or None)
+        *of, decision = self._decided
+        if of != [self._newest, self._state.operator.no_go]:
+            return None
+        return decision.judged(self._node.values['stop.confidence'] or None)
 
     def why_over(self) -> str | None:
         """Return the reason why no more robots leave; None if robots may leave."""

@@ -9,9 +9,11 @@ from typing import Any
 
 from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
 from kbnitp_msgs.msg import Recorded
-from kbnitp_msgs.srv import GiveUp
+from kbnitp_msgs.srv import GiveUp, NoGo
+from kbnitp_ros.base.no_go import changed_no_go, open_grid
 from kbnitp_ros.base.state import BaseState
-from kbnitp_ros.core import Observation
+from kbnitp_ros.configuration import make_goal
+from kbnitp_ros.core import DeploymentKey, Observation
 from kbnitp_ros.files import some
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import content_hash, header, next_name, shown
@@ -28,9 +30,13 @@ from kbnitp_ros.nodes.rounds import describe_plan, Plans, Search
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import MissionNode
 from nav_msgs.msg import Path
+import numpy as np
 from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
+
+# Maximum number of characters of a reason and of its author.
+MAX_TEXT = 200
 
 # Response of a service: success and message.
 Response = Any
@@ -66,6 +72,7 @@ class Operator:
         node.create_service(SetBool, 'pause', self._on_pause)
         node.create_service(SetBool, 'approve', self._on_approve)
         node.create_service(GiveUp, 'give_up', self._on_give_up)
+        node.create_service(NoGo, 'no_go', self._on_no_go)
         node.create_service(Trigger, 'end_mission', self._on_end)
         if node.values['recorded']:
             node.subscribe(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
@@ -156,9 +163,35 @@ class Operator:
             response,
             Action.GIVE_UP,
             {key: out[key]},
-            request.steps_survived,
-            self._state.heard_hashes(key),
+            steps_survived=request.steps_survived,
+            settled=self._state.heard_hashes(key),
         )
+
+    def _on_no_go(self, request: NoGo.Request, response: Response) -> Response | Future:
+        what = Action.LIFT if request.lift else Action.NO_GO
+        cells, values = tuple(sorted({*map(int, request.cells)})), self._node.values
+        try:
+            for name in ('reason', 'author'):
+                if len(text := getattr(request, name)) > MAX_TEXT:
+                    raise ValueError(f'{name} has {len(text)} characters, at most {MAX_TEXT} fit')
+            grid, known = self._state.grid, self._state.operator.no_go
+            no_go = changed_no_go(grid, known, cells, lift=request.lift)
+            open_grid(grid, no_go, make_goal(values, grid), values['max_steps'])
+        except ValueError as error:
+            return answered(response, False, str(error))
+        if request.preview:
+            crossing = self._crossing(what, cells)
+            response.agents = [key.agent for key in crossing]
+            return answered(response, True, f'possible{in_words(crossing)}')
+        said = {'reason': request.reason, 'author': request.author}
+        return self._decide(response, what, cells=cells, **said)
+
+    def _crossing(self, what: Action, cells: Sequence[int]) -> list[DeploymentKey]:
+        """Return the robots in flight whose paths cross cells that are closed."""
+        if what != Action.NO_GO:
+            return []
+        paths = self._state.paths_in_flight
+        return [key for key, path in paths.items() if np.isin(path, cells).any()]
 
     def _on_end(self, _: Trigger.Request, response: Response) -> Response | Future:
         return self._decide(response, Action.END)
@@ -168,10 +201,9 @@ class Operator:
         response: Response,
         what: Action,
         paths: Paths | None = None,
-        steps: int = 0,
-        settled: tuple[int, ...] = (),
+        **own: Any,
     ) -> Response | Future:
-        """Accept or refuse an action; return the response, or its future."""
+        """Accept or refuse an action with its own fields; return the response, or its future."""
         if self._state.operator.is_ended and what != Action.GIVE_UP:
             return answered(response, False, 'the mission has been ended already')
         if self._pending:
@@ -185,25 +217,25 @@ class Operator:
             return answered(response, False, why)
         if what in (Action.PAUSE, Action.END):
             self.hold(True)
-        action, content = self._publish(what, dict(paths or {}), steps, settled)
+        action, content = self._publish(what, paths=dict(paths or {}), **own)
         if not self._node.values['recorded']:
             return self._take(action, response)
         future = Future()
         self._pending[content] = action, response, future
         return future
 
-    def _publish(self, what: Action, *arguments: Any) -> tuple[OperatorAction, int]:
+    def _publish(self, what: Action, **own: Any) -> tuple[OperatorAction, int]:
         """Publish an action; return it with the hash of its message."""
         pending = [action.stamp for action, _, _ in self._pending.values()]
         stamp = next_name(self._node.now(), *self._state.operator.actions, *pending)
-        action = OperatorAction(stamp, what, self._state.robots_left, *arguments)
+        action = OperatorAction(stamp, what, self._state.robots_left, **own)
         message = operator_action_message(self._state.grid, action)
         self._publisher.publish(message)
         return action, content_hash(message)
 
     def record(self, what: Action, values: Mapping[str, Any] = MappingProxyType({})) -> None:
         """Put values of parameters or a change of the goal on record, beyond a restart."""
-        action, content = self._publish(what, {}, 0, (), dict(values))
+        action, content = self._publish(what, parameters=dict(values))
         # A start that is not on record changes nothing: the next one is compared with an earlier.
         if self._node.values['recorded'] and what is not Action.START:
             self._pending[content] = action, None, None
@@ -233,12 +265,23 @@ class Operator:
             for key, why in self._state.held.items()
             if key in action.paths
         )
+        if action.cells:
+            crossing = self._crossing(action.action, action.cells)
+            response.agents = [key.agent for key in crossing]
+            pending = in_words(crossing)
         self._act(action)
         state = self._state
         out = [key for key in state.in_flight if key not in {*state.undeparted, *state.held}]
         if action.action == Action.END and out:
             pending = f'; the mission is over once {some(out)} are reported'
         return answered(response, True, f'{action}{pending}')
+
+
+def in_words(crossing: Sequence[DeploymentKey]) -> str:
+    """Return words for the robots that cross closed cells; empty if there are none."""
+    if not crossing:
+        return ''
+    return f'; out, on a path or a way home that may cross them: {some(crossing)}'
 
 
 def answered(response: Response, success: bool, message: str) -> Response:

@@ -203,6 +203,10 @@ class PlannerNode(FieldNode):
                 if key in self._state.in_flight:
                     steps, settled = action.steps_survived, action.settled
                     self._dispatch.give_up(key, Source.OPERATOR, steps, settled)
+        elif action.cells:
+            # Plans through other cells are discarded.
+            self._changes += 1
+            self._goal.not_worth = None
         self._deploy()
 
     def _planner_state(self) -> PlannerState:
@@ -311,6 +315,7 @@ class PlannerNode(FieldNode):
             held=len(state.held),
             confidence=self.values['stop.confidence'],
             waiting={agent: each.what for agent, each in now.waiting.items()},
+            no_go=state.operator.no_go,
             reason='' if now.is_plain(obstacle) else self.diagnostics.state,
         )
         time_now = time.monotonic()
@@ -359,7 +364,10 @@ class PlannerNode(FieldNode):
             stamp = next_name(newest.stamp, newest.mission, held, last)
             paths = self._state.paths_in_flight
             draws = self._goal.draws
-            find = self._rounds.search(newest, agents, paths, stamp, refused, draws=draws)
+            no_go = self._state.operator.no_go
+            find = self._rounds.search(
+                newest, agents, paths, stamp, refused, draws=draws, no_go=no_go
+            )
             found = self.compute(find, self._on_search_over)
             self._search = replace(now, found=found)
             return {}
@@ -425,7 +433,8 @@ def missing_plans(
     recorded = {key: record.paths[key] for key in keys}
     refused = operator.refused(planned_on.deployments)
     at_base = {key for key in keys if record.is_refused(key)}
-    plans = rounds.missing(planned_on, list(agents), recorded, refused, at_base)
+    no_go = operator.no_go
+    plans = rounds.missing(planned_on, list(agents), recorded, refused, at_base, no_go)
     return plans, planned_on.mission
 
 

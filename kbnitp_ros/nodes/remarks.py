@@ -21,6 +21,7 @@ from kbnitp_ros.core.inference.record import OPEN
 from kbnitp_ros.messages.deployments import Acknowledged
 from kbnitp_ros.messages.headers import from_stamp, next_name, read_name, to_stamp
 from kbnitp_ros.messages.remarks import read_remark, Remark, stamped
+from kbnitp_ros.nodes.decisions import Decisions
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 import numpy as np
@@ -66,12 +67,15 @@ class Remarks:
         node: FieldNode,
         known: Callable[[], tuple[Evidence, Trial]],
         take: Callable[[Remark, Trial], None],
+        decisions: Decisions,
     ) -> None:
         self._node = node
         # The evidence judged now and its ledger; ValueError before the first belief.
         self._known = known
         # Called with a remark on record, and the ledger with it.
         self._take = take
+        # Previews lead through no closed cells either.
+        self._decisions = decisions
         self._is_busy = False
         self._pending: Pending | None = None
         self._publishers = {
@@ -211,12 +215,12 @@ class Remarks:
         remark.record(trial)
         seconds = time.monotonic() - began
         goal, values = make_goal(self._node.values, self._node.grid), self._node.values
-        p_free = [nan, nan]
+        p_free, grid = [nan, nan], self._decisions.open_grid
         if goal is not None:
             for place, each in enumerate((ledger, trial)):
                 hazards = joint_hazards(each.estimator, len(each.deployments))
                 model = each.estimator.model
-                decision = goal.decide(each.grid, hazards, model, values['max_steps'])
+                decision = goal.decide(grid, hazards, model, values['max_steps'])
                 p_free[place] = decision.p_free
         out = []
         if isinstance(remark.said, CoreFinding) and remark.said.changed:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -16,7 +16,7 @@ from kbnitp_ros.configuration.mission import make_stop, search_options, type_to_
 from kbnitp_ros.core import DeploymentKey, Grid, HazardDraws, Plan, SearchOptions, Team
 from kbnitp_ros.core.decision.rounds import plan_round, why_worthless
 from kbnitp_ros.core.planning.planners import count_visits
-from kbnitp_ros.core.planning.regions import keepout_cells
+from kbnitp_ros.core.planning.regions import keepout_cells, without
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import next_name
 import numpy as np
@@ -100,6 +100,7 @@ class Rounds:
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         noted: Sequence[NDArray[np.intp]] = (),
         draws: HazardDraws | None = None,
+        no_go: Collection[int] = (),
     ) -> Callable[[], PlannedRound]:
         """Return a function that searches for the paths of a round; a goal needs draws."""
         robot_type = partial(
@@ -109,13 +110,14 @@ class Rounds:
         most_steps = max(value_for(self._values, 'max_steps', agent) for agent in agents)
         goal, stop = make_goal(self._values, self._grid), make_stop(self._values)
         keepout = keepout_cells(
-            self._grid,
+            without(self._grid, no_go),
             most_steps,
             [each.base for each in types],
             refused,
             most_distance(self._values, agents),
         )
-        options = replace(search_options(self._values), keepout=keepout)
+        closed = [*keepout.tolist(), *no_go]
+        options = replace(search_options(self._values), keepout=closed)
         # Loss costs are in nats: gains of other objectives and of goals are not.
         is_mapping = goal is None and options.objective == 'information'
         loss_cost = options.loss_cost if is_mapping else 0.0
@@ -152,6 +154,7 @@ class Rounds:
         recorded: Paths,
         refused: Sequence[Sequence[NDArray[np.intp]]] = (),
         at_base: Container[DeploymentKey] = (),
+        no_go: Collection[int] = (),
     ) -> Plans:
         """Return the plans of a round for the agents whose paths are missing in the log."""
         if make_goal(self._values, self._grid) is not None:
@@ -162,7 +165,8 @@ class Rounds:
             return {}
         first = next_name(planned_on.stamp, planned_on.mission)
         noted = [path for key, path in recorded.items() if key not in at_base]
-        planned = self.search(planned_on, agents, {}, first, refused, noted)().plans
+        search = self.search(planned_on, agents, {}, first, refused, noted, no_go=no_go)
+        planned = search().plans
         # If recorded paths differ from the plans, agents or parameters have changed since then.
         if not all(
             key in planned and np.array_equal(path, planned[key].path)

@@ -28,6 +28,7 @@ from kbnitp_ros.core.decision.hazard_draws import joint_hazards
 from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.core.field.unknowns import STATIC
 from kbnitp_ros.core.field.world import AS_ORDERED
+from kbnitp_ros.core.planning.regions import without as without_cells
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.beliefs import belief_maps
@@ -175,8 +176,8 @@ class Mission:
 class Deciding(Mission):
     """A mission whose planner decides after each belief."""
 
-    def __init__(self, goal, **options):
-        self.goal = goal
+    def __init__(self, goal, no_go=(), **options):
+        self.goal, self.no_go = goal, no_go
         super().__init__(**options)
 
     def publish_belief(self):
@@ -185,10 +186,11 @@ class Deciding(Mission):
         stamp = from_stamp(on(self.sent, '/belief')[-1].message.header.stamp)
         estimator = self.ledger.estimator
         hazards = joint_hazards(estimator, held)
-        decision = self.goal.decide(GRID, hazards, estimator.model, MAX_STEPS)
+        grid = without_cells(GRID, self.no_go)
+        decision = self.goal.decide(grid, hazards, estimator.model, MAX_STEPS)
         if decision.reached:
             decision = with_told(decision, estimator, held)
-        evidence = AUTHOR, self.epoch, self.ledger.changes
+        evidence = AUTHOR, self.epoch, self.ledger.changes, self.no_go
         fields = decision_fields(GRID, decision, held, stamp, 0, cells(self.goal), *evidence)
         message = decision_message(fields)
         self.publish('decision', message)

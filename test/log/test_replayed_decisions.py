@@ -154,6 +154,24 @@ def say(sent, state):
     return [*sent, Sent('/mission', mission_status_message(status), START)]
 
 
+@for_each('named, is_on_record', [((), True), ((6,), True), ((6, 7), True), ((7,), False)])
+def test_decisions_avoid_the_no_go_cells_that_they_name(tmp_path, named, is_on_record):
+    """Each decision is computed with its own cells, of those that were ever closed."""
+    mission = Deciding(LANE, no_go=named)
+    for cell in (6, 7):
+        action = OperatorAction(START + cell, Action.NO_GO, 0, cells=(cell,))
+        mission.publish('operator', operator_action_message(GRID, action))
+    mission.deploy(observations(1)[0].observation)
+    report = replayed(tmp_path, mission.sent)
+    assert report.compared['/decision'] == 2
+    found = [str(each) for each in report.mismatches if each.topic == '/decision']
+    assert len(found) == (0 if is_on_record else 2)
+    assert all('no_go has cells that were never on record' in each for each in found)
+    assert report.reproduced is is_on_record
+    assert report.decision.path.size
+    assert not {6, 7} & {*report.decision.path.tolist()}
+
+
 def end(sent, action):
     message = operator_action_message(GRID, OperatorAction(START, action, 0))
     return [*sent, Sent('/operator', message, START)]

@@ -198,12 +198,15 @@ def test_paths_from_each_base_are_refused_by_operators():
 
 
 @for_each('fields, told', [
-    ({'action': 0}, 'action is 0: it must be from 1 to 10'),
+    ({'action': 0}, 'action is 0: it must be from 1 to 12'),
     ({'action': Action.REFUSE}, "agents is '': REFUSE must have agents"),
     ({'agents': ['scout_1']}, 'agents has 1 names for 0 paths'),
     ({'settled': [7]}, 'settled names 1 reports, and action is PAUSE: only GIVE_UP settles'),
     ({'parameters': ['robots: 3']}, 'parameters has 1 values, and action is PAUSE'),
     ({'action': Action.SET}, 'parameters has 0 values, and action is SET'),
+    ({'cells': [3]}, 'cells has 1 cells, and action is PAUSE'),
+    ({'action': Action.NO_GO}, 'cells has 0 cells, and action is NO_GO'),
+    ({'action': Action.LIFT, 'cells': [30]}, 'cells has 30, off the map of 30 cells'),
     ({'action': Action.REACHED}, 'parameters has 0 values, and action is REACHED'),
     ({'action': Action.SET, 'parameters': ['robots']}, "'robots': it must be NAME: VALUE"),
     ({'action': Action.SET, 'parameters': ['a: 1', 'a: 2']}, "'a: 2': it must be NAME: VALUE"),

@@ -5,7 +5,7 @@ from math import inf
 import time
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction, Recorded
-from kbnitp_msgs.srv import GiveUp
+from kbnitp_msgs.srv import GiveUp, NoGo
 from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.log.replay import replay
@@ -31,7 +31,13 @@ NODES = ('recorder', 'estimator', 'planner')
 # planner for alive for another 20.
 HEARD = 5.0
 
-SERVICES = {'pause': SetBool, 'approve': SetBool, 'give_up': GiveUp, 'end_mission': Trigger}
+SERVICES = {
+    'pause': SetBool,
+    'approve': SetBool,
+    'give_up': GiveUp,
+    'no_go': NoGo,
+    'end_mission': Trigger,
+}
 
 
 class Base:
@@ -138,7 +144,9 @@ class Base:
         )
 
     def come_back(self, agent='scout_1'):
-        key, cells = read_path(GRID, agent, self.paths[agent][-1])
+        # A planner that was restarted publishes all paths again, the newest one last.
+        sent = dict(read_path(GRID, agent, path) for path in self.paths[agent])
+        key, cells = max(sent), sent[max(sent)]
         home = Observation(cells, True, [False] * (len(cells) - 1))
         self.reports[agent].publish(report_message(key, home, key.stamp + 1))
 

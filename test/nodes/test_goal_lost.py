@@ -2,12 +2,13 @@
 """A goal that was reached and no longer is: robots leave only after a person resumes."""
 
 from base import Base, GRID
-from kbnitp_msgs.msg import Decision, MissionStatus
+from kbnitp_msgs.msg import Decision, MissionStatus, Recorded
 from kbnitp_ros.cli.parameters import recorded_planner
 from kbnitp_ros.cli.replay import state_by_evidence
 from kbnitp_ros.core import Observation
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.deployments import read_path, report_message
+from kbnitp_ros.messages.headers import content_hash
 from kbnitp_ros.messages.operator_actions import Action
 from std_msgs.msg import Bool
 
@@ -22,6 +23,7 @@ class Lane(Base):
     def __init__(self, field, **parameters):
         self.decisions = field.listen(Decision, '/decision')
         self.told = field.listen(MissionStatus, '/mission')
+        self.on_disk = field.listen(Recorded, '/operator/recorded')
         super().__init__(field, AGENTS, **{'rolling': True, 'robots': 6, **GOAL, **parameters})
         for agent in AGENTS:
             self.until_sent(1, agent)
@@ -36,10 +38,13 @@ class Lane(Base):
         self.field.until(lambda: self.told and self.told[-1].obstacle == obstacle, str(obstacle))
 
     def until_done(self, action):
-        done = [each.action for each in self.actions]
-        self.field.until(
-            lambda: any(each.action == action for each in self.actions), f'{action} after {done}'
-        )
+        def is_on_disk():
+            known = {each.content for each in self.on_disk}
+            return any(
+                each.action == action and content_hash(each) in known for each in self.actions
+            )
+
+        self.field.until(is_on_disk, f'{action} on disk')
 
     def lose(self, agent):
         key, cells = read_path(GRID, agent, self.paths[agent][-1])

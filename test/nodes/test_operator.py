@@ -217,7 +217,7 @@ def typed(page):
 def test_services_are_called_as_on_the_page(field):
     base = Base(field, approval=True)
     commands = typed('docs/operator.md')
-    assert len(commands) == 6
+    assert len(commands) == 7
     for name, kind, request in commands:
         # Each call needs the state that the one before brought about.
         if name == '/give_up':
@@ -236,7 +236,7 @@ def test_services_are_called_as_on_the_page(field):
         told = base.do(name[1:], **yaml.safe_load(request))
         assert told.startswith('the operator')
     base.until_state('ended by the operator')
-    assert len(base.replayed().evidence.actions) == 6
+    assert len(base.replayed().evidence.actions) == 7
 
 
 def has_left(base):
