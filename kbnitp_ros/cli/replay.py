@@ -14,6 +14,7 @@ from typing import Any
 from kbnitp_ros.cli.output import command, complain, say
 from kbnitp_ros.cli.parameters import asked_on_record, recorded_planner
 from kbnitp_ros.configuration.mission import make_stop
+from kbnitp_ros.core import Verdict
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.configuration import numerical_environment
 from kbnitp_ros.log.files import LogError, part_note
@@ -107,12 +108,17 @@ def lines(report: ReplayReport) -> Iterator[str]:
     """Yield the findings of a replay: summary, differences, and what is missing."""
     evidence = report.evidence
     survived, lost = evidence.survived, evidence.lost
+    verdicts = [each.verdict for each in evidence.standings.values()]
+    withdrawn = verdicts.count(Verdict.WITHDRAWN)
     yield (
-        f'{survived + lost} deployments, {survived} survived, {lost} lost; '
+        f'{survived + lost + withdrawn} deployments, {survived} survived, {lost} lost'
+        f'{f", {withdrawn} withdrawn" * bool(withdrawn)}; '
         f'method {report.method or "not on record"}'
     )
     for action in evidence.actions:
         yield f'{action}, at {in_seconds(action.stamp)}'
+    for remark in evidence.said.values():
+        yield f'{remark}, at {in_seconds(remark.stamp)}'
     yield from report.changes
     if report.standing is not NOT_KNOWN:
         state, reason = report.standing.state, report.standing.reason

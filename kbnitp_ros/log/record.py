@@ -148,8 +148,8 @@ class RecordedMission(BaseState):
         # Index of each path among the paths, reports and statuses.
         self.places: dict[DeploymentKey, int] = {}
         self._count = 0
-        # Remarks of people, in order.
-        self.said: list[Remark] = []
+        # Remarks of people by the hash of the message, in order.
+        self.said: dict[int, Remark] = {}
         # Messages that no estimator accepts, with the reason.
         self.refused: list[str] = []
         # All reports, by hash of the message.
@@ -172,12 +172,11 @@ class RecordedMission(BaseState):
             action = read_operator_action(self.grid, logged.message)
             if self.take_action(action):
                 self.messages[action.stamp] = logged.data
-        elif role.name == 'annotations':
-            remark = logged.said
-            self.annotations.setdefault(remark.content, remark.said)
-            self.said.append(remark)
         elif role.name in REMARKS:
-            self.said.append(logged.said)
+            # A recorder that was restarted receives them again.
+            remark = self.said.setdefault(logged.said.content, logged.said)
+            if isinstance(remark.said, tuple):
+                self.annotations[remark.content] = remark.said
         elif role.name == 'belief':
             self.allow(logged.said.max_steps, logged.said.robot_types)
         elif is_of_mission(role, logged, self.mission):

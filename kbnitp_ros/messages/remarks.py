@@ -13,6 +13,7 @@ from kbnitp_ros.messages.headers import (
     check_reason,
     content_hash,
     header,
+    in_seconds,
     LAST_NAME,
     read_choice,
     read_header,
@@ -53,6 +54,26 @@ class Remark:
     content: int
     # A finding, a deployment with its annotation, or the hash of what is revoked.
     said: Finding | tuple[DeploymentKey, Annotation] | int
+
+    def __str__(self) -> str:
+        """Return a description of the remark."""
+        who = self.author or 'a person'
+        if isinstance(self.said, int):
+            return f'{who} took back remark {self.said}'
+        if isinstance(self.said, Finding):
+            told = ', '.join(
+                f'{"a" if is_there else "no"} {what}'
+                for what, is_there in (('hazard', self.said.hazard), ('target', self.said.target))
+                if is_there is not None
+            )
+            walked = 'walked' * bool(self.said.walked)
+            state, size = 'changed' if self.said.changed else 'so', self.said.cells.size
+            since = f'{state} since {in_seconds(self.said.since or 0)}'
+            words = ', '.join(filter(None, [told, walked, since]))
+            return f'{who} said of {size} cell{"s" * (size > 1)}: {words}'
+        key, annotation = self.said
+        steps = f' {list(annotation.steps)}' if annotation.steps else ''
+        return f'{who} said of {key}: {annotation.kind.name}{steps}'
 
     def record(self, ledger: Ledger) -> None:
         """Record the remark; raise ValueError if it cannot count."""

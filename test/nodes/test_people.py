@@ -9,12 +9,13 @@ from base import Base, GRID
 from documented import ROOT
 from kbnitp_msgs.msg import Annotation, Finding, Revocation, Standing, Standings
 from kbnitp_msgs.srv import AddFinding, Annotate, Revoke
+from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import Observation, Verdict
 from kbnitp_ros.log.record import read_ledger
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import read_belief_maps
 from kbnitp_ros.messages.deployments import read_path, report_message
-from kbnitp_ros.messages.headers import from_stamp, to_stamp
+from kbnitp_ros.messages.headers import from_stamp, in_seconds, to_stamp
 from kbnitp_ros.messages.standings import read_standings
 import pytest
 import yaml
@@ -120,10 +121,19 @@ def test_what_people_say_counts_and_lasts(field, killed):
     base.until_state('4 of 4 robots')
     field.until(lambda: from_stamp(base.beliefs[-1].header.stamp), 'belief')
     last = read_belief_maps(base.beliefs[-1]).belief
-    base.replayed()
+    report_of_log = base.replayed()
     ledger = read_ledger(MissionLog(base.log))
+    (finding,) = ledger.findings.values()
+    since = in_seconds(finding.since)
     assert ledger.belief.joint.tobytes() == last.joint.tobytes()
     assert len(ledger.remarks) == 4
+    told = [line for line in lines(report_of_log) if 'said of' in line or 'took back' in line]
+    assert [line.split(', at')[0] for line in told] == [
+        f'Ann said of {lost}: NO_HAZARD [2]',
+        f'a person said of 1 cell: walked, so since {since}',
+        f'a person said of {withdrawn}: WITHDRAW',
+        f'a person took back remark {revocation.revokes}',
+    ]
     assert (last.hazard[path[1:-1]] != before.hazard[path[1:-1]]).any()
 
 

@@ -498,7 +498,7 @@ def lost(hazard: Floats, evidence: Evidence, effects: Effects) -> Likelihood:
 
 
 def loss_causes(evidence: Evidence, effects: Effects) -> tuple[Floats, Floats]:
-    """Return P(failure) and P(strike | hazard) in the step of a loss, of the cause it had."""
+    """Return P(failure) and P(strike | hazard) in the step of a loss (:eq:`loss-cause`)."""
     failed, struck = effects.malfunction, (1.0 - effects.malfunction) * effects.strike
     if evidence.by_hazard is None:
         return failed, struck
