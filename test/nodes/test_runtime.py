@@ -106,7 +106,6 @@ def test_a_service_may_answer_later(here):
     assert heard.result().message == 'well'
 
 
-@pytest.mark.processes
 def test_an_answer_after_an_inquiry_is_ignored(here):
     """The executor may call back once more for an answer that had arrived before."""
     node, until = here
@@ -128,6 +127,7 @@ def test_an_answer_after_an_inquiry_is_ignored(here):
     assert [who for who, _ in taken] == [name]
 
 
+@pytest.mark.processes
 def test_a_node_that_cannot_leave_the_graph_ends_as_it_would_have():
     program = """
 import ctypes, os, signal
