@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         action='append',
         default=[],
         help=f'a check whose red does not count from now on: {", ".join(OPTIONAL)}. Can be '
-        'repeated',
+        'repeated; default none',
     )
     options = parser.parse_args(argv)
     end_on_signals()

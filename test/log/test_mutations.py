@@ -163,6 +163,11 @@ def whole_mission():
         key = whole.order(tour, AGENT, *back)
         readings = [True, False, number == 1, False]
         whole.hear_report(*whole.come_back(key, Observation(tour, True, readings)))
+    # Cells that are closed to robots, and opened again.
+    for what, shut in ((Action.NO_GO, (4, 9)), (Action.LIFT, (4,)), (Action.NO_GO, (4, 13))):
+        whole.act(what, cells=shut, reason='a wreck', author='Ann')
+        whole.no_go = tuple(sorted({*whole.no_go} ^ {*shut}))
+        whole.publish_belief()
     # Another report, which contradicts the last one.
     whole.hear_report(*whole.come_back(key, Observation(tour, True, [False] * 4)))
     key = whole.order(tour, AGENT, *back)

@@ -58,17 +58,17 @@ class Ledger(MissionRecord):
     unless the operator knew of it and gave the robot up all the same (`Report.settled`). A loss
     counts once the departure of its robot is reported, or the operator gave it up.
 
+    Findings of people stand between the deployments, by the time since when they hold; one that
+    changed the field takes the cells that it changed from the returns of robots that were out,
+    and holds their losses until a person says whether they were before or after. An annotation
+    replaces the outcome of the report that it names.
+
     Parameters
     ----------
     grid, max_steps, robot_types
         As in `MissionRecord`.
     estimator : Estimator
         Estimator before the first deployment.
-
-    Findings of people stand between the deployments, by the time since when they hold; one that
-    changed the field takes the cells that it changed from the returns of robots that were out,
-    and holds their losses until a person says whether they were before or after. An annotation
-    replaces the outcome of the report that it names.
 
     Attributes
     ----------
