@@ -31,6 +31,7 @@ from kbnitp_ros.messages.progress import (
     mission_status_message,
     MissionState,
     MissionStatus,
+    Need,
     Obstacle,
 )
 from kbnitp_ros.messages.remarks import read_remark
@@ -197,7 +198,8 @@ def whole_mission():
     )
     whole.publish(f'{OTHER}/report', given_up)
     whole.hear_report(*read_report(given_up))
-    whole.say_state(MissionState.RUNNING, Obstacle.UNREPORTED, Helper.ROBOT, ordered=5, lost=2)
+    kept = {'waiting': {AGENT: Need.BATTERY}, 'no_go': whole.no_go, 'ordered': 5, 'lost': 2}
+    whole.say_state(MissionState.RUNNING, Obstacle.UNREPORTED, Helper.ROBOT, **kept)
     return whole.sent
 
 
