@@ -46,7 +46,7 @@ class Readiness:
         return nan if health is None or now > heard + MAX_AGE else health.battery
 
     def distance(self, agent: str, x: float, y: float) -> float:
-        """Return how far from a point a robot was heard last, in metres; NaN if unknown."""
+        """Return the distance of a robot's last place from a point, metres; NaN if unknown."""
         if agent not in self._health:
             return nan
         health, _ = self._health[agent]

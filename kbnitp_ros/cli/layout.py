@@ -165,7 +165,7 @@ def colour(number: int) -> str:
 
 
 def path_line(shade: str, width: float) -> dict[str, Any]:
-    """Return how a path is drawn."""
+    """Return the style of a path."""
     return {'visible': True, 'type': 'line', 'lineWidth': width, 'gradient': [shade, shade]}
 
 

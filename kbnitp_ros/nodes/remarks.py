@@ -22,6 +22,7 @@ from kbnitp_ros.messages.deployments import Acknowledged
 from kbnitp_ros.messages.headers import from_stamp, next_name, read_name, to_stamp
 from kbnitp_ros.messages.remarks import read_remark, Remark, stamped
 from kbnitp_ros.nodes.decisions import Decisions
+from kbnitp_ros.nodes.operator_services import answered
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 import numpy as np
@@ -191,8 +192,7 @@ class Remarks:
                 answer.set_result(self._refused(service, response, error))
                 return
             if request.preview:
-                response.success, response.message = True, f'{in_words(response.effect)}'
-                answer.set_result(response)
+                answer.set_result(answered(response, True, in_words(response.effect)))
                 return
             self._last, self._is_busy = stamp, True
             self._pending = Pending(remark, Trial(trial, taken), response, answer)
@@ -206,8 +206,7 @@ class Remarks:
 
     def _refused(self, service: str, response: Any, error: Exception) -> Any:
         self._node.diagnostics.refuse(service, error)
-        response.success, response.message = False, str(error)
-        return response
+        return answered(response, False, str(error))
 
     def _tried(self, ledger: Ledger, trial: Ledger, remark: Remark) -> Effect:
         """Return what a remark changes, which is recorded in a copy of the ledger."""
@@ -256,9 +255,8 @@ class Remarks:
         except ValueError as error:
             answer.set_result(self._refused('remarks', response, error))
             return
-        response.success, response.content = True, remark.content
-        response.message = in_words(response.effect)
-        answer.set_result(response)
+        response.content = remark.content
+        answer.set_result(answered(response, True, in_words(response.effect)))
 
 
 def in_words(effect: Effect) -> str:

@@ -547,7 +547,7 @@ class Ledger(MissionRecord):
         return replace(outcome, entered=entered), True
 
     def _carried_home(self, key: DeploymentKey, refused: Iterable[Refusal]) -> Counted | None:
-        """Return what a person said of a deployment whose reports are refused."""
+        """Return the annotated outcome of a deployment whose reports are refused."""
         for refusal in in_order(refused):
             if content := self._annotation(key, refusal.content, of_order=False):
                 _, annotation = self.annotations[content]
