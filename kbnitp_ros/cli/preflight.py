@@ -32,6 +32,7 @@ from kbnitp_ros.base.preflight import (
 )
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
 from kbnitp_ros.configuration import value_for
+from kbnitp_ros.configuration.agents import learnt_numbers
 from kbnitp_ros.configuration.checks import failure_note, ignored_note
 from kbnitp_ros.files import installed, nearest
 from kbnitp_ros.messages.headers import SECOND
@@ -273,9 +274,12 @@ class Mission:
         """Yield what the operator should know of the parameters."""
         if not estimator:
             return
-        unused = ignored_note(estimator, estimator['learn.numbers'] or ())
+        unused = ignored_note(estimator, learnt_numbers(estimator))
         light = Light.RED if unused else Light.GREEN
         yield Check('parameters', light, unused or 'all that are given are read')
+        if not (estimator['sensor.duds'] or 'duds' in learnt_numbers(estimator)):
+            question = 'can a hazard be dead, or a decoy? If so, add duds to learn.numbers'
+            yield Check('duds', Light.INFO, question)
         model, decision = self._said.get('model'), self._said.get('decision')
         learnt = zip(model.name, model.mean, model.sd) if model else ()
         words = [f'{name} {mean:.3g} ± {sd:.2g}' for name, mean, sd in learnt]

@@ -8,7 +8,7 @@ from dataclasses import fields
 import itertools
 from typing import Any
 
-from kbnitp_ros.configuration.table import LEARN, MAX_AGENTS, OPERATOR
+from kbnitp_ros.configuration.table import LEARN, LEARNT_WITH_DUDS, MAX_AGENTS, OPERATOR
 from kbnitp_ros.core import (
     Beta,
     Clustering,
@@ -19,13 +19,16 @@ from kbnitp_ros.core import (
     SensorModel,
     Unknowns,
 )
-from kbnitp_ros.core.field.sensor import SENSORS
+from kbnitp_ros.core.field.sensor import OF_HAZARDS, SENSORS
 from kbnitp_ros.core.field.unknowns import HAZARD_RATES, ZERO
+from kbnitp_ros.core.inference.estimator import has_ability
+from kbnitp_ros.core.inference.methods import check_able
+from kbnitp_ros.plugins import entry_name
 
 
 def make_sensor_model(values: Mapping[str, Any]) -> SensorModel:
     """Return the sensor model that these parameters describe."""
-    return SensorModel(**{name: values[f'sensor.{name}'] for name in (*SENSORS, 'reach')})
+    return SensorModel(**{name: values[f'sensor.{name}'] for name in (*SENSORS, *OF_HAZARDS)})
 
 
 def make_priors(values: Mapping[str, Any]) -> dict[str, Beta]:
@@ -51,9 +54,34 @@ def make_priors(values: Mapping[str, Any]) -> dict[str, Beta]:
 def make_unknowns(values: Mapping[str, Any]) -> Unknowns:
     """Return the unknown numbers, which are learnt."""
     priors, rates = make_priors(values), [*itertools.chain(*HAZARD_RATES.values())]
-    return Unknowns(
-        **{name: priors[name] for name in values['learn.numbers'] if name not in rates}
-    )
+    return Unknowns(**{name: priors[name] for name in learnt_numbers(values) if name not in rates})
+
+
+def learnt_numbers(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the numbers to learn: `learn.numbers`, and those that are learnt with duds."""
+    learn = tuple(values.get('learn.numbers') or ())
+    return tuple(dict.fromkeys((*learn, *(LEARNT_WITH_DUDS if 'duds' in learn else ()))))
+
+
+def check_duds(values: Mapping[str, Any]) -> None:
+    """Check that method, hazards and believed targets allow duds, if there may be some."""
+    told, learnt = values['sensor.duds'], 'duds' in learnt_numbers(values)
+    if not (told or learnt):
+        return
+    given = f'parameter sensor.duds is {told}' if told else 'parameter learn.numbers has duds'
+    dynamics = {'hazards': make_dynamics(values)}
+    # Agents believe nothing, and their targets may change.
+    if 'method' in values:
+        dynamics['targets'] = make_target_dynamics(values)
+        needed = ('reaches', 'correlated') if learnt else ('reaches',)
+        check_able(
+            values['method'],
+            lambda each: all(has_ability(name, each) for name in needed),
+            f'{given}, and method {entry_name(values["method"])} does not take them',
+        )
+    for what, each in dynamics.items():
+        if each.effect != 'static':
+            raise ValueError(f'{given}, and {what}.dynamics is {each.kind}: duds are static')
 
 
 def make_dynamics(values: Mapping[str, Any]) -> Dynamics:
@@ -92,6 +120,7 @@ def make_target_dynamics(values: Mapping[str, Any]) -> Dynamics:
 
 def true_dynamics(values: Mapping[str, Any]) -> tuple[Dynamics, Dynamics]:
     """Return the true dynamics of hazards and targets; refuse an unknown kind or rate."""
+    check_duds(values)
     dynamics = {'hazards': make_dynamics(values), 'targets': make_target_dynamics(values)}
     for what, each in dynamics.items():
         try:

@@ -12,6 +12,7 @@ from typing import Any
 from kbnitp_ros.configuration.agents import (
     agent_names,
     cell_at,
+    check_duds,
     make_clustering,
     make_dynamics,
     make_robot_type,
@@ -221,8 +222,8 @@ def learnt_by_default(values: Mapping[str, Any]) -> dict[str, Any]:
     if values['hazards.dynamics'] in ('used_up', 'learn'):
         own.add('reach')
     learnt = tuple(name for name in FIELD_LEARNT if name not in own)
-    # The rates of the detector are learnt with the targets.
-    if {'true_positive', 'false_positive'} <= {*learnt}:
+    # The rates of the detector are learnt with the targets, which are static where duds are.
+    if {'true_positive', 'false_positive'} <= {*learnt} and not values['sensor.duds']:
         return {'learn.numbers': learnt, 'targets.dynamics': 'learn'}
     return {'learn.numbers': learnt}
 
@@ -232,6 +233,7 @@ def make_estimator(values: Mapping[str, Any], grid: Grid) -> Estimator:
     if grid.cells > MAX_LEARNT and tuple(values['learn.numbers']) == FIELD_LEARNT:
         # The particles of more than three numbers would be too few.
         values = {**values, 'learn.numbers': LEARNT, 'targets.dynamics': 'static'}
+    check_duds(values)
     unknowns = make_unknowns(values)
     rates = values['sensor.true_positive'], values['sensor.false_positive']
     if rates[0] < rates[1] and not {'true_positive', 'false_positive'} & unknowns.priors.keys():

@@ -43,6 +43,7 @@ LEARN = {
     'true_positive': ('sensor.true_positive', (0.0, 1.0, 9.0, 1.0)),
     'false_positive': ('sensor.false_positive', (0.0, 1.0, 1.0, 9.0)),
     'reach': (f'sensor.reach, which is 0 with probability {ZERO["reach"]},', (0.0, 0.6)),
+    'duds': (f'sensor.duds, which is 0 with probability {ZERO["duds"]},', (0.0, 1.0)),
     # A Beta distribution with a = 0 and b = 1 is log-uniform.
     'vanish': ('hazards.vanish', (0.001, 0.1, 0.0, 1.0)),
     'move': ('hazards.move', (0.001, 0.1, 0.0, 1.0)),
@@ -52,6 +53,9 @@ LEARN = {
 # under a wrong density the learnt lethality is wrong as well, since fewer but more lethal hazards
 # destroy as many robots.
 LEARNT = ('lethality', 'hazard_density')
+
+# Numbers that are learnt with duds: else a higher background of targets is taken for duds.
+LEARNT_WITH_DUDS = ('kappa', 'target_background')
 
 # Numbers that are learnt by default in the field, where also targets may change: without the two
 # rates of the detector, a poor detector is taken for targets that move.
@@ -149,6 +153,9 @@ ROWS: tuple[Parameter | str, ...] = (
     Parameter('sensor.reach', 0.0, SENSING, limits=PROBABILITY),
     'Lethality of a hazard in each of the eight cells around it, as a share of its lethality in '
     'its own cell; 0 if hazards do not reach.',
+    Parameter('sensor.duds', 0.0, SENSING, limits=PROBABILITY),
+    'Share of the hazards that never strike, such as dead ones and decoys, each for the whole '
+    'mission; 0 for none. In a static field, with the methods kappa_bnitp and relaxed_itp.',
     Parameter('hazards.dynamics', 'static', SENSING, choices=HAZARDS),
     'Dynamics of hazards: static, changing from one deployment to the next, moving to '
     'neighbouring cells, or used up when they strike; learn to infer the kind from the evidence. '
@@ -218,8 +225,8 @@ ROWS: tuple[Parameter | str, ...] = (
     'KeepoutFilter.',
     for_estimator('learn.numbers', (), element=str, choices=tuple(LEARN)),
     'Numbers to learn from the evidence, with the methods kappa_bnitp, relaxed_itp (all numbers '
-    'but kappa) or, in a static field, kappa_bnitp_sampled. Robots are planned with the current '
-    'estimates.',
+    'but kappa) or, in a static field, kappa_bnitp_sampled. With duds, kappa and '
+    'target_background are learnt as well. Robots are planned with the current estimates.',
     *(
         for_estimator(
             f'learn.{name}',

@@ -21,6 +21,7 @@ from kbnitp_ros.core.field.check import (
     typed,
     whole_number,
 )
+from kbnitp_ros.core.field.sensor import OF_HAZARDS
 from kbnitp_ros.environments.deployment_kernels import conclude
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +82,9 @@ class FieldVectorEnv(VectorEnv):  # type: ignore[misc]
         self.max_steps = whole_number('max_steps', max_steps, 2)
         self.loss_cost = cost('loss_cost', loss_cost)
         self.grid, self.model = grid or Grid(9, 9), model or SensorModel(0.5)
-        if self.model.reach:
-            raise ValueError(
-                f'reach is {self.model.reach}: hazards of the environments do not reach, so it '
-                'must be 0'
-            )
+        for name in OF_HAZARDS:
+            if value := getattr(self.model, name):
+                raise ValueError(f'{name} is {value}: it must be 0 in the environments')
         z = probability('hazard_density', hazard_density)
         background = probability('target_background', target_background)
         self._chances = z, probability('kappa', kappa), background

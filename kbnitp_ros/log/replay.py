@@ -478,7 +478,7 @@ class Fold:
         if ledger is not None:
             report.kinds = ledger.estimator.kinds
             if self.views.checked:
-                report.check = ledger.estimator.check
+                report.check = ledger.estimator.model_check
         self.views.compare()
         self.decisions.finish(ledger)
         self.acknowledgements.compare()

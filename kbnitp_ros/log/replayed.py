@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 # Array fields that are maps, and their number of values for each cell.
-VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'data': 1}
+VALUES_PER_CELL = {'hazard': 1, 'target': 1, 'kappa': 1, 'joint': 4, 'dud_joint': 2, 'data': 1}
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ class ReplayedViews:
         """Keep the model and the check that are expected of a ledger's belief."""
         key = len(ledger.deployments), said.stamp
         if key in self.checked:
-            self.checked[key].append(ledger.estimator.check)
+            self.checked[key].append(ledger.estimator.model_check)
         if self.checked:
             expected = said.newest, model_fields(ledger, said.stamp)
             self._expected['model', said.stamp].append(expected)

@@ -29,7 +29,7 @@ from kbnitp_ros.core import (
     Unknowns,
 )
 from kbnitp_ros.core.field.clustering import LEARNT_COUPLING
-from kbnitp_ros.core.field.sensor import SENSORS
+from kbnitp_ros.core.field.sensor import OF_HAZARDS, SENSORS
 from kbnitp_ros.core.field.unknowns import TARGET_VANISH
 from kbnitp_ros.messages.grids import metadata_fields, read_map_metadata
 from kbnitp_ros.messages.headers import (
@@ -47,6 +47,10 @@ import numpy as np
 
 if TYPE_CHECKING:
     from kbnitp_msgs.msg import BeliefMaps
+
+
+# Maximum difference of two sums of the same probabilities.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +173,7 @@ def belief_fields(
         max_steps=ledger.max_steps,
         method=estimator.method,
         method_version=estimator.version,
-        **{name: getattr(estimator.model, name) for name in (*SENSORS, 'reach')},
+        **{name: getattr(estimator.model, name) for name in (*SENSORS, *OF_HAZARDS)},
         unknowns=[Fields(name=name, **asdict(prior)) for name, prior in learnt.items()],
         seed=estimator.seed,
         own=[
@@ -193,6 +197,7 @@ def belief_fields(
         target=belief.target,
         kappa=belief.kappa,
         joint=belief.joint.ravel(),
+        dud_joint=np.empty(0) if belief.duds is None else belief.duds.ravel(),
         prior=given.ravel(),
     )
 
@@ -240,6 +245,8 @@ def read_belief_maps(message: Any) -> Snapshot:
         through_corners=message.through_corners,
     )
     belief = read_joint('joint', message.joint, grid)
+    if len(duds := getattr(message, 'dud_joint', ())):
+        belief = with_dud_joint(belief, duds)
     priors = read_unknowns(message.unknowns)
     rates = {'vanish': message.vanish, 'move': message.move}
     rates.update({name: priors.pop(name) for name in rates if name in priors})
@@ -254,8 +261,8 @@ def read_belief_maps(message: Any) -> Snapshot:
         grid=grid,
         max_steps=message.max_steps,
         model=SensorModel(
-            # Logs of 1.x have no reach.
-            **{name: getattr(message, name, 0.0) for name in (*SENSORS, 'reach')}
+            # Earlier logs have neither reach nor duds.
+            **{name: getattr(message, name, 0.0) for name in (*SENSORS, *OF_HAZARDS)}
         ),
         robot_types=robot_types,
         unknowns=Unknowns(**priors),
@@ -295,6 +302,21 @@ def read_joint(name: str, values: Any, grid: Grid) -> Belief:
         return Belief(joint.reshape(-1, 2, 2), grid)
     except ValueError as error:
         raise ValueError(str(error).replace('joint', name, 1)) from error
+
+
+def with_dud_joint(belief: Belief, values: Any) -> Belief:
+    """Return the belief with the part of the joint that belongs to duds."""
+    duds = np.asarray(values, dtype=np.float64)
+    if duds.size != 2 * belief.cells:
+        raise ValueError(
+            f'dud_joint has {duds.size} values: it must have none, or 2 * width * height = '
+            f'{2 * belief.cells}'
+        )
+    duds = duds.reshape(-1, 2)
+    # The two are rounded apart.
+    if not ((duds >= 0.0) & (duds <= belief.joint[:, 1] + ROUNDING)).all():
+        raise ValueError('dud_joint has a value that is not within joint of a hazard')
+    return Belief.computed(belief.joint, belief.grid, duds)
 
 
 def read_clustering(coupling: float, grid: Grid) -> Clustering | None:

@@ -452,6 +452,8 @@ def fill_draws(response: Any, draws: HazardDraws) -> None:
     response.success, response.count = True, len(draws.hazardous)
     response.independent_draws = draws.independent
     response.hazardous = array('B', np.packbits(draws.hazardous).tobytes())
+    if draws.live is not None:
+        response.live = array('B', np.packbits(draws.live).tobytes())
     response.weight = array('d', draws.weight.tobytes())
 
 
@@ -459,6 +461,8 @@ def read_draws(response: Any, cells: int, around: NDArray[np.intp] | None = None
     """Return the draws of a response, on a field of so many cells, given `Grid.around`."""
     count, weight = int(response.count), np.asarray(response.weight)
     sizes = {'hazardous': -(-count * cells // 8), 'weight': count}
+    if len(response.live):
+        sizes['live'] = sizes['hazardous']
     for name, size in sizes.items():
         if not count or len(getattr(response, name)) != size:
             raise ValueError(
@@ -469,6 +473,11 @@ def read_draws(response: Any, cells: int, around: NDArray[np.intp] | None = None
         raise ValueError(f'weight has the sum {weight.sum()}: it must have at least 0 each, and 1')
     if not response.independent_draws > 0.0:
         raise ValueError(f'independent_draws is {response.independent_draws}: it must be above 0')
-    bits = np.unpackbits(np.asarray(response.hazardous, np.uint8), count=count * cells)
-    hazardous = bits.astype(bool).reshape(count, cells)
-    return HazardDraws(hazardous, response.independent_draws, weight, around)
+
+    def unpacked(values: Any) -> NDArray[np.bool_]:
+        bits = np.unpackbits(np.asarray(values, np.uint8), count=count * cells)
+        return bits.astype(bool).reshape(count, cells)
+
+    hazardous = unpacked(response.hazardous)
+    live = unpacked(response.live) if len(response.live) else None
+    return HazardDraws(hazardous, response.independent_draws, weight, around, live)

@@ -110,14 +110,17 @@ class Simulation:
         """Return the world before the first deployment, from a file or drawn."""
         values = self.node.values
         if file := values['world.file']:
-            return read_world(file, self.grid)
-        return World.random(
-            self.grid,
-            np.random.default_rng(self._seeds),
-            values['world.hazard_density'],
-            values['world.kappa'],
-            values['world.target_background'],
-        )
+            world = read_world(file, self.grid)
+        else:
+            world = World.random(
+                self.grid,
+                np.random.default_rng(self._seeds),
+                values['world.hazard_density'],
+                values['world.kappa'],
+                values['world.target_background'],
+            )
+        duds = values['sensor.duds']
+        return world.with_duds(duds, values['seed']) if duds else world
 
     def _publish_truth(self) -> None:
         for name, publisher in self._truth.items():

@@ -101,7 +101,7 @@ class EstimatorNode(FieldNode):
         if self.values['filter.type'] >= 0:
             values = (self.values[f'filter.{name}'] for name in ('type', 'base', 'multiplier'))
             self._views.announce_mask(*values)
-        has_model = estimator.parameters or estimator.check.alternatives
+        has_model = estimator.parameters or estimator.model_check.alternatives
         self._models = Models(self, self._warn_of_doubt) if has_model else None
         self._decisions = Decisions(self)
         self._decisions.close(no_go)

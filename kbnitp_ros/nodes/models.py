@@ -61,7 +61,9 @@ class Models:
         # A late deployment gives the ledger another estimator, and leaves this one as it is.
         estimator, self._begun = ledger.estimator, len(ledger.deployments)
         deployments = self._begun
-        return self._node.compute(lambda: Checked(estimator.check, deployments, stamp), self._take)
+        return self._node.compute(
+            lambda: Checked(estimator.model_check, deployments, stamp), self._take
+        )
 
     def _take(self, running: futures.Future[Checked]) -> None:
         if running is self._running:

@@ -290,7 +290,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
     yield Tile('What to do next?', answer, why)
 
 
-# A hazard that never strikes leaves no evidence.
+# A hazard that never strikes leaves no evidence but its target.
 DUDS = ' Free of hazards that can strike: a hazard that never strikes, a dud, is not found.'
 
 
@@ -322,7 +322,7 @@ def lane(mission: Mission) -> Tile:
         + ('The goal is reached.' if decision.reached else 'The goal is not reached.')
         + taken
         + ''.join(f' The decision {sentence}.' for sentence in decision.trusts)
-        + DUDS,
+        + ('' if mission.moments[-1].belief.duds is not None else DUDS),
         'map-title',
     )
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kbnitp_ros.core import Decision, DeploymentKey, Grid, Observation, World
+from kbnitp_ros.core.field.sensor import OF_HAZARDS
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import log_parts, LogError
 from kbnitp_ros.log.history import History, Moment, read_history
@@ -330,7 +331,9 @@ def true_numbers(agent: Mapping[str, Any], estimator: Mapping[str, Any]) -> dict
     """Return the true values of the learnable numbers, as far as the parameters state them."""
     numbers = {
         name: agent[f'sensor.{name}']
-        for name in ('lethality', 'malfunction', 'true_positive', 'false_positive')
+        for name in ('lethality', 'malfunction', 'true_positive', 'false_positive', *OF_HAZARDS)
+        # Earlier logs have neither reach nor duds.
+        if f'sensor.{name}' in agent
     }
     # Lethality and false negatives cannot be distinguished: scale the true lethality to the
     # believed false negatives.

@@ -14,6 +14,7 @@ from kbnitp_ros.configuration import (
     TABLE,
     with_defaults,
 )
+from kbnitp_ros.configuration.agents import true_dynamics
 from kbnitp_ros.configuration.checks import check_parking
 from kbnitp_ros.configuration.field import make_datum, parking_place, read_world
 from kbnitp_ros.configuration.mission import (
@@ -159,8 +160,42 @@ def test_targets_that_an_estimator_cannot_learn_are_refused(given, why):
         make_estimator({**DEFAULTS, **given}, GRID)
 
 
+@for_each('given, why', [
+    ({'hazards.dynamics': 'used_up'}, 'and hazards.dynamics is used_up: duds are static'),
+    ({'targets.dynamics': 'learn'}, 'and targets.dynamics is learn: duds are static'),
+    ({'method': 'kappa_bnitp_sampled'}, 'and method kappa_bnitp_sampled does not take them: use'),
+    ({'method': 'relaxed_bnitp'}, 'and method relaxed_bnitp does not take them: use .*itp'),
+])  # fmt: skip
+def test_duds_are_refused_by_the_name_of_their_parameter(given, why):
+    for duds, name in (
+        ({'sensor.duds': 0.5}, 'parameter sensor.duds is 0.5, '),
+        ({'learn.numbers': ('duds',)}, 'parameter learn.numbers has duds, '),
+    ):
+        with pytest.raises(ValueError, match=name + why):
+            make_estimator({**DEFAULTS, **given, **duds}, GRID)
+
+
+def test_duds_of_simulated_hazards_that_change_are_refused():
+    agent = with_defaults('agent', {'sensor.duds': 0.5, 'hazards.dynamics': 'used_up'})
+    with pytest.raises(ValueError, match='parameter sensor.duds is 0.5, and hazards.dynamics is'):
+        true_dynamics(agent)
+    still = {'hazards.dynamics': 'static', 'targets.dynamics': 'changing', 'targets.vanish': 0.1}
+    assert true_dynamics({**agent, **still})[0].effect == 'static'
+
+
+def test_duds_are_learnt_with_kappa_and_the_background_which_told_ones_are_not():
+    learning = make_estimator({**DEFAULTS, 'learn.numbers': ('lethality', 'duds')}, GRID)
+    assert {*learning.parameters} == {'lethality', 'duds', 'kappa', 'target_background'}
+    assert not make_estimator({**DEFAULTS, 'sensor.duds': 0.5}, GRID).parameters
+    # Only kappa and the background tell duds.
+    with pytest.raises(ValueError, match='has duds, and method relaxed_itp does not take them'):
+        make_estimator({**DEFAULTS, 'learn.numbers': ('duds',), 'method': 'relaxed_itp'}, GRID)
+    make_estimator({**DEFAULTS, 'sensor.duds': 0.5, 'method': 'relaxed_itp'}, GRID)
+
+
 @for_each('given, learnt, targets', [
     ({}, FIELD_LEARNT, 'learn'),
+    ({'sensor.duds': 0.5}, FIELD_LEARNT, 'static'),
     ({'learn.numbers': ('kappa',)}, ('kappa',), 'static'),
     ({'targets.dynamics': 'static'}, FIELD_LEARNT, 'static'),
     ({'hazards.dynamics': 'used_up'}, FIELD_LEARNT[:-1], 'learn'),

@@ -154,6 +154,13 @@ KINDS = {
         },
         lambda made, _: {*made[-1].parameters} == {'lethality', 'reach'},
     ),
+    'duds': (
+        {
+            'sensor.duds': 0.5, 'learn.numbers': ['lethality', 'duds'],
+            'world.hazard_density': 0.3, 'goal.kind': 'lane', 'goal.cells': [19],
+        },
+        lambda made, _: made[-1].parameters['duds'].zero < 1.0 and made[-1].belief.duds.any(),
+    ),
     'targets': (
         {
             'targets.dynamics': 'learn', 'learn.numbers': ['true_positive', 'false_positive'],

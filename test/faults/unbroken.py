@@ -77,6 +77,8 @@ def core_mission(parameters):
         values['world.kappa'],
         values['world.target_background'],
     )
+    if duds := true['sensor.duds']:
+        world = world.with_duds(duds, values['seed'])
     return run_mission(
         grid,
         make_estimator(values, make_grid(values)).prior,

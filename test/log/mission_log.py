@@ -131,7 +131,7 @@ class Mission:
         if self.unknowns.priors:
             held = len(self.ledger.deployments)
             if held % CHECK_EVERY == 0:
-                self.checked = Checked(self.ledger.estimator.check, held, stamp)
+                self.checked = Checked(self.ledger.estimator.model_check, held, stamp)
             self.publish('model', model_belief(self.ledger, stamp, self.checked))
 
     def send_out(self, path, agent='scout_1'):

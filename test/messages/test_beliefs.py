@@ -80,6 +80,35 @@ def test_the_reach_is_read_as_it_was(model, unknowns):
     assert read.ledger().belief == estimator.belief
 
 
+@for_each('model, unknowns', [
+    (SensorModel(0.3, duds=0.2), KNOWN),
+    (SensorModel(0.3), Unknowns(duds=Beta(2, 3, 0.1, 0.7, zero=0.8))),
+])  # fmt: skip
+def test_hazards_that_are_duds_are_read_as_they_were(model, unknowns):
+    grid = Grid(4, 3)
+    estimator = Estimator(Belief.prior(grid, 0.2, 0.3, 0.8), model, unknowns=unknowns)
+    ledger = Ledger(grid, 6, estimator)
+    ledger.record_path(KEY, [0, 1, 2, 1, 0])
+    ledger.record_report(KEY, Report(True, ((1, 1), (2, 0), (1, 1), (0, 0)), 9))
+    message = over_the_wire(belief_maps(ledger, started=1))
+    read, belief = read_belief_maps(message), ledger.belief
+    assert (read.model, read.unknowns) == (ledger.estimator.model, unknowns)
+    assert read.belief == belief
+    np.testing.assert_array_equal(read.belief.duds, belief.duds)
+    # The return speaks against live hazards, and not against duds.
+    share = belief.duds.sum(axis=1)[1:] / belief.hazard[1:]
+    assert share[0] > share[5]
+    for values, why in (
+        ([0.1], 'dud_joint has 1 values'),
+        (belief.joint[:, 1].ravel() + 1e-6, 'not within joint'),
+        (-belief.duds.ravel(), 'not within joint'),
+        (belief.duds.ravel() * np.nan, 'not within joint'),
+    ):
+        message.dud_joint = array('d', values)
+        with pytest.raises(ValueError, match=why):
+            read_belief_maps(message)
+
+
 def test_a_prior_says_how_the_mission_starts():
     ledger = new_ledger()
     message = belief_maps(ledger, started=3_000_000_001)
@@ -321,10 +350,15 @@ def test_draws_arrive_as_they_were_drawn():
     np.testing.assert_array_equal(read.hazardous, np.eye(5, 3, dtype=bool))
     assert read.independent == 4.0
     assert read.weight.tolist() == [0.2] * 5
+    assert read.live is None
+    live = np.eye(5, 3, 1, dtype=bool)
+    fill_draws(response := Draws.Response(), HazardDraws(np.ones((5, 3), bool), 4.0, live=live))
+    np.testing.assert_array_equal(read_draws(over_the_wire(response), 3).live, live)
 
 
 @for_each('name, value, why', [
     ('hazardous', [0], 'hazardous has 1 values: 5 draws of 3 cells have 2'),
+    ('live', [0], 'live has 1 values: 5 draws of 3 cells have 2'),
     ('weight', [1.0], 'weight has 1 values'),
     ('weight', [float('nan')] * 5, 'weight has the sum nan'),
     ('weight', [0.5] * 5, 'weight has the sum 2.5'),

@@ -97,6 +97,7 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
     assert 'GREEN disk: ' in told
     assert re.search(r'INFO  scout_1 round trip: \d+ ms for a service call', told)
     assert 'INFO  losses: without hazards' in told
+    assert 'INFO  duds: can a hazard be dead, or a decoy? If so, add duds to learn.numbers' in told
     # What is skipped is on record, and lasts.
     changes = [each.parameters for each in base.actions if each.action == Action.SET]
     skipped = ('[clock]', '[battery, clock]', '[pose]')

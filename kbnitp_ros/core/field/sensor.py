@@ -132,8 +132,9 @@ def powers(safe: float, deadly: float, most: int) -> tuple[NDArray[np.float64], 
     return log_power, 0.0 - np.expm1(log_power), np.exp(log_power)
 
 
-# Numbers of the sensor model that robot types may have of their own.
-SENSORS = tuple(f.name for f in fields(SensorModel) if f.name not in ('reach', 'duds'))
+# Numbers of the hazards, and numbers that robot types may have of their own.
+OF_HAZARDS = ('reach', 'duds')
+SENSORS = tuple(f.name for f in fields(SensorModel) if f.name not in OF_HAZARDS)
 
 # Minima of the fields of `RobotType` that are whole numbers.
 LEAST = {'max_steps': 1, 'base': 0}

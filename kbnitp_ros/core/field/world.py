@@ -56,7 +56,11 @@ class World(Value):
 
     def with_duds(self, share: float, rng: np.random.Generator | int) -> World:
         """Return the world where this share of the hazards never strikes, each by chance."""
-        drawn = generator(rng).random(self.hazard.size)
+        own = generator(rng)
+        if own is not rng:
+            # `random` draws the field from the first numbers of the same seed.
+            own.random((2, self.hazard.size))
+        drawn = own.random(self.hazard.size)
         return replace(self, duds=read_only(self.hazard & (drawn < probability('share', share))))
 
     def check_duds(self, model: SensorModel) -> None:

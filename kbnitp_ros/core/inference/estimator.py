@@ -37,6 +37,7 @@ from kbnitp_ros.core.inference.methods import (
 from kbnitp_ros.core.inference.model_check import Alternatives, Checker, ModelCheck
 from kbnitp_ros.core.inference.one_pass import OnePass
 from kbnitp_ros.core.inference.prior_maps import told_numbers, with_number
+from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import entry_name, PluginError
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +129,8 @@ class Estimator:
                 if each.effect != 'static':
                     raise ValueError(f'duds is not 0, and {what} are {each.kind}: duds are static')
         rates = {**dynamics.unknown_rates, **target_dynamics.target_rates}
-        if unknown := {**unknowns.priors, **rates}:
+        unknown = {**unknowns.priors, **rates}
+        if unknown:
             check_able(
                 method,
                 lambda each: each.learns,
@@ -156,10 +158,22 @@ class Estimator:
         self.version = start.version
         self._evidence = Series[tuple[Observation | Finding, RobotType]]()
         self._checker: Checker | None = None
-        if isinstance(start, OnePass) and start.learns:
-            prior = belief if start.correlated else belief.independent()
+        is_one_pass = isinstance(start, OnePass) and start.learns
+        if is_one_pass or (start is Sampler and not clusters):
+            correlated = getattr(start, 'correlated', True)
+            predicts = is_one_pass and bool(unknown or dynamics.kind == 'learn')
             self._checker = Checker(
-                partial(Alternatives, prior, model, unknowns, self.seed, dynamics, target_dynamics)
+                partial(
+                    Alternatives,
+                    belief if correlated else belief.independent(),
+                    model,
+                    unknowns,
+                    self.seed,
+                    dynamics,
+                    target_dynamics,
+                    correlated,
+                    predicts,
+                )
             )
         try:
             with METHODS.blamed(method):
@@ -234,17 +248,22 @@ class Estimator:
         return replace(dynamics, **rates)
 
     @property
-    def check(self) -> ModelCheck:
+    def model_check(self) -> ModelCheck:
         """
         Return the evidence for alternatives to the model (:eq:`model-check`).
 
-        Only 'kappa_bnitp' and 'relaxed_itp' have alternatives. The check may miss moving hazards,
-        which hardly affect returns.
+        'kappa_bnitp', 'relaxed_itp' and, with independent hazards, 'kappa_bnitp_sampled' have
+        alternatives. The check may miss moving hazards, which hardly affect returns, and duds.
         """
         if self._checker is None:
             name = entry_name(self.method)
+            if self.clustering is not None:
+                name += ' with clustered hazards'
             return ModelCheck(
-                False, {}, f'{name} has no model check: kappa_bnitp and relaxed_itp have one'
+                False,
+                {},
+                f'{name} has no model check: kappa_bnitp, relaxed_itp and kappa_bnitp_sampled '
+                'with independent hazards have one',
             )
         predicted = getattr(self._inference, 'predicted', None)
         return self._checker.check(self._evidence, predicted)

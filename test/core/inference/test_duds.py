@@ -162,6 +162,9 @@ def test_duds_of_worlds_never_strike_and_are_hazards():
     assert world.duds.tolist() == [False, True, True]
     assert all(world.traverse([0, 1, 2, 1, 0], sure, seed).survived for seed in range(20))
     assert not world.with_duds(0.0, 1).traverse([0, 1, 0], sure, 1).survived
+    # Also by the seed that drew the hazards.
+    drawn = field()
+    assert 0 < drawn.duds.sum() < drawn.hazard.sum()
     with pytest.raises(ValueError, match='which hazards are duds: make it with World.with_duds'):
         World(world.hazard, world.target).traverse([0, 1, 0], sure, 1)
 

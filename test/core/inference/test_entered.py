@@ -85,7 +85,7 @@ def test_it_counts_like_the_shorter_walk_to_the_bit(name):
     found, expected = believed(whole, lost, whole), believed(shorter, lost, shorter)
     assert found.belief.joint.tobytes() == expected.belief.joint.tobytes()
     assert found.kinds == expected.kinds
-    assert found.check == expected.check
+    assert found.model_check == expected.model_check
     for number, learnt in found.parameters.items():
         assert learnt.mean == expected.parameters[number].mean
     # Without a step that counts only the loss does; time passes all the same.

@@ -203,7 +203,7 @@ def test_kinds_and_alternatives_are_weighed_by_findings(seed):
                 for joint, kind in ((static, 'static'), (used_up, 'used_up'))
             )
         log_ratio += np.log(other) - np.log(chance)
-    check = folded(events, prior, model).check
+    check = folded(events, prior, model).model_check
     assert check.alternatives['used_up'] == pytest.approx(np.exp(log_ratio), rel=1e-9)
     kinds = folded(events, prior, model, dynamics=Dynamics('learn', move=0.01, vanish=0.01)).kinds
     ratio = kinds['used_up'] / kinds['static'] * (1 / 2) / (1 / 3)
@@ -214,13 +214,16 @@ def test_a_check_in_between_gives_the_check_of_all():
     prior, model = Belief.prior(Grid(3, 2), 0.3, 0.3, 0.6), SensorModel(0.6, 0.1)
     estimator, rng = Estimator(prior, model), np.random.default_rng(3)
     for event in (random_outcome(rng), random_finding(rng), random_outcome(rng)):
-        before = estimator.check
+        before = estimator.model_check
         estimator.assimilate(event)
         if isinstance(event, Finding):
             shifted = ('more returns', 'more positive readings')
-            after = estimator.check.alternatives
+            after = estimator.model_check.alternatives
             assert [after[k] for k in shifted] == [before.alternatives[k] for k in shifted]
-    assert estimator.check == folded([e for e, _ in estimator._evidence], prior, model).check
+    assert (
+        estimator.model_check
+        == folded([e for e, _ in estimator._evidence], prior, model).model_check
+    )
 
 
 @for_each('seed', range(6), every=3)
@@ -320,8 +323,8 @@ def test_a_change_is_no_evidence(options, duds):
     assert changed.parameters == start.parameters
     assert changed.kinds == pytest.approx(start.kinds, abs=1e-15)
     if start._checker is not None:
-        for name, ratio in changed.check.alternatives.items():
-            assert ratio == pytest.approx(start.check.alternatives[name], rel=1e-12)
+        for name, ratio in changed.model_check.alternatives.items():
+            assert ratio == pytest.approx(start.model_check.alternatives[name], rel=1e-12)
 
 
 @for_each('options, duds', SETTINGS)

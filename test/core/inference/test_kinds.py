@@ -9,6 +9,7 @@ import hazards_in_time
 from kbnitp_ros.core import (
     Belief,
     Beta,
+    Clustering,
     Dynamics,
     Estimator,
     Grid,
@@ -24,6 +25,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
+from kbnitp_ros.core.inference.model_check import ModelCheck
 from laws import for_each
 import numpy as np
 import pytest
@@ -108,7 +110,7 @@ def test_the_ratio_of_each_alternative_is_fair(unknowns, dynamics):
     """The belief expects each ratio to stay the same, over all outcomes of a deployment."""
     path, (first, *_) = [0, 1, 4, 1, 0], outcomes(3, 1)
     estimator = after([first], unknowns=unknowns, dynamics=dynamics)
-    before, expected, total = estimator.check.alternatives, {}, 0.0
+    before, expected, total = estimator.model_check.alternatives, {}, 0.0
     possible = [Observation(path, False)]
     possible += [Observation(path, True, each) for each in product((0, 1), repeat=4)]
     for observation in possible:
@@ -121,7 +123,7 @@ def test_the_ratio_of_each_alternative_is_fair(unknowns, dynamics):
             )
             assert chance == pytest.approx(by_states, abs=1e-12)
         total += chance
-        for name, ratio in other.check.alternatives.items():
+        for name, ratio in other.model_check.alternatives.items():
             expected[name] = expected.get(name, 0.0) + chance * ratio
     assert total == pytest.approx(1.0, abs=1e-9)
     for name, ratio in before.items():
@@ -131,7 +133,7 @@ def test_the_ratio_of_each_alternative_is_fair(unknowns, dynamics):
 def predicted(estimator):
     inference = estimator._inference
     if not hasattr(inference, 'predicted'):
-        assert estimator.check.alternatives
+        assert estimator.model_check.alternatives
         inference = estimator._checker._own
     return np.exp(inference.predicted[-1][0])
 
@@ -162,13 +164,13 @@ def test_the_evidence_identifies_kinds_and_the_check_detects_a_wrong_one():
     found = flown(Dynamics('learn'), used_up)
     assert max(found.kinds, key=found.kinds.get) == 'used_up'
     assert found.probable_dynamics == used_up
-    assert not found.check.is_in_doubt
-    check = flown(Dynamics(), used_up).check
+    assert not found.model_check.is_in_doubt
+    check = flown(Dynamics(), used_up).model_check
     assert check.is_in_doubt
     assert 'fits hazards that are used up' in check.reason
     assert 'than static hazards' in check.reason
     assert check.alternatives['used_up'] > 20.0 > check.alternatives['malfunction']
-    right = flown(Dynamics(), Dynamics()).check
+    right = flown(Dynamics(), Dynamics()).model_check
     assert not right.is_in_doubt
     assert 'no reason for doubt' in right.reason
 
@@ -193,10 +195,12 @@ def test_the_check_tells_reach_moving_targets_and_a_poor_detector_apart(true, dy
         truth=Truth(true, target_dynamics=dynamics),
         learning=Learning(Unknowns(lethality=(0.0, 1.0), hazard_density=Beta(1.5, 5.0))),
     )
-    check = mission.estimator.check
+    check = mission.estimator.model_check
     assert check.is_in_doubt
     assert max(check.alternatives, key=check.alternatives.get) == best
     assert 'better than' in check.reason
+    assert len(check.rivals) == 2
+    assert f' with {check.rivals[best]:.2f}' in check.reason
 
 
 def test_a_check_does_not_depend_on_earlier_checks():
@@ -205,11 +209,50 @@ def test_a_check_does_not_depend_on_earlier_checks():
     for observation in observations:
         often.assimilate(observation)
         often = often.copy()
-        assert often.check.alternatives
-    assert often.check == late.check
-    others = after(observations, method='kappa_bnitp_sampled').check
-    assert (others.is_in_doubt, dict(others.alternatives)) == (False, {})
-    assert 'kappa_bnitp_sampled has no model check' in others.reason
+        assert often.model_check.alternatives
+    assert often.model_check == late.model_check
+
+
+def test_the_sampled_method_is_checked_by_the_predictions_of_independent_cells():
+    observations, sampled = list(outcomes(5, 4)), {'method': 'kappa_bnitp_sampled'}
+    expected = after(observations).model_check
+    assert after(observations, **sampled).model_check == expected
+    # A learnt lethality is no alternative to itself.
+    learning = after(observations, **sampled, unknowns=LETHALITY).model_check
+    assert expected.alternatives.keys() - learning.alternatives.keys() == {'lethality'}
+    assert 'can miss duds (found in 18 % of missions) and a wrong lethality' in expected.reason
+    assert learning.reason.endswith('can miss duds (found in 18 % of missions)')
+    clustered = after(observations, **sampled, clustering=Clustering(GRID, 0.5)).model_check
+    assert (clustered.is_in_doubt, dict(clustered.alternatives)) == (False, {})
+    assert 'with clustered hazards has no model check' in clustered.reason
+
+
+@for_each('ratios, rivals', [
+    ({'used_up': 6.0, 'reach': 5.0, 'malfunction': 1.0}, {'used_up': 1.0}),
+    ({'used_up': 2.0, 'reach': 6.0, 'malfunction': 2.0}, {'reach': 0.75, 'malfunction': 0.25}),
+    ({'reach': np.inf, 'malfunction': 2.0}, {'reach': 1.0, 'malfunction': 0.0}),
+    ({'detector': 3.0, 'changing_targets': 1.0}, {'detector': 0.75, 'changing_targets': 0.25}),
+    ({'duds': 1.0, 'target_background': 4.0}, {'duds': 0.2, 'target_background': 0.8}),
+    ({'malfunction': 1.0}, {'malfunction': 1.0}),
+    ({}, {}),
+])  # fmt: skip
+def test_what_looks_like_the_best_alternative_is_weighed_against_it(ratios, rivals):
+    assert ModelCheck(False, ratios, '').rivals == rivals
+
+
+@for_each('unknowns, targets, without', [
+    (Unknowns(), Dynamics(), set()),
+    (Unknowns(duds=(0.0, 1.0)), Dynamics(), {'duds'}),
+    (Unknowns(kappa=(0.1, 0.9), target_background=(0.1, 0.9)), Dynamics(), {'target_background'}),
+    (Unknowns(), Dynamics('changing', 0.1, 0.1), {'duds', 'changing_targets'}),
+])  # fmt: skip
+def test_what_is_believed_is_no_alternative(unknowns, targets, without):
+    asked = {'duds', 'target_background', 'reach', 'malfunction', 'detector', 'changing_targets'}
+    estimator = after([], unknowns=unknowns, target_dynamics=targets)
+    assert asked - estimator.model_check.alternatives.keys() == without
+    # Without kappa, nothing tells duds.
+    others = after([], method='relaxed_itp').model_check.alternatives
+    assert asked - others.keys() == {'duds', 'target_background'}
 
 
 def test_a_kind_that_the_evidence_rules_out_has_no_weight():
@@ -239,5 +282,5 @@ def test_hundreds_of_robots_rule_a_kind_out_without_a_warning():
         estimator.assimilate(back if number % 2 else Observation(path, False))
     assert estimator.kinds['used_up'] == 0.0
     assert sum(estimator.kinds.values()) == pytest.approx(1.0)
-    assert estimator.check.reason
+    assert estimator.model_check.reason
     assert estimator.draws(10, np.random.default_rng(0))[0].shape == (10, 6)
