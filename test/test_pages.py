@@ -85,7 +85,7 @@ def test_commands_of_a_page_work_in_order(tmp_path):
     """Except for a study, which takes hours, and a forecast, with fewer missions."""
     tmp_path.joinpath('hidden.yaml').write_text(shown('world'))
     made = Counter()
-    for page in ('README.md', 'docs/commands.md', 'docs/files.md'):
+    for page in ('README.md', 'docs/commands.md', 'docs/files.md', 'docs/which_field.md'):
         for line in COMMAND.finditer(
             ''.join(text for kind, text in blocks(page) if kind == 'bash')
         ):
@@ -101,14 +101,17 @@ def test_commands_of_a_page_work_in_order(tmp_path):
                 assert study.wait(timeout=180) == 130
             else:
                 run([*words_of, *['--worlds', '2'] * (line[1] == 'forecast')], tmp_path)
-    assert made == {'demo': 4, 'replay': 1, 'report': 1, 'study': 1, 'forecast': 1, 'layout': 2}
+    assert made == {'demo': 7, 'replay': 1, 'report': 1, 'study': 10, 'forecast': 1, 'layout': 2}
     assert {'small', 'small_report', 'paper', 'team', 'forecast', 'hidden'} <= {
         each.name for each in tmp_path.joinpath('runs').iterdir()
     }
     assert list(tmp_path.glob('runs/paper/trials/*.npz'))
 
 
-@for_each('page, printed', [('docs/commands.md', None), ('docs/decisions.md', 'True')])
+@for_each(
+    'page, printed',
+    [('docs/commands.md', None), ('docs/decisions.md', 'True'), ('docs/which_field.md', '')],
+)
 def test_an_example_in_python_prints_the_stated_output(page, printed, capsys):
     (example,) = (block for language, block in blocks(page) if language == 'python')
     exec(example, {})

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 import json
@@ -102,6 +103,7 @@ def mission_facts(
         # P(a step is survived) without a hazard and with one.
         'survival': last.snapshot.model.survival(np.array([0.0, 1.0])).tolist(),
         'visited': np.searchsorted(kept, first_visits(mission)).tolist(),
+        'looks': target_looks(mission),
         'deployments': {
             each: path_and_loss(mission, mission.deployments[each]) for each in sorted(needed)
         },
@@ -224,6 +226,21 @@ def first_visits(mission: Mission) -> NDArray[np.intp]:
         for path, time in known:
             first[path] = np.minimum(first[path], np.searchsorted(times, time))
     return first
+
+
+def target_looks(mission: Mission) -> dict[int, list[tuple[int, int]]] | None:
+    """Return the readings of each cell with their moments; None if targets are static."""
+    if mission.moments[0].snapshot.target_dynamics.effect == 'static':
+        return None
+    looks = defaultdict[int, list[tuple[int, int]]](list)
+    for place, moment in enumerate(mission.moments):
+        if moment.outcome is None:
+            continue
+        path, readings = moment.outcome.evidence
+        for cell, reading in zip(path[1:].tolist(), [] if readings is None else readings.tolist()):
+            if reading >= 0:
+                looks[cell].append((place, int(reading)))
+    return looks
 
 
 def moment_facts(

@@ -34,8 +34,15 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.decision.decision import there_and_back
 from kbnitp_ros.core.decision.goals import FlightState, GOALS
-from kbnitp_ros.core.field.sensor import SENSORS
-from kbnitp_ros.core.field.unknowns import ALL_KNOWN, HAZARD_RATES, HAZARDS
+from kbnitp_ros.core.field.sensor import OF_HAZARDS, SENSORS
+from kbnitp_ros.core.field.unknowns import (
+    ALL_KNOWN,
+    HAZARD_RATES,
+    HAZARDS,
+    STATIC,
+    TARGET_KINDS,
+    ZERO,
+)
 from kbnitp_ros.core.planning.plans import check_team, team_size
 import numpy as np
 
@@ -89,9 +96,11 @@ class SafestLane(Lane):
         return situation.planned(there_and_back(lane, lane), 0.0)
 
 
-# The sampled method, and its name when it learns the numbers of the section `learn`.
+# The sampled method, and names of methods that learn the numbers of the section `learn`.
 SAMPLED = 'kappa_bnitp_sampled'
 LEARNING = f'{SAMPLED}_learning'
+ONE_PASS_LEARNING = 'kappa_bnitp_learning'
+LEARNERS = {LEARNING: SAMPLED, ONE_PASS_LEARNING: 'kappa_bnitp'}
 
 # The numbers that can be learnt.
 NUMBERS = tuple(field.name for field in fields(Unknowns))
@@ -163,6 +172,8 @@ class Strategy:
     # 'learn' for hazards believed clustered, with a learnt coupling; empty for independent
     # hazards.
     clustering: Annotated[str, ('learn',), ''] = ''
+    # Kind of targets believed: 'static', or 'learn' to infer whether they change.
+    target_dynamics: Annotated[str, ('static', 'learn')] = 'static'
     # 'own': paths are planned on the strategy's belief. 'static': on the belief of `kappa_bnitp`
     # with static hazards, which gives all strategies the same evidence.
     paths: Annotated[str, PATHS] = 'own'
@@ -229,6 +240,24 @@ INDEPENDENT = Hazards()
 
 
 @dataclass(frozen=True)
+class Targets:
+    """Dynamics of the worlds' targets, as in `Dynamics`."""
+
+    dynamics: Annotated[str, TARGET_KINDS[:-1]] = 'static'
+    appear: Probability = 0.0
+    vanish: Probability = 0.0
+    move: Probability = 0.0
+
+    @property
+    def truth(self) -> Dynamics:
+        """Return the dynamics."""
+        return Dynamics(self.dynamics, self.appear, self.vanish, self.move)
+
+
+STILL = Targets()
+
+
+@dataclass(frozen=True)
 class Sensor:
     """Sensor model without the lethality, as in `SensorModel`."""
 
@@ -237,6 +266,21 @@ class Sensor:
     true_positive: Probability | None
     false_positive: Probability | None
     reach: Probability = 0.0
+    duds: Probability = 0.0
+
+
+@dataclass(frozen=True)
+class Believed:
+    """Numbers assumed by planner and estimator; None for the true one."""
+
+    malfunction: Probability | None = None
+    true_positive: Probability | None = None
+    false_positive: Probability | None = None
+    reach: Probability | None = None
+    duds: Probability | None = None
+
+
+RIGHT = Believed()
 
 
 @dataclass(frozen=True)
@@ -259,8 +303,8 @@ class Scenario:
     trials: Count
     # Number of deployments of a mission, at least 1.
     robots: Count
-    # Names of methods in `METHODS`, or `LEARNING`.
-    methods: tuple[Annotated[str, METHODS, LEARNING], ...]
+    # Names of methods in `METHODS`, or of `LEARNERS`.
+    methods: tuple[Annotated[str, METHODS, LEARNING, ONE_PASS_LEARNING], ...]
     # Lethalities of the worlds, in [0, 1]; None: drawn for each world from `learn`.
     lethalities: tuple[Probability | None, ...]
     # Sections. If `prior` is None, the prior follows from the densities of the worlds.
@@ -277,6 +321,10 @@ class Scenario:
     learn: Unknowns = ALL_KNOWN
     # Layout and dynamics of hazards; by default static and independent.
     hazards: Hazards = INDEPENDENT
+    # Dynamics of targets; by default static.
+    targets: Targets = STILL
+    # Numbers of the sensor model that are assumed; by default the true ones.
+    believed: Believed = RIGHT
     # Decision requested of missions; None: the field is mapped.
     asked: DecisionRequest | None = None
     # 'first': of equally good paths the planner takes the first. 'random': factors of
@@ -356,8 +404,9 @@ class Scenario:
     def check_learning(self) -> None:
         """Check that drawn and learnt numbers have a prior."""
         priors = self.learn.priors
-        if LEARNING in self.methods and not priors:
-            raise ValueError(f'{LEARNING} has nothing to learn: name numbers with their priors')
+        for name in LEARNERS.keys() & {*self.methods}:
+            if not priors:
+                raise ValueError(f'{name} has nothing to learn: name numbers with their priors')
         drawn = [name for name, value in self._given(self.lethalities[0]).items() if value is None]
         if None in self.lethalities:
             drawn.append('lethality')
@@ -383,23 +432,34 @@ class Scenario:
                     )
             if kind in kinds and not any(rates.values()):
                 raise ValueError(f'{kind} hazards need a rate: {" or ".join(names)}')
+        targets, sensor = self.targets.truth.effect, self.sensor
         for method, team in self.contenders:
-            if hazards.of_kind(team.dynamics).effect != 'static' or team.clustering:
-                self.estimator(method, team, self.belief(truth), self.model(truth))
+            changes = hazards.of_kind(team.dynamics).effect != 'static' or targets != 'static'
+            if changes or team.clustering or sensor.reach or sensor.duds:
+                self.estimator(method, team, self.belief(truth), self.model(self.assumed(truth)))
 
     def estimator(
         self, method: str, team: Strategy, prior: Belief, model: SensorModel, seed: int = 0
     ) -> Estimator:
         """Return the estimator of a contender before the first robot."""
-        learns = method == LEARNING
+        learn = ALL_KNOWN
+        if method in LEARNERS:
+            # No reach, and no duds, have a prior probability.
+            learn = Unknowns(
+                **{
+                    name: replace(each, zero=ZERO.get(name, 0.0))
+                    for name, each in self.learn.priors.items()
+                }
+            )
         return Estimator(
             prior,
             model,
-            SAMPLED if learns else method,
-            self.learn if learns else ALL_KNOWN,
+            LEARNERS.get(method, method),
+            learn,
             seed,
             dynamics=self.hazards.of_kind(team.dynamics),
             clustering=Clustering(self.field(), team.clustering) if team.clustering else None,
+            target_dynamics=STATIC if team.target_dynamics == 'static' else Dynamics('learn'),
         )
 
     def _given(self, lethality: float | None) -> dict[str, float | None]:
@@ -411,6 +471,11 @@ class Scenario:
         drawn = {name: drawn_from(prior, rng) for name, prior in self.learn.priors.items()}
         given = self._given(lethality)
         return {name: drawn[name] if value is None else value for name, value in given.items()}
+
+    def assumed(self, truth: Mapping[str, float]) -> dict[str, float]:
+        """Return the numbers that planner and estimator assume in a world of these numbers."""
+        given = {'lethality': self.believed_lethality, **vars(self.believed)}
+        return {**truth, **{name: value for name, value in given.items() if value is not None}}
 
     def belief(self, truth: Mapping[str, float]) -> Belief:
         """Return the prior for these numbers."""
@@ -425,4 +490,4 @@ class Scenario:
     @staticmethod
     def model(truth: Mapping[str, float]) -> SensorModel:
         """Return the sensor model with these numbers."""
-        return SensorModel(**{name: truth[name] for name in (*SENSORS, 'reach')})
+        return SensorModel(**{name: truth[name] for name in (*SENSORS, *OF_HAZARDS)})

@@ -35,6 +35,9 @@ MAPPED = 0x4D415053
 # Seed key of factors that break ties, distinct from the keys of worlds and robots.
 TIED = 0x54494544
 
+# Seed key of duds, distinct from the keys of worlds and robots.
+NEVER = 0x44554453
+
 # Correlation length of blobs, in cells: the standard deviation of a Gaussian kernel.
 REACH = 1.0
 # Maximum number of hazards in a row.
@@ -107,7 +110,7 @@ class Trial(NamedTuple):
 
     # Lethality of the world; None if it is drawn.
     lethality: float | None
-    # Name of the method in `METHODS`, or `LEARNING`.
+    # Name of the method in `METHODS`, or of `LEARNERS`.
     method: str
     # Number of the world, from 0.
     number: int
@@ -164,10 +167,10 @@ def run_trial(study: Study, trial: Trial) -> DataFrame:
     grid = scenario.field()
     truth = scenario.truth(trial.lethality, trial.number)
     world = draw_world(scenario, grid, truth, rng, trial.number)
-    believed = dict(truth)
-    if scenario.believed_lethality is not None:
-        believed['lethality'] = scenario.believed_lethality
-    prior, model = scenario.belief(truth), scenario.model(believed)
+    if truth['duds']:
+        own = np.random.default_rng([NEVER, scenario.seed, trial.number])
+        world = world.with_duds(truth['duds'], own)
+    prior, model = scenario.belief(truth), scenario.model(scenario.assumed(truth))
     if scenario.ties == 'random':
         prior = without_ties(prior, scenario.seed, trial.number)
     prior = surveyed(prior, world, trial.team, scenario.seed, trial.number)
@@ -183,6 +186,7 @@ def run_trial(study: Study, trial: Trial) -> DataFrame:
             scenario.model(truth),
             Execution(contact=trial.team.last_contact),
             scenario.hazards.of_kind(scenario.hazards.dynamics),
+            scenario.targets.truth,
         ),
         goal=scenario.goal(trial.team),
     ).run(scenario.robots, team=trial.team.leaving())

@@ -16,7 +16,7 @@ from extent import FULL, some
 from kbnitp_ros.cli.study import parse, study
 from kbnitp_ros.study import comparing
 from kbnitp_ros.study.results import Results
-from kbnitp_ros.study.scenario import ALONE, INDEPENDENT, NUMBERS
+from kbnitp_ros.study.scenario import ALONE, INDEPENDENT, NUMBERS, RIGHT, STILL
 from kbnitp_ros.study.scenario_file import read_study, scenario_file
 from kbnitp_ros.study.workers import Folder
 from launches import run_on_terminal
@@ -176,10 +176,11 @@ def test_a_shipped_scenario_is_known_by_its_name_and_kept_whole(tmp_path):
     kept = yaml.safe_load((tmp_path / 'scenario.yaml').read_text())
     shipped = Path(__file__).parents[2] / 'config/scenarios/paper.yaml'
     told = yaml.safe_load(shipped.read_text())
-    told['sensor'] |= {'reach': 0.0}
+    told['sensor'] |= {'reach': 0.0, 'duds': 0.0}
     told['planning']['max_distance'] = 0.0
     told['learn'] = dict.fromkeys(NUMBERS)
     told |= {'believed_lethality': None, 'asked': None, 'teams': [vars(ALONE)], 'ties': 'first'}
+    told |= {'targets': vars(STILL), 'believed': vars(RIGHT)}
     assert kept == told | {'hazards': vars(INDEPENDENT)}
 
 

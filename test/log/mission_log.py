@@ -86,6 +86,7 @@ class Mission:
     method_seed: int = 0
     dynamics: Dynamics = STATIC
     clustering: Clustering | None = None
+    target_dynamics: Dynamics = STATIC
     hazard: float = 0.3
     robot_types: Mapping[str, RobotType] = field(default_factory=dict)
 
@@ -104,6 +105,7 @@ class Mission:
             self.method_seed,
             dynamics=self.dynamics,
             clustering=self.clustering,
+            target_dynamics=self.target_dynamics,
         )
         self.ledger = Ledger(self.grid, MAX_STEPS, estimator, self.robot_types)
         self.started = self.epoch = self.now

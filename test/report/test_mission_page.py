@@ -325,6 +325,25 @@ def test_hazards_believed_used_up_are_drawn_and_listed(opened, shown, tmp_path):
     assert not opened().locator('#colour-used-up').count()
 
 
+def test_a_cell_whose_target_may_change_shows_how_old_its_last_reading_is(opened, tmp_path):
+    whole = Shown(target_dynamics=Dynamics('changing', 0.05, 0.1))
+    for cells, readings in (([2, 1, 2], (1, 0)), ([2, 3, 2], (-1, 0)), ([2, 1, 6, 2], (0, -1, 1))):
+        whole.deploy(Observation(cells, True, readings))
+    whole.deploy(Observation([2, 3, 2], False))
+    page = opened(file=page_file(read_mission(record(tmp_path / 'mission.mcap', whole.sent))))
+    column, row = page.locator('#x'), page.locator('#y')
+    for cell, said in (
+        (1, ' No target was read 1 deployment ago; the probability is of now.'),
+        (2, ' A target was read 1 deployment ago; the probability is of now.'),
+        (6, ' Its target was never read.'),
+        (3, ' Its target was never read.'),
+    ):
+        for field, value in zip((column, row), GRID.centers([cell])[0]):
+            field.fill(f'{value:g}')
+            field.dispatch_event('change')
+        assert said in page.locator('#cell').inner_text()
+
+
 def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     mission, _ = shown
     page = opened()

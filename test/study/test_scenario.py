@@ -202,6 +202,7 @@ def test_the_shipped_scenarios_are_the_experiment_of_the_paper():
             'malfunction': 0.05,
             'false_negative': 0.05,
             'reach': 0.0,
+            'duds': 0.0,
             'true_positive': 0.95,
             'false_positive': 0.05,
         }

@@ -2,22 +2,33 @@
 """A trial is a mission of the core, measured after every robot, perhaps with a prior map."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 from kbnitp_ros.core import (
     Belief,
     brier_score,
+    Dynamics,
     Grid,
+    Learning,
     log_loss,
     run_mission,
     SearchOptions,
     SensorModel,
     Team,
     Truth,
+    Unknowns,
     World,
 )
 from kbnitp_ros.study.scenario import Strategy
 from kbnitp_ros.study.scenario_file import parse_study
-from kbnitp_ros.study.trial import list_trials, run_trial, surveyed, Trial, without_ties
+from kbnitp_ros.study.trial import (
+    list_trials,
+    NEVER,
+    run_trial,
+    surveyed,
+    Trial,
+    without_ties,
+)
 from laws import for_each
 import numpy as np
 import pytest
@@ -189,3 +200,40 @@ def test_a_better_map_is_wrong_only_where_a_poorer_one_is():
         for survey in (0.7, 0.9)
     ]
     assert (wrong[0] | ~wrong[1])[1:].all()
+
+
+@for_each('method, changes, truth, unknowns, targets', [
+    ('kappa_bnitp', {'sensor.reach': 0.3, 'believed.reach': 0.0}, {'reach': 0.3}, {}, 'static'),
+    ('kappa_bnitp_learning', {'sensor.duds': 0.5, 'learn': {'duds': {'low': 0.0, 'high': 0.9}}},
+     {'duds': 0.5}, {'duds': (0.0, 0.9)}, 'static'),
+    ('kappa_bnitp', {'sensor.false_positive': 0.3, 'believed.false_positive': 0.05},
+     {'false_positive': 0.3}, {}, 'static'),
+    ('kappa_bnitp', {'targets': {'dynamics': 'moving', 'move': 0.5}}, {}, {}, 'learn'),
+])  # fmt: skip
+def test_fields_may_be_other_than_believed(method, changes, truth, unknowns, targets):
+    team = {'teams': [{'target_dynamics': targets}]}
+    study = parse_study(CONTENT, {**changes, **team, 'methods': [method], 'lethalities': [0.9]})
+    scenario = study.first
+    (*_, trial) = list_trials(study)
+    outcome = run_trial(study, trial)
+    rng, grid = np.random.default_rng([scenario.seed, trial.number]), scenario.field()
+    world = World.random(grid, rng, 0.3, 0.8, 0.1)
+    if 'duds' in truth:
+        world = world.with_duds(0.5, np.random.default_rng([NEVER, scenario.seed, trial.number]))
+    mission = run_mission(
+        grid,
+        Belief.prior(grid, 0.3, 0.31, 0.8),
+        SensorModel(0.9),
+        world,
+        scenario.robots,
+        rng,
+        options=SearchOptions('relaxed', max_steps=6, max_visits=2),
+        truth=Truth(SensorModel(0.9, **truth), target_dynamics=scenario.targets.truth),
+        learning=Learning(Unknowns(**unknowns), trial.number),
+        target_dynamics=Dynamics(targets),
+    )
+    assert outcome['entropy'].iloc[-1] == mission[-1].belief.entropy()
+    assert outcome['hazard_log_loss'].iloc[-1] == log_loss(mission[-1].belief.hazard, world.hazard)
+    if targets == 'learn':
+        targets = [each.world.target for each in mission]
+        assert any((one != other).any() for one, other in pairwise(targets))

@@ -89,7 +89,17 @@ function told(moment, each) {
   const truth = mission.truth ? ` In truth ${hazard ? 'a hazard' : 'no hazard'}, ${target ? 'a target' : 'no target'}.` : '';
   const first = mission.visited[each];
   const visited = first >= 0 && first <= moment ? '' : ' No robot was sent here so far.';
-  return `${spot(each)}: ${values.map(([name, number]) => `${name} ${number.toFixed(3)}`).join(', ')}.${truth}${visited}`;
+  return `${spot(each)}: ${values.map(([name, number]) => `${name} ${number.toFixed(3)}`).join(', ')}.${truth}${visited}${lastLook(moment, each)}`;
+}
+
+// How old the last reading of a cell is, where targets may change.
+function lastLook(moment, each) {
+  if (!mission.looks) return '';
+  const { place } = mission.moments[moment];
+  const last = (mission.looks[each] || []).filter(([at]) => at <= place).at(-1);
+  if (!last) return ' Its target was never read.';
+  const age = place - last[0];
+  return ` ${last[1] ? 'A target' : 'No target'} was read ${age ? `${age} deployment${age > 1 ? 's' : ''} ago` : 'just now'}; the probability is of now.`;
 }
 
 // The cells in which the robot of a moment may have been lost, the most probable first.
