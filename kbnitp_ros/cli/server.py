@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serve a mission over HTTP to those who hold the token of this start, and to nobody else."""
+"""Serve a mission over HTTP to those who hold a token of this start, and to nobody else."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import io
 from ipaddress import IPv4Address
 from pathlib import Path
+import re
 import secrets
 import socket
 import ssl
 from threading import BoundedSemaphore, Thread
 import time
+from types import MappingProxyType
 from typing import Any
 
 HOST, PORT = '127.0.0.1', 8080
@@ -28,8 +30,9 @@ TOKEN = 'X-Kbnitp-Token'
 # Seconds in which a request must be read, and in which each piece of an answer must be sent.
 MAX_SECONDS = 10.0
 
-# Maximum number of connections and of streams, and bytes of a request and of a piece of an answer.
-MAX_CONNECTIONS, MAX_STREAMS, MAX_BYTES = 64, 16, 2**16
+# Maximum number of connections and of streams, and bytes of the head of a request, of its body and
+# of a piece of an answer.
+MAX_CONNECTIONS, MAX_STREAMS, MAX_BYTES = 64, 32, 2**16
 
 # Errors of a port that is taken or reserved.
 PORT_ERRORS = errno.EADDRINUSE, errno.EACCES
@@ -103,14 +106,27 @@ class Resource:
     kind: str
     content: Callable[[], str | Iterator[str]]
     is_open: bool = False
+    # The content for those who may act, where it differs.
+    acting: Callable[[], str | Iterator[str]] | None = None
+
+
+# A function from the body of a POST request to the status and the JSON of its answer.
+Act = Callable[[bytes], tuple[HTTPStatus, str]]
+
+NO_ACTS: Mapping[str, Act] = MappingProxyType({})
 
 
 @contextmanager
-def serving(resources: Mapping[str, Resource], policy: str, where: Address) -> Iterator[str]:
-    """Serve resources by their paths, and yield the address of `/` with the token."""
+def serving(
+    resources: Mapping[str, Resource],
+    policy: str,
+    where: Address,
+    acts: Mapping[str, Act] = NO_ACTS,
+) -> Iterator[str]:
+    """Serve resources and acts by their paths, and yield the address of `/` with the tokens."""
     context = where.context()
     try:
-        server = Server(resources, policy, where, context)
+        server = Server(resources, policy, where, context, acts)
     except (OSError, UnicodeError) as error:
         if isinstance(error, OSError) and error.errno in PORT_ERRORS:
             raise OSError(
@@ -121,7 +137,8 @@ def serving(resources: Mapping[str, Resource], policy: str, where: Address) -> I
     Thread(target=server.serve_forever, daemon=True).start()
     try:
         name = where.name or where.host
-        yield f'{server.scheme}://{name}:{server.server_port}/#token={server.token}'
+        act = f'&act={server.acting}' if acts else ''
+        yield f'{server.scheme}://{name}:{server.server_port}/#token={server.looking}{act}'
     finally:
         server.shutdown()
         server.server_close()
@@ -139,10 +156,13 @@ class Server(ThreadingHTTPServer):
         policy: str,
         where: Address,
         context: ssl.SSLContext | None,
+        acts: Mapping[str, Act],
     ) -> None:
         self.resources = resources
+        self.acts = acts
         self.policy = f"{policy}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-        self.token = secrets.token_urlsafe(16)
+        # Tokens to look, and to act as well.
+        self.looking, self.acting = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
         self.streams = BoundedSemaphore(MAX_STREAMS)
         self._connections = BoundedSemaphore(MAX_CONNECTIONS)
         self._context = context
@@ -188,6 +208,10 @@ class Incoming(io.RawIOBase):
         self._left = MAX_BYTES
         self._end = time.monotonic() + MAX_SECONDS
 
+    def allow(self, count: int) -> None:
+        """Allow the bytes of a body, in the same time."""
+        self._left += count
+
     def readable(self) -> bool:
         """Return that it can be read."""
         return True
@@ -213,7 +237,8 @@ class Handler(BaseHTTPRequestHandler):
         """Limit the request."""
         super().setup()
         self.rfile.close()
-        self.rfile = io.BufferedReader(Incoming(self.connection))
+        self._incoming = Incoming(self.connection)
+        self.rfile = io.BufferedReader(self._incoming)
 
     def do_GET(self) -> None:
         """Answer a request."""
@@ -222,7 +247,8 @@ class Handler(BaseHTTPRequestHandler):
             self.send_error(status)
             return
         assert resource
-        content = resource.content()
+        is_acting = resource.acting and self._has(self.server.acting)
+        content = (resource.acting if is_acting else resource.content)()
         if isinstance(content, str):
             self._send(resource.kind, iter([content]))
         elif self.server.streams.acquire(blocking=False):
@@ -233,29 +259,72 @@ class Handler(BaseHTTPRequestHandler):
         else:
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
 
-    def _refusal(self, resource: Resource | None) -> HTTPStatus | None:
-        """Return the status of a request that is refused: other sites must not read anything."""
+    def do_POST(self) -> None:
+        """Answer a request to act."""
+        if status := self._act_refusal():
+            self.send_error(status)
+            return
+        length = int(self.headers['Content-Length'])
+        self._incoming.allow(length)
+        body = self.rfile.read(length)
+        if len(body) == length:
+            answer, text = self.server.acts[self.path](body)
+            self._send('application/json', iter([text]), answer)
+
+    def _is_own(self) -> bool:
+        """Return whether a request names this server, and is from no other site."""
         hosts = self.headers.get_all('Host', [])
         if len(hosts) != 1 or hosts[0].lower() not in self.server.hosts:
-            return HTTPStatus.FORBIDDEN
-        if self.headers.get('Origin', own := f'{self.server.scheme}://{hosts[0]}') != own:
-            return HTTPStatus.FORBIDDEN
-        # Typed addresses have no site, and other clients than browsers no such header.
-        if self.headers.get('Sec-Fetch-Site', 'none') not in ('none', 'same-origin'):
+            return False
+        own = f'{self.server.scheme}://{hosts[0]}'
+        # Only GET requests may lack an origin. Typed addresses have no site, and other clients
+        # than browsers no such header.
+        is_get = self.command == 'GET'
+        origins = self.headers.get_all('Origin', [own] if is_get else [])
+        sites = ('none', 'same-origin') if is_get else ('same-origin',)
+        return origins == [own] and self.headers.get('Sec-Fetch-Site', sites[-1]) in sites
+
+    def _has(self, *tokens: str) -> bool:
+        """Return whether a request has one of these tokens."""
+        given = self.headers.get(TOKEN, '').encode(errors='replace')
+        return any(hmac.compare_digest(given, token.encode()) for token in tokens)
+
+    def _refusal(self, resource: Resource | None) -> HTTPStatus | None:
+        """Return the status of a request that is refused: other sites must not read anything."""
+        if not self._is_own():
             return HTTPStatus.FORBIDDEN
         if 'Transfer-Encoding' in self.headers or self.headers.get('Content-Length', '0') != '0':
             return HTTPStatus.BAD_REQUEST
         if resource is None:
             return HTTPStatus.NOT_FOUND
-        token = self.headers.get(TOKEN, '').encode(errors='replace')
-        if not (resource.is_open or hmac.compare_digest(token, self.server.token.encode())):
+        if not (resource.is_open or self._has(self.server.looking, self.server.acting)):
             return HTTPStatus.FORBIDDEN
         return None
 
-    def _send(self, kind: str, content: Iterator[str]) -> None:
+    def _act_refusal(self) -> HTTPStatus | None:
+        """Return the status of a request to act that is refused."""
+        if not self._is_own():
+            return HTTPStatus.FORBIDDEN
+        if self.path not in self.server.acts:
+            is_read = self.path in self.server.resources
+            return HTTPStatus.METHOD_NOT_ALLOWED if is_read else HTTPStatus.NOT_FOUND
+        if not self._has(self.server.acting):
+            return HTTPStatus.FORBIDDEN
+        if self.headers.get_content_type() != 'application/json':
+            return HTTPStatus.UNSUPPORTED_MEDIA_TYPE
+        lengths = self.headers.get_all('Content-Length', [])
+        if not lengths:
+            return HTTPStatus.LENGTH_REQUIRED
+        if 'Transfer-Encoding' in self.headers or not re.fullmatch('[0-9]{1,9}', lengths[0]):
+            return HTTPStatus.BAD_REQUEST
+        if int(lengths[0]) > MAX_BYTES:
+            return HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+        return None if len(lengths) == 1 else HTTPStatus.BAD_REQUEST
+
+    def _send(self, kind: str, content: Iterator[str], status: HTTPStatus = HTTPStatus.OK) -> None:
         """Send an answer, whose end is that of the connection."""
         self.connection.settimeout(MAX_SECONDS)
-        self.send_response(HTTPStatus.OK)
+        self.send_response(status)
         self.send_header('Content-Type', f'{kind}; charset=utf-8')
         self.end_headers()
         for text in content:
@@ -271,4 +340,4 @@ class Handler(BaseHTTPRequestHandler):
         super().end_headers()
 
     def log_message(self, *_: object) -> None:
-        """Log no requests: they hold the token."""
+        """Log no requests: they hold a token."""

@@ -3,6 +3,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from http import HTTPStatus
 import http.client
 import json
 import random
@@ -162,7 +163,8 @@ def test_only_its_own_names_open_it():
             assert status(port, token, Host=name) == expected, name
         own = f'http://localhost:{port}'
         assert status(port, token, Origin=own, Sec_Fetch_Site='same-origin') == 200
-        assert status(port, token, '/', 'POST') == 501
+        assert status(port, token, '/', 'POST') == 403
+        assert status(port, token, '/', 'POST', Origin=own) == 405
         assert status(port, None, '/', Sec_Fetch_Site='none') == 200
         head = answer(port, request(port, None, '/')).decode().partition('\r\n\r\n')[0]
     with serving(RESOURCES, '', Address(port=0)) as later:
@@ -176,6 +178,86 @@ def test_only_its_own_names_open_it():
         "base-uri 'none'; form-action 'none'",
     ):
         assert line in head.splitlines(), line
+
+
+def acting(port, look, act, rng):
+    """Return an order, and changes of its request by each of which it must not be obeyed."""
+    own = f'http://localhost:{port}'
+    body = b'{"hold": true}'
+    order = {
+        'path': '/act', 'method': 'POST', 'body': body, 'Origin': own,
+        'Content_Type': 'application/json', 'Content_Length': str(len(body)),
+    }  # fmt: skip
+    foreign = ['evil.example', 'null', f'https://localhost:{port}', f'http://127.0.0.1:{port}']
+    changes = [
+        (403, {'X_Kbnitp_Token': rng.choice([None, look, act[:-1], f'{act}x', 'é' * 22])}),
+        (403, {'Origin': rng.choice([None, *foreign, f'{own}\r\nOrigin: {own}'])}),
+        (403, {'Host': rng.choice([None, 'evil.example', f'localhost:{port + 1}'])}),
+        (403, {'Sec_Fetch_Site': rng.choice(['cross-site', 'same-site', 'none', ''])}),
+        (415, {'Content_Type': rng.choice([None, 'text/plain', 'application/json2', 'é'])}),
+        (411, {'Content_Length': None}),
+        (411, {'Content_Length': None, 'Transfer_Encoding': 'chunked'}),
+        (400, {'Transfer_Encoding': 'chunked'}),
+        (400, {'Content_Length': rng.choice(['-1', '1e3', '0x10', '', '²', '9' * 10])}),
+        (400, {'Content_Length': f'{len(body)}\r\nContent-Length: {len(body)}'}),
+        (413, {'Content_Length': str(rng.randrange(2**16 + 1, 10**9))}),
+        (404, {'path': rng.choice(['/ACT', '/act/', '/act?x', '/%61ct', '//act', '*'])}),
+        (405, {'path': rng.choice(['/', '/facts', '/events'])}),
+        (404, {'method': 'GET', 'Content_Type': None, 'Content_Length': None, 'body': b''}),
+        (501, {'method': rng.choice(['PUT', 'DELETE', 'PATCH', 'OPTIONS', 'post', 'HEAD'])}),
+    ]
+    return order, changes
+
+
+def test_an_order_needs_the_acting_token_this_page_and_a_short_body(monkeypatch):
+    monkeypatch.setattr(server, 'MAX_SECONDS', 2.0)
+    obeyed = []
+
+    def act(body):
+        obeyed.append(body)
+        return HTTPStatus.CONFLICT, '{"error": "x"}'
+
+    rng = random.Random(5)
+    with serving(RESOURCES, '', Address(port=0), {'/act': act}) as address:
+        address, act_token = address.split('&act=')
+        *_, port, look = parts(address)
+        assert len({look, act_token}) == 2
+        for _ in range(6):
+            order, changes = acting(port, look, act_token, rng)
+            for expected, change in changes:
+                sent = request(port, act_token, **{**order, **change})
+                received = answer(port, sent)
+                # An answer may be lost to a request that was not read to its end.
+                assert not received or int(received.split()[1]) == expected, sent
+        # A body that does not come, or not in time.
+        for length in ('15', '65536'):
+            unfinished = {**order, 'Content_Length': length}
+            assert answer(port, request(port, act_token, **unfinished)) == b''
+        assert obeyed == []
+        for site in (None, 'same-origin'):
+            received = answer(port, request(port, act_token, **order, Sec_Fetch_Site=site))
+            assert received.startswith(b'HTTP/1.0 409'), received
+            assert received.endswith(b'{"error": "x"}')
+        body = b'x' * 2**16
+        sent = {**order, 'body': body, 'Content_Length': str(len(body))}
+        assert status(port, act_token, **sent) == 409
+        assert obeyed == [order['body'], order['body'], body]
+        # Those who may act may look, too.
+        assert status(port, act_token) == status(port, look) == 200
+    with serving(RESOURCES, '', Address(port=0)) as address:
+        *_, port, look = parts(address)
+        own = f'http://localhost:{port}'
+        assert status(port, look, '/act', 'POST', Origin=own) == 404
+
+
+def test_streams_know_who_may_act():
+    acting = Resource('text/plain', lambda: iter(['look']), acting=lambda: iter(['act']))
+    acts = {'/act': lambda _: (HTTPStatus.OK, '')}
+    with serving({'/board': acting}, '', Address(port=0), acts) as address:
+        address, act = address.split('&act=')
+        *_, port, look = parts(address)
+        for token, expected in ((look, b'look'), (act, b'act')):
+            assert answer(port, request(port, token, '/board')).endswith(b'\r\n\r\n' + expected)
 
 
 def test_half_and_slow_requests_hold_neither_threads_nor_the_page(monkeypatch):

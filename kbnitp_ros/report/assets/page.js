@@ -578,7 +578,7 @@ async function load(text) {
 
 // Take the token out of the address; a reload finds it again.
 function tokenOfServer() {
-  const given = location.hash.match(/^#token=(.+)$/);
+  const given = location.hash.match(/^#token=([^&]+)/);
   if (given) {
     sessionStorage.setItem('token', given[1]);
     history.replaceState(null, '', location.pathname);
