@@ -33,7 +33,7 @@ BELOW = {
     'styles': {'core'},
     'figures': {'core', 'plugins', 'styles'},
     'study': {'files', 'plugins', 'core', 'figures', 'styles'},
-    'report': {'files', 'core', 'maps', 'messages', 'log', 'styles'},
+    'report': {'files', 'core', 'maps', 'messages', 'base', 'log', 'styles'},
     'configuration': {'files', 'plugins', 'core', 'maps', 'messages', 'base', 'log'},
     'nodes.runtime': {'files', 'core', 'maps', 'messages', 'log', 'configuration'},
     'nodes': {

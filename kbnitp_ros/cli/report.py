@@ -18,9 +18,9 @@ from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
 Show a mission's log: report.html, a page that works without a network and saves its figures as
-PNG; deployments.csv: one row a deployment;
-belief.npz; and the last beliefs as maps of map_server (hazard.yaml, target.yaml, kappa.yaml), with
-which a mission can begin.
+PNG; deployments.csv: one row a deployment; said.csv and said.geojson: what people said, one row or
+feature each; belief.npz; and the last beliefs as maps of map_server (hazard.yaml, target.yaml,
+kappa.yaml), with which a mission can begin.
 
 The exit code is 0 if all is written, and 2 if the log cannot be used or nothing can be written.
 """

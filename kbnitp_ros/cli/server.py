@@ -247,8 +247,8 @@ class Handler(BaseHTTPRequestHandler):
             self.send_error(status)
             return
         assert resource
-        is_acting = resource.acting and self._has(self.server.acting)
-        content = (resource.acting if is_acting else resource.content)()
+        acting = resource.acting if self._has(self.server.acting) else None
+        content = (acting or resource.content)()
         if isinstance(content, str):
             self._send(resource.kind, iter([content]))
         elif self.server.streams.acquire(blocking=False):

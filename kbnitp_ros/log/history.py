@@ -29,6 +29,7 @@ ROLES = (
     'belief',
     'decision',
     'model',
+    'operator',
     'path',
     'report',
     'standings',
@@ -149,7 +150,7 @@ def read_history(
     )
     for role, logged in messages:
         with log.leaving_out(logged):
-            if role.name in ('path', 'report', 'standings', 'status', *REMARKS):
+            if role.name in ('operator', 'path', 'report', 'standings', 'status', *REMARKS):
                 evidence.take(role, logged)
             elif role.name == 'belief':
                 snapshot = logged.said

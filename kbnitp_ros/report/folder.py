@@ -12,6 +12,7 @@ import tempfile
 
 from kbnitp_ros.report.mission import Mission
 from kbnitp_ros.report.page import mission_page
+from kbnitp_ros.report.said import said_csv, said_geojson
 from kbnitp_ros.report.tables import Curves, write_beliefs, write_tables
 
 
@@ -35,6 +36,8 @@ def write_report(folder: Path, mission: Mission, curves: Curves) -> str:
         page, left_out = mission_page(mission, curves)
         new.joinpath('report.html').write_text(page, encoding='utf-8')
         write_tables(new, mission, curves)
+        new.joinpath('said.csv').write_text(said_csv(mission), encoding='utf-8')
+        new.joinpath('said.geojson').write_text(said_geojson(mission), encoding='utf-8')
         write_beliefs(new, mission, curves)
     return left_out
 

@@ -12,6 +12,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
+from kbnitp_ros.base.said import Statement, statements
 from kbnitp_ros.core import Decision, DeploymentKey, Grid, Observation, World
 from kbnitp_ros.core.field.sensor import OF_HAZARDS
 from kbnitp_ros.files import counted
@@ -112,6 +113,8 @@ class Mission:
     datum: Datum | None
     # The image of the field's map, if available.
     site: Site | None
+    # The statements of people, in the order in which they were said.
+    said: list[Statement]
 
     @property
     def dynamics(self) -> str:
@@ -205,6 +208,7 @@ def recorded_mission(log: MissionLog, history: History) -> Mission:
         decision=history.decision,
         datum=datum,
         site=site,
+        said=statements(evidence, evidence.said.values()),
     )
 
 

@@ -30,7 +30,7 @@ NAMES = ('hazard', 'target', 'kappa')
 FILES = {
     'report.html',
     'deployments.csv', 'belief.npz', 'hazard.yaml', 'hazard.pgm', 'target.yaml', 'target.pgm',
-    'kappa.yaml', 'kappa.pgm',
+    'kappa.yaml', 'kappa.pgm', 'said.csv', 'said.geojson',
 }  # fmt: skip
 
 
