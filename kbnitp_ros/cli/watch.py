@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import partial
 import json
+import os
 from pathlib import Path
 from threading import Event, Thread
 import time
+from typing import TYPE_CHECKING
 
 from kbnitp_ros.cli import server
 from kbnitp_ros.cli.output import command, complain, end_on_signals, say
@@ -18,10 +21,15 @@ from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.read import is_finished
 from kbnitp_ros.log.record import first_belief, required_belief
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.messages.orders import in_words
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
-from kbnitp_ros.report.mission import recorded_mission
+from kbnitp_ros.report.mission import Mission, recorded_mission
 from kbnitp_ros.report.page import fitting_facts, page, policy
+from kbnitp_ros.report.said import said_csv, said_geojson
 from kbnitp_ros.report.tables import mission_curves
+
+if TYPE_CHECKING:
+    from kbnitp_ros.cli.control import Control
 
 DESCRIPTION = """
 Serve the page of a mission while it runs. The page follows the log as it grows. The command reads
@@ -30,12 +38,16 @@ the log, takes no part in the mission and writes nothing. Ctrl-C ends it.
 Only the printed address opens the page: it has a token that is made anew at each start. For other
 machines give a certificate and its key, or use a tunnel.
 
+With --control a node, operator, also takes orders from those who have the second token. It needs
+ROS 2 and a base that runs.
+
 The exit code is 0 after Ctrl-C, and 2 if the log cannot be used or the port is taken.
 """
 
 EXAMPLES = (
     'python3 -m kbnitp_ros watch runs/small',
     'python3 -m kbnitp_ros watch runs/small/mission.mcap --port 8081',
+    'python3 -m kbnitp_ros watch runs/small --control',
     'python3 -m kbnitp_ros watch --host base.example --certificate base.pem --key base.key',
 )
 
@@ -81,6 +93,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             type=Path,
             help=f'{what} of this machine (PEM); default none, without TLS',
         )
+    parser.add_argument(
+        '--control',
+        action='store_true',
+        help='also order, by the services of the mission; default only show it',
+    )
     options = parser.parse_args(argv)
     end_on_signals()
     try:
@@ -88,9 +105,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not log.exists():
             raise ValueError(f'{log} does not exist: name the log of a mission that has begun')
         where = Address(options.host, options.port, options.name, options.certificate, options.key)
-        with serving(log, options.namespace, where):
-            while True:
+        control = controlling(log, options.namespace) if options.control else nullcontext()
+        with control as operator, serving(log, options.namespace, where, operator):
+            while not (operator and operator.broken):
                 time.sleep(LOOK)
+            complain('watch', operator.broken)
+            return 1
     except KeyboardInterrupt:
         return 0
     except (ValueError, OSError) as error:
@@ -106,20 +126,63 @@ def newest_log() -> Path:
     return log_parts(max(logs, key=lambda log: log.stat().st_mtime).parent)[0]
 
 
+def controlling(log: Path, namespace: str | None) -> AbstractContextManager[Control]:
+    """Return the control of the mission of a log; ValueError without ROS 2."""
+    try:
+        from kbnitp_ros.cli.control import operating
+    except ModuleNotFoundError as error:
+        raise ValueError(f'--control needs ROS 2, which is not here: {error}') from error
+    if namespace is None:
+        namespace = MissionLog(log_parts(log)[0]).roles.namespace
+    return operating(mission_name(log), namespace)
+
+
+def mission_name(log: Path) -> str:
+    """Return the name of a mission: that of the folder of its log."""
+    return log_parts(log)[0].resolve().parent.name
+
+
 @contextmanager
-def serving(log: Path, namespace: str | None, where: Address) -> Iterator[str]:
-    """Serve the page of a log, and yield its address."""
+def written_tokens(log: Path, address: str) -> Iterator[Path]:
+    """Write the addresses to look and to act beside the log while they are valid."""
+    file = log.with_suffix('.tokens')
+    file.unlink(missing_ok=True)
+    handle = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(handle, 'w', encoding='utf-8') as tokens:
+        tokens.write(f'look {address.partition("&")[0]}\nact {address}\n')
+    try:
+        yield file
+    finally:
+        file.unlink(missing_ok=True)
+
+
+@contextmanager
+def serving(
+    log: Path, namespace: str | None, where: Address, control: Control | None = None
+) -> Iterator[str]:
+    """Serve the page of a log, with the board and orders of a control; yield its address."""
     follower = Follower(log_parts(log)[0], namespace)
     resources = {
         '/': Resource('text/html', lambda: page(follower.log), is_open=True),
         '/facts': Resource('application/json', lambda: follower.facts),
         '/events': Resource('application/x-ndjson', follower.changes),
+        '/said.csv': Resource('text/csv', lambda: follower.said(said_csv)),
+        '/said.geojson': Resource('application/geo+json', lambda: follower.said(said_geojson)),
     }
-    with server.serving(resources, policy(), where) as address:
+    acts = server.NO_ACTS
+    if control:
+        look, act = (partial(control.stream, role) for role in ('look', 'act'))
+        resources['/board'] = Resource('text/event-stream', look, acting=act)
+        acts = {'/act': control.act}
+    with server.serving(resources, policy(), where, acts) as address:
         Thread(target=follower.follow, daemon=True).start()
-        say(f'the page of {follower.log} is at {address}')
+        tokens = written_tokens(follower.log, address) if control else nullcontext()
         try:
-            yield address
+            with tokens as file:
+                if control:
+                    say(f'--control {in_words()}', f'the tokens are in {file}')
+                say(f'the page of {follower.log} is at {address}')
+                yield address
         finally:
             follower.is_over.set()
 
@@ -139,6 +202,7 @@ class Follower:
         self._grown_at = time.monotonic()
         # The log and its history, as far as they were read.
         self._read: tuple[MissionLog, History] | None = None
+        self._mission: Mission | None = None
         # A missing log is awaited. Other errors are raised here, but only shown by `follow`.
         with suppress(FileNotFoundError):
             self._look()
@@ -167,6 +231,10 @@ class Follower:
             yield '\n' if now == shown else f'{now}\n'
             shown = now
             self.is_over.wait(LOOK)
+
+    def said(self, write: Callable[[Mission], str]) -> str:
+        """Return what people said, as a function writes it; empty before the first belief."""
+        return write(self._mission) if self._mission else ''
 
     def _look(self) -> None:
         """Read what is new in the log, if it has changed."""
@@ -202,7 +270,7 @@ class Follower:
             f'Waiting for the first belief on {belief}: the nodes of the mission are starting.'
         )
         if read is not None:
-            mission = recorded_mission(*read)
+            mission = self._mission = recorded_mission(*read)
             facts, _ = fitting_facts(mission, mission_curves(mission))
             robots, out = len(mission.robots), mission.in_flight
             sentence = f'Following the log: {robots} robots reported, {out} in flight.'

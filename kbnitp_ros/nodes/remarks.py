@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from kbnitp_msgs.msg import Annotation, Effect, Finding, Recorded, Revocation
 from kbnitp_msgs.srv import AddFinding, Annotate, Revoke
 from kbnitp_ros.configuration import make_goal
-from kbnitp_ros.configuration.field import make_datum
+from kbnitp_ros.configuration.places import said_cells
 from kbnitp_ros.core import DeploymentKey, Ledger
 from kbnitp_ros.core import Finding as CoreFinding
 from kbnitp_ros.core.decision.hazard_draws import joint_hazards
@@ -26,7 +26,6 @@ from kbnitp_ros.nodes.operator_services import answered
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.task import Future
 
 # Maximum number of remarks of a mission, so that endless calls fill neither memory nor disk.
@@ -99,7 +98,8 @@ class Remarks:
             if len(request.x) or len(request.y):
                 if len(request.finding.cells):
                     raise ValueError('finding.cells and x are given: give one of them')
-                request.finding.cells = self._cells(request).astype(np.uint32)
+                grid, values = self._node.grid, self._node.values
+                request.finding.cells = said_cells(grid, values, request).astype(np.uint32)
             if not from_stamp(request.finding.since):
                 request.finding.since = to_stamp(stamp)
             return request.finding
@@ -129,25 +129,6 @@ class Remarks:
 
     def _on_revoke(self, request: Revoke.Request, response: Any) -> Any:
         return self._on('revoke', 'revocations', lambda *_: request.revocation, request, response)
-
-    def _cells(self, request: AddFinding.Request) -> NDArray[np.intp]:
-        """Return the cells of places, or those whose centres lie in a polygon."""
-        if len(request.x) != len(request.y):
-            raise ValueError(f'x has {len(request.x)} values, and y {len(request.y)}')
-        places = np.stack([request.x, request.y], axis=-1)
-        if not np.isfinite(places).all():
-            raise ValueError('x and y must be finite')
-        grid = self._node.grid
-        if request.geographic:
-            if (datum := make_datum(self._node.values)) is None:
-                raise ValueError('geographic is True, and the parameter datum is empty')
-            places = np.array([datum.in_map(*place) for place in places.tolist()])
-        if not request.polygon:
-            return np.unique(grid.cells_at(places))
-        inside = np.flatnonzero(within(grid.centers(np.arange(grid.cells)), places))
-        if not inside.size:
-            raise ValueError('the polygon contains no centre of a cell')
-        return inside
 
     def _on(
         self,
@@ -273,16 +254,3 @@ def in_words(effect: Effect) -> str:
     if effect.seconds > LONG:
         words.append(f'{effect.seconds:.1f} s to judge the mission again')
     return '; '.join(words)
-
-
-def within(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which points lie in a polygon, by the number of its sides to their right."""
-    if len(corners) < 3:
-        raise ValueError(f'the polygon has {len(corners)} corners: it must have at least 3')
-    x, y = points[:, :1], points[:, 1:]
-    (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
-    crosses = (y0 > y) != (y1 > y)
-    height = np.where(y1 == y0, 1.0, y1 - y0)
-    right = x < x0 + (y - y0) * (x1 - x0) / height
-    odd: NDArray[np.bool_] = (crosses & right).sum(axis=1) % 2 == 1
-    return odd

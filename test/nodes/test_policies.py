@@ -222,7 +222,8 @@ def test_the_policies_allow_exactly_the_endpoints_of_a_team_and_the_demo(field):
 
 def test_each_node_has_a_policy():
     assert {path.name.partition('.')[0] for path in FILES} == {
-        *('planner', 'estimator', 'recorder', 'agent', 'all_agents', 'robot', 'observer')
+        *('planner', 'estimator', 'recorder', 'agent', 'all_agents', 'robot', 'observer'),
+        'operator',
     }
 
 
