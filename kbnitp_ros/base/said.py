@@ -68,12 +68,14 @@ def _statement(state: BaseState, remark: Remark, revoked_by: Statement | None) -
         return _revocation(state, remark)
     if isinstance(remark.said, Finding):
         said = remark.said
-        cells = tuple(said.cells.tolist())
+        cells = tuple(said.cells[said.cells < state.grid.cells].tolist())
         names = ('hazard', 'target', 'confidence', 'walked', 'changed', 'since')
         kind, values = 'finding', {name: getattr(said, name) for name in names}
     else:
         key, annotation = remark.said
-        cells = tuple(state.paths[key][[*annotation.steps]].tolist()) if key in state.paths else ()
+        path = state.paths.get(key, ())
+        # A remark that nobody has judged may name any step or cell.
+        cells = tuple(int(path[step]) for step in annotation.steps if step < len(path))
         holds &= _counts(state, key, annotation, remark.content)
         kind, values = (
             'annotation',

@@ -153,7 +153,10 @@ class Operator(Node):
 
     def _on_belief(self, message: BeliefMaps, _: int) -> None:
         is_first = self._belief is None
-        self._belief = belief = read_belief_maps(message)
+        belief = read_belief_maps(message)
+        if self.board.state and belief.grid != self.board.state.grid:
+            raise ValueError(f'grid is {belief.grid}: it was {self.board.state.grid}')
+        self._belief = belief
         self._ask('estimator', belief.author, ('datum',))
         if is_first:
             grid, types = belief.grid, belief.robot_types

@@ -11,6 +11,7 @@ import re
 import socket
 import ssl
 import subprocess
+import sys
 import threading
 import time
 
@@ -346,3 +347,9 @@ def test_other_machines_need_a_certificate_and_half_a_handshake_holds_nobody(cer
         assert time.monotonic() - began < server.MAX_SECONDS
         # Plain text is not answered.
         assert SECRET.encode() not in answer(port, request(port, token, Host=sent['Host']))
+
+
+@pytest.mark.processes
+def test_without_control_nothing_of_ros_is_imported():
+    program = 'import sys, kbnitp_ros.cli.watch; sys.exit("rclpy" in sys.modules)'
+    assert subprocess.run([sys.executable, '-c', program]).returncode == 0

@@ -94,6 +94,23 @@ def test_each_statement_has_a_row_and_a_feature(tmp_path):
         assert (feature['geometry'] is None) == (row['polygon'] == '')
 
 
+def test_remarks_that_nobody_judged_are_shown_as_such(tmp_path):
+    whole = Talked()
+    key = whole.deploy(Observation(TOUR, False))
+    for topic, message in (
+        ('findings', Finding(cells=[3, 20, 2**32 - 1], walked=0.5)),
+        ('annotations', Annotation(agent=key.agent, kind=1, report=7, steps=[2, 99])),
+        ('revocations', Revocation(revokes=5)),
+    ):
+        message.header = header(whole.now)
+        if topic == 'annotations':
+            message.deployment = to_stamp(key.stamp)
+        whole.publish(topic, message)
+    _, table, _ = written(tmp_path, whole, DATUM)
+    assert [each['holds'] for each in table] == ['False'] * 3
+    assert [each['cells'] for each in table] == ['3', '12', '']
+
+
 def area_and_cells(grid, rings):
     """Return the area of rings, counterclockwise, and the cells whose centres they contain."""
     area, inside = 0.0, np.zeros(grid.cells, bool)
