@@ -114,9 +114,9 @@ def missions(
         compare(NAME, planners=one, methods=other, workers=workers, **changes).to_dataframe()
         for one, other in (([*planners], [METHOD]), ([PLANNER], others))
     )
-    by_planner['strategy'] = [f'{each}, {METHOD}' for each in by_planner['strategy']]
-    by_method['strategy'] = [f'{PLANNER}, {each}' for each in by_method['strategy']]
-    return Results(pandas.concat([by_planner, by_method], ignore_index=True))
+    table = pandas.concat([by_planner, by_method], ignore_index=True)
+    # Categories of two tables become plain texts.
+    return Results(table.astype({'strategy': 'category'}))
 
 
 def benchmark_table(
@@ -127,7 +127,7 @@ def benchmark_table(
     chosen = [name for name in results.axes if means[name].nunique() > 1]
     rows = []
     for named, own in by(means, ['strategy', *chosen]):
-        planner, method = named.pop('strategy').split(', ')
+        method, planner = named.pop('strategy').split(', ')
         ratio, times = worths[planner]
         rows.append(
             {

@@ -26,7 +26,7 @@ Given = Iterable[str | Callable[..., Any]] | Mapping[str, Callable[..., Any]]
 
 
 def compare(
-    scenario: str | Path | Mapping[str, Any] = 'paper',
+    scenario: str | Path | Mapping[str, Any] = 'calibrated',
     *,
     planners: Given = (),
     methods: Given = (),
@@ -35,6 +35,8 @@ def compare(
 ) -> Results:
     """
     Run missions with every planner and method, at every lethality, in the same worlds.
+
+    The default is the paper's experiment with a prior that is right.
 
     `scenario` is a name, a file or the content of a file; planners and methods are names,
     functions or classes, and a mapping names them. `changes` are values of the scenario by their

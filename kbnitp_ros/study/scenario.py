@@ -333,19 +333,23 @@ class Scenario:
 
     @property
     def contenders(self) -> dict[Contender, str]:
-        """Return the name of the strategy of each method and team: the values that differ."""
+        """Return the names of strategies: the method, a planner that is given, what differs."""
         teams = {team: vars(team) for team in self.teams}
-        differ = [key for key in vars(ALONE) if len({own[key] for own in teams.values()}) > 1]
+        given = {key: {own[key] for own in teams.values()} for key in vars(ALONE)}
+        shown = [
+            key
+            for key, values in given.items()
+            if len(values) > 1 or (key == 'planner' and values != {''})
+        ]
         defaults = {'planner': self.planning.planner, 'dynamics': self.hazards.dynamics}
         names = {}
         for method, (team, own) in product(self.methods, teams.items()):
-            values = {key: own[key] if own[key] != '' else defaults.get(key) for key in differ}
+            values = {key: own[key] if own[key] != '' else defaults.get(key) for key in shown}
             parts = [
                 str(value) if key == 'planner' else f'{key.replace("_", " ")} {value}'
                 for key, value in values.items()
             ]
-            is_named = len(self.methods) > 1 or not parts
-            names[method, team] = ', '.join([method] * is_named + parts)
+            names[method, team] = ', '.join([method, *parts])
         return names
 
     def check_teams(self) -> None:

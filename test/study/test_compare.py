@@ -37,7 +37,7 @@ def test_a_function_equals_the_named_planner(results):
     ]
     one, other = (
         each.to_dataframe().query(f"strategy == '{name}'")['value'].tolist()
-        for each, name in ((results, 'kappa_bnitp, sweep'), (named, 'coverage'))
+        for each, name in ((results, 'kappa_bnitp, sweep'), (named, 'kappa_bnitp, coverage'))
     )
     assert one == other
 

@@ -90,11 +90,14 @@ def test_teams_are_what_the_file_says_and_robots_go_one_by_one_without(tmp_path,
 
 @for_each('teams, names', [
     ([{}], ['kappa_bnitp']),
-    ([{}, {'planner': 'coverage'}], ['relaxed', 'coverage']),
-    ([{'dynamics': 'static'}, {}], ['dynamics static', 'dynamics used_up']),
-    ([{}, {'goal': 'map', 'survey': 0.9}], ['survey 0.0', 'survey 0.9']),
+    ([{'planner': 'coverage'}], ['kappa_bnitp, coverage']),
+    ([{}, {'planner': 'coverage'}], ['kappa_bnitp, relaxed', 'kappa_bnitp, coverage']),
+    ([{'dynamics': 'static'}, {}],
+     ['kappa_bnitp, dynamics static', 'kappa_bnitp, dynamics used_up']),
+    ([{}, {'goal': 'map', 'survey': 0.9}],
+     ['kappa_bnitp, survey 0.0', 'kappa_bnitp, survey 0.9']),
 ])  # fmt: skip
-def test_strategies_are_named_by_their_differences(teams, names):
+def test_strategies_are_named_by_their_method_planner_and_differences(teams, names):
     changes = {'teams': teams, 'methods': 'kappa_bnitp', 'hazards': {'dynamics': 'used_up'}}
     study = parse_study(small_study.CONTENT, changes)
     assert list(study.first.contenders.values()) == names
