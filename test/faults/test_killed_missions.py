@@ -256,10 +256,16 @@ def test_topics_may_have_other_names_if_all_nodes_have_them(set_out):
         mission.kill(node)
     mission.start(*NODES)
     mission.until(lambda: len(replayed(log).heard) == 4, 'robots')
+    mission.until(lambda: 4 in held(log), 'belief in all of them')
     mission.processes.stop()
     report = replay(log)
     assert report.reproduced
-    assert report.compared['/shared/belief'] >= 5
+    assert report.compared['/shared/belief'] == len(held(log)) > 1
+
+
+def held(log):
+    """Return the numbers of deployments in the recorded beliefs."""
+    return [each.message.deployments for _, each in MissionLog(log).read('belief')]
     assert not report.not_yet_held
 
 
