@@ -156,7 +156,9 @@ class Fleet:
         assert is_within(self.walked(name, since), moves(cells))
 
     def inject(self, what, name='scout_1'):
-        self._talker(String, f'/{name}/inject', 10).publish(String(data=what))
+        talker = self._talker(String, f'/{name}/inject', 10)
+        self.field.until(lambda: talker.get_subscription_count() == 1, 'one simulator')
+        talker.publish(String(data=what))
 
     def hold(self, is_held):
         self._hold.publish(Bool(data=is_held))
