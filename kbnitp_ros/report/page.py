@@ -81,7 +81,7 @@ def shared_parts() -> dict[str, str]:
     """Return the parts that all pages share: style, scripts, and Plotly packed by gzip."""
     return {
         'style': asset('page.css').decode(),
-        'script': (asset('drawing.js') + asset('page.js')).decode(),
+        'script': script().decode(),
         'plotly': b64encode(asset('plotly-cartesian.min.js.gz')).decode(),
         'policy': policy(),
     }
@@ -91,12 +91,17 @@ def shared_parts() -> dict[str, str]:
 def policy() -> str:
     """Return the content security policy of all pages, which allows their own scripts only."""
     plotly = gzip.decompress(asset('plotly-cartesian.min.js.gz'))
-    digests = [sha256(code).digest() for code in (asset('drawing.js') + asset('page.js'), plotly)]
+    digests = [sha256(code).digest() for code in (script(), plotly)]
     scripts = ' '.join(f"'sha256-{b64encode(digest).decode()}'" for digest in digests)
     return (
         f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; "
         "img-src data: blob:; connect-src 'self'"
     )
+
+
+def script() -> bytes:
+    """Return the script of all pages."""
+    return b''.join(map(asset, ('drawing.js', 'map.js', 'page.js')))
 
 
 def asset(name: str) -> bytes:

@@ -3,6 +3,7 @@
 
 import csv
 from dataclasses import replace
+import io
 from itertools import product
 import json
 from pathlib import Path
@@ -142,6 +143,26 @@ def move(page, moment):
         int(moment),
     )
     assert page.evaluate('document.documentElement.dataset.moment') == str(moment)
+
+
+def place(page, cell):
+    """Return the centre of a cell on the screen."""
+    x, y = page.evaluate(
+        """cell => {
+            const map = maps.get('map');
+            const view = map.place(map.box.clientWidth, map.box.clientHeight);
+            return map.at(view, ...map.center(cell));
+        }""",
+        int(cell),
+    )
+    box = page.locator('#map canvas').bounding_box()
+    return box['x'] + x, box['y'] + y
+
+
+def pixel(page, x, y):
+    """Return the red, green and blue of a pixel on the screen."""
+    image = page.screenshot(clip={'x': int(x), 'y': int(y), 'width': 1, 'height': 1})
+    return np.array(Image.open(io.BytesIO(image)).convert('RGB')).ravel()
 
 
 def test_the_maps_of_each_moment_are_the_belief_on_record(opened, shown):
@@ -347,14 +368,9 @@ def test_a_cell_whose_target_may_change_shows_how_old_its_last_reading_is(opened
 def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     mission, _ = shown
     page = opened()
-    box = page.locator('#map .plot-container .nsewdrag').bounding_box()
-    width, height = mission.grid.width, mission.grid.height
-    column, row = 1, 2
-    page.mouse.click(
-        box['x'] + (column + 0.5) / width * box['width'],
-        box['y'] + (height - row - 0.5) / height * box['height'],
-    )
-    cell = row * width + column
+    width = mission.grid.width
+    cell = 2 * width + 1
+    page.mouse.click(*place(page, cell))
     x, y = mission.grid.centers([cell])[0]
     page.wait_for_function(f'document.getElementById("x").value === "{x:g}"')
     assert page.locator('#y').input_value() == f'{y:g}'
@@ -363,14 +379,10 @@ def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     history = page.evaluate('document.getElementById("cell-plot").data[0].y')
     expected = [moment.belief.hazard[cell] for moment in mission.moments]
     assert history == pytest.approx(expected, abs=0.5 / 255 + 1e-9)
-    assert page.locator('#map .hoverlayer').text_content().startswith(f'({x:g}, {y:g}): hazard')
+    assert page.locator('#map .tip').text_content().startswith(f'({x:g}, {y:g}): hazard')
     # A frame surrounds it.
     assert page.locator('#cell').inner_text().startswith(f'({x:g}, {y:g}): hazard ')
-    page.wait_for_function('document.getElementById("map")._fullLayout.shapes.length')
-    for frame in page.evaluate('document.getElementById("map").layout.shapes'):
-        assert (frame['x0'] + frame['x1']) / 2 == pytest.approx(x)
-        assert (frame['y0'] + frame['y1']) / 2 == pytest.approx(y)
-        assert frame['x1'] - frame['x0'] == pytest.approx(mission.grid.resolution)
+    assert page.evaluate('document.getElementById("map").layout.frame') == cell
     # Arrow keys go to the next cell.
     page.locator('#x').press('ArrowUp')
     page.locator('#y').press('ArrowDown')
@@ -382,6 +394,56 @@ def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     page.locator('#x').fill('99')
     page.locator('#x').press('Enter')
     assert 'is not in the field' in page.locator('#cell').inner_text()
+
+
+def test_pixels_have_the_colours_of_their_cells(opened, shown):
+    mission, _ = shown
+    page = opened()
+    for layer in ('truth', 'targets', 'free', 'paths'):
+        page.get_by_label(layer, exact=True).uncheck()
+    first = np.array(page.evaluate('mission.visited'))
+    belief = mission.moments[-1].belief.hazard
+    levels, colours = zip(*page.evaluate('mission.scales.hazard.light'))
+    parts = np.array([[int(each[at : at + 2], 16) for at in (1, 3, 5)] for each in colours])
+    for cell in np.flatnonzero(GRID.free & (first < len(mission.moments))):
+        # Beside the sign of a base.
+        drawn = pixel(page, *(each + 12 for each in place(page, cell)))
+        expected = [np.interp(belief[cell], levels, part) for part in parts.T]
+        assert np.abs(drawn - expected).max() <= 3
+
+
+def test_the_map_is_magnified_moved_and_walked_by_keys(opened):
+    page = opened()
+    chosen = '+document.getElementById("map").layout.frame'
+    cell = 2 * GRID.width + 2
+    page.mouse.click(*place(page, cell))
+    page.wait_for_function(f'document.getElementById("map").layout.frame === {cell}')
+    whole = {each: place(page, each) for each in (cell, cell + 1)}
+    page.get_by_role('button', name='Magnify the map').click()
+    page.locator('#map canvas').press('+')
+    page.wait_for_function('!maps.get("map").isDue')
+    (x, y), (right, _) = place(page, cell), place(page, cell + 1)
+    assert right - x == pytest.approx(2.25 * (whole[cell + 1][0] - whole[cell][0]))
+    # The cell under the pointer moves with it.
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 30, y + 20, steps=3)
+    page.mouse.up()
+    page.wait_for_function('!maps.get("map").isDue')
+    assert place(page, cell) == pytest.approx((x - 30, y + 20))
+    assert page.evaluate(chosen) == cell
+    page.mouse.click(*place(page, cell + 1))
+    page.wait_for_function(f'document.getElementById("map").layout.frame === {cell + 1}')
+    for key in ('ArrowUp', 'ArrowLeft', 'ArrowDown', 'ArrowDown', 'ArrowRight'):
+        page.locator('#map canvas').press(key)
+    # One row below where it was, and no moment was left.
+    page.wait_for_function(
+        f'document.getElementById("map").layout.frame === {cell + 1 - GRID.width}'
+    )
+    assert page.evaluate('now === last')
+    page.locator('#map canvas').press('0')
+    page.wait_for_function('!maps.get("map").isDue')
+    assert place(page, cell) == pytest.approx(whole[cell])
 
 
 def test_a_turned_field_is_drawn_upright_with_its_positions(opened, surveyed):
@@ -399,32 +461,25 @@ def test_a_turned_field_is_drawn_upright_with_its_positions(opened, surveyed):
         'name => document.getElementById("cell").innerText.startsWith(name)', arg=name
     )
     drawn = page.evaluate('document.getElementById("map").layout')
-    assert (drawn['xaxis']['range'], drawn['yaxis']['range']) == (
-        [0, grid.width * grid.resolution],
-        [0, grid.height * grid.resolution],
-    )
-    assert drawn['xaxis']['title']['text'] == 'along the rows (m)'
-    # The frame's arrows point along rows and columns; pixel rows go down.
-    arrows = {each['text']: complex(each['ax'], -each['ay']) for each in drawn['annotations']}
+    assert drawn['labels'] == ['along the rows (m)', 'across the rows (m)']
+    # The frame's arrows point along rows and columns.
+    arrows = {name: np.exp(1j * angle) for name, angle in drawn['arrows']}
     for name, axis in (('x', 1.0), ('y', 1j)):
-        assert arrows[name] / abs(arrows[name]) == pytest.approx(axis * np.exp(-0.7j))
+        assert arrows[name] == pytest.approx(axis * np.exp(-0.7j))
     (base,) = page.evaluate(
         'document.getElementById("map").data.filter((each) => each.marker?.symbol === "pentagon")'
     )
     row, column = divmod(grid.base, grid.width)
     assert (base['x'][0], base['y'][0]) == pytest.approx((0.1 * column + 0.05, 0.1 * row + 0.05))
     # The image of the map lies under the cells.
-    images = """document.getElementById("map").layout.images
-        .filter((each) => each.layer === "below")"""
-    (image,) = page.evaluate(images)
+    site = 'document.getElementById("map").layout.image'
+    image = page.evaluate(site)
     assert image['source'] == mission.site.source
-    assert (image['x'], image['y'], image['sizex'], image['sizey']) == pytest.approx(
-        (0.0, 0.4, 0.5, 0.4)
-    )
+    assert (image['width'], image['height']) == pytest.approx((0.5, 0.4))
     opacity = 'document.getElementById("map").data[0].opacity'
     assert page.evaluate(opacity) < 1
     page.get_by_label('image', exact=True).uncheck()
-    assert page.evaluate(images) == []
+    assert page.evaluate(site) is None
     assert page.evaluate(opacity) == 1
 
 
@@ -489,13 +544,13 @@ def test_findings_have_positions_on_the_earth(opened, surveyed):
             (float(row['longitude (°)']), float(row['latitude (°)'])),
         ):
             assert EARTH.inv(*found, *at)[2] < 0.1
-    north = next(
-        complex(each['ax'], -each['ay'])
-        for each in page.evaluate('document.getElementById("map").layout.annotations')
-        if each['text'] == 'N'
+    (angle,) = (
+        each[1]
+        for each in page.evaluate('document.getElementById("map").layout.arrows')
+        if each[0] == 'N'
     )
     # East is at the heading clockwise from the frame's x axis.
-    assert north / abs(north) == pytest.approx(1j * np.exp(-1j * (heading + 0.7)))
+    assert np.exp(1j * angle) == pytest.approx(1j * np.exp(-1j * (heading + 0.7)))
 
 
 def test_nodes_with_different_datums_are_named(surveyed, tmp_path):
@@ -754,11 +809,11 @@ def test_the_colour_scheme_follows_the_reader_and_can_be_changed(opened):
 
     page = opened(scheme='dark')
     assert max(paper(page)) < 60
-    letters = page.evaluate('document.getElementById("map").layout.font.color')
-    assert letters == '#ececec'
+    box = page.locator('#map canvas').bounding_box()
+    assert pixel(page, box['x'] + 2, box['y'] + 2).tolist() == paper(page)
     page.get_by_role('button', name='Light').click()
     assert min(paper(page)) > 200
-    assert page.evaluate('document.getElementById("map").layout.font.color') == '#1b1b1b'
+    assert pixel(page, box['x'] + 2, box['y'] + 2).tolist() == paper(page)
 
 
 @pytest.mark.processes

@@ -121,7 +121,7 @@ def test_the_token_leaves_the_address_and_a_reload_keeps_it(browser, tmp_path):
         for _ in range(2):
             page.wait_for_selector('html[data-ready]', state='attached', timeout=60_000)
             assert page.url == address.partition('#')[0]
-            assert page.locator('#map svg').count()
+            assert page.locator('#map canvas').count()
             page.reload()
         assert problems == []
         other = browser.new_context().new_page()

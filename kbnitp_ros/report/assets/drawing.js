@@ -36,55 +36,9 @@ function themed(layout) {
   return changed;
 }
 
-// Set the colours of a map; the scale of a probability shows the prior.
-function colour(cells, scale, assumed) {
-  cells.colorscale = scale[isDark() ? 'dark' : 'light'];
-  if (assumed === undefined) return;
-  const ticks = [0, 1, ...(assumed > 0.08 && assumed < 0.92 ? [assumed] : [])];
-  cells.colorbar = { ...cells.colorbar, tickvals: ticks, ticktext: ticks.map((each) => Number(each.toFixed(2))) };
-}
-
 const config = { displayModeBar: false, responsive: true };
 
-// Plotly has no hatching for maps, so unvisited cells are covered by a picture.
-const canvas = document.createElement('canvas');
-function hatching(grid, entered) {
-  const { width, height } = grid;
-  const side = Math.max(3, Math.floor(900 / Math.max(width, height)));
-  const blocked = new Set(grid.blocked);
-  canvas.width = width * side;
-  canvas.height = height * side;
-  const context = canvas.getContext('2d');
-  context.beginPath();
-  let unvisited = 0;
-  entered.forEach((isEntered, each) => {
-    if (!isEntered && !blocked.has(each)) {
-      context.rect((each % width) * side, (height - 1 - Math.floor(each / width)) * side, side, side);
-      unvisited += 1;
-    }
-  });
-  context.clip();
-  context.beginPath();
-  const reach = canvas.width + canvas.height;
-  // The picture is about 300 pixels wide in the page.
-  const pixel = Math.max(canvas.width, canvas.height) / 300;
-  for (let begin = 0; begin < reach; begin += 14 * pixel) {
-    context.moveTo(begin, 0);
-    context.lineTo(begin - canvas.height, canvas.height);
-  }
-  // Dark lines within light lines are visible on light and dark maps.
-  for (const [style, wide] of [['rgba(255, 255, 255, 0.5)', 2.5], ['#505050', 1]]) {
-    context.strokeStyle = style;
-    context.lineWidth = wide * pixel;
-    context.stroke();
-  }
-  return unvisited ? [{
-    source: canvas.toDataURL(), xref: 'x', yref: 'y', sizing: 'stretch', layer: 'above',
-    x: grid.x, y: grid.y + height * grid.resolution, sizex: width * grid.resolution, sizey: height * grid.resolution,
-  }] : [];
-}
-
-const scatter = (mode, at, style) => ({ type: 'scatter', mode, x: [], y: [], hoverinfo: 'skip', ...at, ...style });
+const scatter = (mode, at, style) => ({ type: 'scatter', mode, x: [], y: [], ...at, ...style });
 const curve = (x, y, name, line, style) => scatter('lines', { x, y }, { name, line, hoverinfo: 'all', hovertemplate: '%{y:.4g}', ...style });
 const bare = { dragmode: false, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)' };
 
@@ -98,33 +52,6 @@ function panel(label, data, look = {}) {
     yaxis: { title: { text, standoff: 6 }, automargin: true, ...(look.range && { range: look.range }) },
   };
   return { label, data, layout };
-}
-
-// A heatmap of the cells of a field, where it lies.
-const heatmap = (grid, z, style) => ({
-  type: 'heatmap', z, x0: grid.x + grid.resolution / 2, dx: grid.resolution, y0: grid.y + grid.resolution / 2, dy: grid.resolution, ...style,
-});
-
-// An arrow above the left edge of a map, at an angle in rad from the right, with a label at its head.
-const ABOVE = 64;
-const arrow = ([text, angle]) => ({
-  xref: 'paper', yref: 'paper', x: 0, y: 1, xshift: ABOVE / 2, yshift: ABOVE / 2, text,
-  ax: 20 * Math.cos(angle), ay: -20 * Math.sin(angle), arrowside: 'start', arrowhead: 2, arrowcolor: '#808080',
-});
-
-// The layout of a map: rows of a turned field are drawn to the right.
-function mapLayout(grid) {
-  const turned = grid.yaw ? { x: -grid.yaw, y: Math.PI / 2 - grid.yaw } : {};
-  const arrows = Object.entries({ ...turned, ...(grid.north !== null && { N: grid.north - grid.yaw }) });
-  const axis = (least, cells, text) => ({
-    showgrid: false, zeroline: false, constrain: 'domain', ticks: 'outside', nticks: 6, automargin: true,
-    range: [least, least + cells * grid.resolution], title: { text, standoff: 4 },
-  });
-  return {
-    ...bare, showlegend: false, margin: { l: 40, r: 10, t: arrows.length ? ABOVE : 8, b: 36 }, annotations: arrows.map(arrow),
-    xaxis: axis(grid.x, grid.width, grid.yaw ? 'along the rows (m)' : 'x (m)'),
-    yaxis: { ...axis(grid.y, grid.height, grid.yaw ? 'across the rows (m)' : 'y (m)'), scaleanchor: 'x' },
-  };
 }
 
 // A row of a table: columns are [heading, key, decimals], without decimals for texts, with null for metres.

@@ -43,6 +43,8 @@ let ends = [null, null];
 let way = [];
 let lost = [];
 let timer = null;
+// By the name of their boxes.
+const maps = new Map();
 
 const cells = () => mission.grid.width * mission.grid.height;
 const level = (moment, name, each) => frames[(moment * NAMES.length + NAMES.indexOf(name)) * cells() + each];
@@ -51,7 +53,6 @@ const value = (moment, name, each) => (moment === last && mission.exact
 const chosenColour = () => document.querySelector('[name=colour]:checked').value;
 const isShown = (layer) => document.querySelector(`[name=layer][value=${layer}]`)?.checked;
 const mayBeHazard = (moment, each) => value(moment, 'hazard', each) > mission.free;
-const smallMaps = () => Object.keys(mission.colours).map((name) => `small-${name}`);
 // The centre of a cell as drawn, and (`position`) in the frame of the map: rows of a turned field are drawn to the right.
 function center(each) {
   const { x, y, width, resolution } = mission.grid;
@@ -130,13 +131,6 @@ function line(paths) {
   return { x, y };
 }
 
-// The image of the map, under translucent cells.
-const site = () => (isShown('image') ? [{
-  source: mission.site.source, xref: 'x', yref: 'y', sizing: 'stretch', layer: 'below',
-  x: mission.grid.x, y: mission.grid.y + mission.site.height,
-  sizex: mission.site.width, sizey: mission.site.height,
-}] : []);
-
 function overlays(moment) {
   const { deployment, survived, known, out } = mission.moments[moment];
   if (!isAsked || !isShown('paths')) return {};
@@ -171,32 +165,29 @@ function squares(found) {
 
 // The marks of all cells, as large as cells allow.
 function marks(moment) {
-  const side = Math.min(24, (page('map').clientWidth - 100) / mission.grid.width);
-  const lined = (at, wide) => [[wide + 2.5, '#ffffff'], [wide, '#000000']].map(([size, color]) => (
-    { type: 'scatter', mode: 'lines', hoverinfo: 'skip', cliponaxis: false, ...at, line: { color, width: size } }));
-  const marked = (name, found, size, marker) => ({
-    type: 'scatter', mode: 'markers', hoverinfo: 'skip', name, ...line(found.map((each) => [each])), marker: { size, ...marker },
-  });
+  const lined = (at, wide) => [[wide + 2.5, '#ffffff'], [wide, '#000000']].map(([width, color]) => scatter('lines', at, { line: { color, width } }));
+  const marked = (name, found, share, marker) => scatter('markers', line(found.map((each) => [each])), { name, marker: { share, ...marker } });
   const green = '#00783c';
   const drawn = [];
   if (isShown('truth')) {
     drawn.push(...lined(squares(those((each) => mission.truth.hazard[each])), 1.5));
     const targets = those((each) => mission.truth.target[each]);
-    drawn.push(marked('true target', targets, 0.9 * side, { symbol: 'circle-open', color: '#ffffff', line: { width: 4 } }));
-    drawn.push(marked('true target', targets, 0.9 * side, { symbol: 'circle-open', color: '#000000', line: { width: 1.5 } }));
+    drawn.push(marked('true target', targets, 0.9, { symbol: 'circle-open', line: { color: '#ffffff', width: 4 } }));
+    drawn.push(marked('true target', targets, 0.9, { symbol: 'circle-open', line: { color: '#000000', width: 1.5 } }));
   }
   if (isShown('paths')) {
-    const size = lost.map((each) => 1.2 * side * Math.sqrt(each.lost));
-    drawn.push(marked('lost', lost.map((each) => each.cell), size.flatMap((each) => [each, 0]), { color: looks.lost.color, opacity: 0.85 }));
+    const shares = lost.map((each) => 1.2 * Math.sqrt(each.lost));
+    drawn.push(marked('lost', lost.map((each) => each.cell), shares.flatMap((each) => [each, 0]), { color: looks.lost.color, opacity: 0.85 }));
   }
   if (isShown('targets')) {
     const isProbable = (from, to) => those((each) => value(moment, 'target', each) >= from && value(moment, 'target', each) < to);
-    drawn.push(marked('target', isProbable(0.5, 0.95), 0.5 * side, { symbol: 'triangle-up', color: '#ffffff', line: { color: green, width: 1.5 } }));
-    drawn.push(marked('found', isProbable(0.95, Infinity), 0.5 * side, { symbol: 'triangle-up', color: green, line: { color: '#ffffff', width: 1 } }));
+    const least = 3;
+    drawn.push(marked('target', isProbable(0.5, 0.95), 0.5, { symbol: 'triangle-up', least, color: '#ffffff', line: { color: green, width: 1.5 } }));
+    drawn.push(marked('found', isProbable(0.95, Infinity), 0.5, { symbol: 'triangle-up', least, color: green, line: { color: '#ffffff', width: 1 } }));
   }
   if (isShown('free')) {
     const free = those((each) => !mayBeHazard(moment, each));
-    drawn.push(marked('free', free, Math.max(2, side / 5), { color: '#000000', line: { color: '#ffffff', width: 1 } }));
+    drawn.push(marked('free', free, 0.2, { color: '#000000', line: { color: '#ffffff', width: 1 } }));
   }
   if (moment === last) drawn.push(...lined(line([mission.lane]), 2.5));
   drawn.push(...lined(line([way]), 2.5));
@@ -208,30 +199,19 @@ const shape = (moment) => [{
   y0: 0, y1: 1, line: { color: colours().text, width: 1 },
 }];
 
-// A frame around the chosen cell: black within white, for light and dark maps.
-function frame() {
-  const [x, y] = center(cell);
-  const half = mission.grid.resolution / 2;
-  if (!isNamed) return [];
-  return [['#ffffff', 5], ['#000000', 2]].map(([color, wide]) => ({
-    type: 'rect', xref: 'x', yref: 'y', x0: x - half, x1: x + half, y0: y - half, y1: y + half,
-    line: { color, width: wide },
-  }));
-}
-
-// The cells in a colour, with a text for each.
-function coloured(name, text, bar) {
-  const shown = heatmap(mission.grid, inRows((each) => shownIn(now, name, each)), {
-    zmin: 0,
-    zmax: (mission.ends[name] || []).reduce((most, each) => Math.max(most, each), 1),
-    text,
+// The cells in a colour.
+function coloured(name) {
+  const most = (mission.ends[name] || []).reduce((high, each) => Math.max(high, each), 1);
+  const assumed = mission.assumed[name];
+  return {
+    z: inRows((each) => shownIn(now, name, each)),
+    zmax: most,
+    title: mission.colours[name],
     opacity: isShown('image') ? 0.6 : 1,
-    hovertemplate: '%{text}<extra></extra>',
-    hoverongaps: true,
-    colorbar: { thickness: 10, len: 0.9, ...bar },
-  });
-  colour(shown, mission.scales[name], mission.assumed[name]);
-  return shown;
+    colorscale: mission.scales[name][isDark() ? 'dark' : 'light'],
+    // The scale of a probability shows the prior.
+    ticks: [0, most, ...(assumed > 0.08 && assumed < 0.92 ? [assumed] : [])],
+  };
 }
 
 // The path of a moment's robot, in the order of its traces on the map.
@@ -249,28 +229,29 @@ function walked() {
   ];
 }
 
-function drawMap() {
+// What all maps of a moment share: rows of a turned field are drawn to the right.
+function layout() {
   const { grid } = mission;
-  const name = chosenColour();
-  const words = mission.colours[name];
-  const images = [...site(), ...hatching(grid, mission.visited.map((first) => first >= 0 && first <= now))];
-  const layout = { ...themed(mapLayout(grid)), images, shapes: frame() };
-  const gray = colours().obstacle;
-  const fixed = () => [
-    heatmap(grid, inRows((each) => (blocked.has(each) ? 1 : null)), {
-      colorscale: [[0, gray], [1, gray]], showscale: false, hoverongaps: false, hoverinfo: 'skip', opacity: isShown('image') ? 0.6 : 1,
-    }),
-    scatter('markers', line(grid.bases.map((each) => [each])), {
-      marker: { symbol: 'pentagon', size: 12, color: 'white', line: { color: 'black', width: 2 } },
-    }),
-  ];
-  // On a narrow phone the colour bar is below the map.
-  const bar = page('map').clientWidth < 500 ? { orientation: 'h', y: -0.15, yanchor: 'top', title: { text: words, side: 'bottom' } }
-    : { title: { text: words, side: 'right' } };
-  page('map').setAttribute('aria-label', `Map: ${words}; ${page('told').textContent}`);
-  const texts = inRows((each) => told(now, each));
-  Plotly.react(page('map'), [coloured(name, texts, bar), ...walked(), ...fixed(), ...marks(now)], layout, config);
-  Object.keys(mission.colours).forEach((each) => Plotly.react(page(`small-${each}`), [coloured(each, texts), ...fixed()], layout, config));
+  const turned = grid.yaw ? { x: -grid.yaw, y: Math.PI / 2 - grid.yaw } : {};
+  return {
+    grid,
+    obstacles: blocked,
+    labels: grid.yaw ? ['along the rows (m)', 'across the rows (m)'] : ['x (m)', 'y (m)'],
+    arrows: Object.entries({ ...turned, ...(grid.north !== null && { N: grid.north - grid.yaw }) }),
+    // Under translucent cells.
+    image: isShown('image') ? mission.site : null,
+    unvisited: new Set(those((each) => mission.visited[each] < 0 || mission.visited[each] > now)),
+    frame: isNamed ? cell : null,
+  };
+}
+
+function drawMap() {
+  const bases = scatter('markers', line(mission.grid.bases.map((each) => [each])), {
+    name: 'base', marker: { symbol: 'pentagon', size: 12, color: '#ffffff', line: { color: '#000000', width: 2 } },
+  });
+  page('map').setAttribute('aria-label', `Map: ${mission.colours[chosenColour()]}; ${page('told').textContent}`);
+  maps.get('map').draw([coloured(chosenColour()), ...walked(), bases, ...marks(now)], layout());
+  Object.keys(mission.colours).forEach((each) => maps.get(`small-${each}`).draw([coloured(each), bases], layout()));
 }
 
 function drawCell() {
@@ -362,13 +343,8 @@ function look(each, typed = false) {
   requestAnimationFrame(() => {
     isDue = false;
     drawCell();
-    ['map', ...smallMaps()].forEach((id) => Plotly.relayout(page(id), { shapes: frame() }));
+    maps.forEach((each) => each.choose(cell));
   });
-}
-
-function pointed(event) {
-  const point = event.points.find((each) => each.data.type === 'heatmap');
-  if (point) look(point.pointNumber[0] * mission.grid.width + point.pointNumber[1]);
 }
 
 function named() {
@@ -501,18 +477,19 @@ function allPanels() {
 
 // Write what is said of the last moment: the answers, the tables and the configuration.
 function write() {
-  const { grid, colours: maps, truth } = mission;
+  const { grid, colours: shown, truth } = mission;
   page('summary').textContent = mission.summary;
   page('notes').replaceChildren(...mission.notes.map((each) => element('p', each, { className: 'note' })));
   page('answers').replaceChildren(...mission.tiles.map(([question, answer, detail, link]) => element('article', [
     element('h3', link ? element('a', question, { href: `#${link}` }) : question), element('p', answer), element('p', detail),
   ])));
-  renew('colours', Object.keys(maps), () => Object.keys(maps).map((name, place) => (
+  renew('colours', Object.keys(shown), () => Object.keys(shown).map((name, place) => (
     field('radio', 'colour', name, { id: `colour-${name}`, checked: !place }))));
   const layers = ['targets', 'free', 'paths', ...(truth ? ['truth'] : []), ...(mission.site ? ['image'] : [])];
   renew('layers', layers, () => layers.map((name) => field('checkbox', 'layer', name, { checked: true })));
-  renew('maps', Object.keys(maps), () => Object.entries(maps).map(([name, words]) => (
+  renew('maps', Object.keys(shown), () => Object.entries(shown).map(([name, words]) => (
     figure(`small-${name}`, words, `map of ${words}`, `Map of ${words}`))));
+  ['map', ...Object.keys(shown).map((name) => `small-${name}`)].forEach(addMap);
   renew('curves', panels.map(({ label }) => label), () => panels.map(({ label }, place) => (
     figure(`curve-${place}`, '', `curves of ${label}`, `Curves of ${label}, report after report; the table of deployments has the numbers`))));
   document.querySelectorAll('.truth').forEach((each) => { each.hidden = !truth; });
@@ -530,6 +507,11 @@ function write() {
     // The arrows of the fields x and y go from cell to cell.
     position(0).forEach((least, place) => Object.assign(page('xy'[place]), { min: metres(least), step: grid.resolution }));
   }
+}
+
+// Make the map of a box, unless it has one.
+function addMap(id) {
+  if (maps.get(id)?.box !== page(id)) maps.set(id, new FieldMap(page(id), look, (each) => told(now, each), id !== 'map'));
 }
 
 function configured([name, values]) {
@@ -571,7 +553,6 @@ async function load(text) {
   write();
   if (ends[1] !== null) findWay();
   paint();
-  ['map', ...smallMaps()].forEach((id) => onClick(id, pointed));
   panels.forEach((_, place) => onClick(`curve-${place}`, ({ points: [{ x }] }) => ask(mission.moments.findIndex((moment) => moment.place >= x))));
   document.documentElement.dataset.ready = 'true';
 }
@@ -644,8 +625,10 @@ async function attempt(work) {
 }
 
 function clicked({ target }) {
-  const { plot, take: file } = target.dataset;
-  if (plot) Plotly.downloadImage(page(plot), { format: 'png', scale: 3, filename: `${mission.name}_${plot}` });
+  const { plot, take: file, magnify } = target.dataset;
+  if (magnify) maps.get('map').magnify(Number(magnify));
+  if (maps.has(plot)) maps.get(plot).save(`${mission.name}_${plot}.png`);
+  else if (plot) Plotly.downloadImage(page(plot), { format: 'png', scale: 3, filename: `${mission.name}_${plot}` });
   if (file) take(file);
   if (target.matches('th button')) sort(target.parentNode);
   const { values } = target.closest('tbody tr') || {};
@@ -670,8 +653,8 @@ matchMedia('(prefers-color-scheme: dark)').addEventListener('change', paint);
 document.addEventListener('keydown', pressed);
 document.addEventListener('click', clicked);
 // A sheet of A4 is 700 pixels wide between its margins.
-window.addEventListener('beforeprint', () => Plotly.relayout(page('map'), { width: 640, height: 440 }));
-window.addEventListener('afterprint', () => Plotly.relayout(page('map'), { width: null, height: null, autosize: true }));
+window.addEventListener('beforeprint', () => maps.get('map')?.render(640, 440, 2));
+window.addEventListener('afterprint', () => maps.get('map')?.render());
 
 const written = page('facts').textContent.trim();
 if (written) attempt(() => load(written));
