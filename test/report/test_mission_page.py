@@ -404,7 +404,7 @@ def test_pixels_have_the_colours_of_their_cells(opened, shown):
     first = np.array(page.evaluate('mission.visited'))
     belief = mission.moments[-1].belief.hazard
     levels, colours = zip(*page.evaluate('mission.scales.hazard.light'))
-    parts = np.array([[int(each[at : at + 2], 16) for at in (1, 3, 5)] for each in colours])
+    parts = np.array([[*bytes.fromhex(each[1:])] for each in colours])
     for cell in np.flatnonzero(GRID.free & (first < len(mission.moments))):
         # Beside the sign of a base.
         drawn = pixel(page, *(each + 12 for each in place(page, cell)))
