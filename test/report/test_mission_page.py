@@ -362,7 +362,9 @@ def test_a_cell_whose_target_may_change_shows_how_old_its_last_reading_is(opened
         for field, value in zip((column, row), GRID.centers([cell])[0]):
             field.fill(f'{value:g}')
             field.dispatch_event('change')
-        assert said in page.locator('#cell').inner_text()
+        page.wait_for_function(
+            'said => document.getElementById("cell").textContent.includes(said)', arg=said
+        )
 
 
 def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
