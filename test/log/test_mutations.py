@@ -53,7 +53,7 @@ MISSING = 'the message'
 AGENT, OTHER = 'scout_1', 'scout_2'
 
 # A confidence that the second decision has, and the last one has not.
-CONFIDENCE = 0.42
+CONFIDENCE = 0.4
 
 # All recorded topics.
 TOPICS = {
@@ -141,7 +141,7 @@ def whole_mission():
     """Return the messages of a mission of two robots in turn; not to be changed."""
     whole = Acknowledged(
         Lane(to=19, confidence=CONFIDENCE),
-        unknowns=Unknowns(lethality=(0.1, 0.9)),
+        unknowns=Unknowns(lethality=(0.1, 0.9), duds=(0.0, 0.9)),
         robot_types={OTHER: RobotType(malfunction=0.1)},
     )
     back = OrderState.ACCEPTED, OrderState.DEPARTED
