@@ -28,6 +28,7 @@ from kbnitp_ros.report.answers import (
     used_up_at,
 )
 from kbnitp_ros.report.mission import DeploymentSummary, Mission
+from kbnitp_ros.report.said import contradiction_notes, said_rows
 from kbnitp_ros.report.tables import Curves, out_at, rows
 from kbnitp_ros.styles import COUNTS, DARK_MAPS, MAPS, SERIES, stops
 import numpy as np
@@ -71,10 +72,11 @@ def mission_facts(
     return {
         'name': mission_title(mission.log),
         'summary': summary(mission, curves),
-        'notes': [*filter(None, [left_out]), *mission.notes],
+        'notes': [*filter(None, [left_out]), *mission.notes, *contradiction_notes(mission)],
         'tiles': list(answer_tiles(mission, curves)),
         'findings': list_findings(mission),
         'safe': safe_cells(mission),
+        'said': said_rows(mission),
         'table': [on_page(table[each], kept) for each in shown],
         'configuration': configuration(mission),
         'grid': field_facts(mission),

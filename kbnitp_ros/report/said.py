@@ -11,8 +11,9 @@ from itertools import groupby
 import json
 from typing import Any
 
-from kbnitp_ros.base.said import Statement
-from kbnitp_ros.core import Grid
+from kbnitp_ros.base.said import contradictions, Statement
+from kbnitp_ros.core import DeploymentKey, Grid
+from kbnitp_ros.files import counted
 from kbnitp_ros.maps import Datum
 from kbnitp_ros.messages.headers import in_seconds, SECOND
 from kbnitp_ros.report.mission import Mission
@@ -85,6 +86,69 @@ def properties(mission: Mission, said: Statement) -> dict[str, Any]:
         'revoked_at': in_utc(by.stamp) if by else None,
         'frame': EARTH if mission.datum else METRES,
     }
+
+
+# What the page marks on its map, by the kind of a statement.
+MARKS = {'finding': 'finding', 'annotation': 'wreck', 'no_go': 'closed'}
+
+
+def said_rows(mission: Mission) -> list[dict[str, Any]]:
+    """Return the statements as rows of the page, with the cells that it marks."""
+    numbers = {each.key: number for number, each in enumerate(mission.deployments, 1)}
+    words = {each.content: in_words(each) for each in mission.said}
+    rows = []
+    for said in mission.said:
+        key = DeploymentKey(said.values.get('agent', ''), said.values.get('deployment', 0))
+        taken_back = words.get(said.values['revokes'], '') if said.kind == 'revocation' else ''
+        is_marked = said.holds and (said.kind != 'annotation' or in_words(said) == 'located')
+        rows.append(
+            {
+                'time': in_utc(said.stamp)[11:19],
+                'author': said.author,
+                'words': f'took back: {taken_back}' if taken_back else in_words(said),
+                'number': numbers.get(key),
+                'cells': list(said.cells),
+                'count': len(said.cells),
+                'holds': holds_in_words(said),
+                'note': said.note,
+                'mark': MARKS.get(said.kind) if is_marked else None,
+                **({'cell': said.cells[0]} if said.cells else {}),
+            }
+        )
+    return rows
+
+
+def in_words(said: Statement) -> str:
+    """Return what was said, in a few words."""
+    if said.kind != 'finding':
+        return str(said.values.get('says', said.kind)).lower().replace('_', ' ')
+    told = [
+        f'{"" if said.values[name] else "no "}{name}'
+        for name in ('hazard', 'target')
+        if said.values[name] is not None
+    ]
+    walked = [f'walked {said.values["walked"]:g}'] if said.values['walked'] else []
+    return ', '.join([*told, *walked, *(['changed'] if said.values['changed'] else [])])
+
+
+def holds_in_words(said: Statement) -> str:
+    """Return whether a statement holds, and who took it back."""
+    if said.revoked_by:
+        return f'taken back by {said.revoked_by.author or "a person"}'
+    return 'yes' if said.holds else 'no'
+
+
+def contradiction_notes(mission: Mission) -> Iterator[str]:
+    """Yield a note on each two findings that contradict each other."""
+    by_content = {each.content: each for each in mission.said}
+    for pair, cells in contradictions(mission.said).items():
+        said = ' and '.join(
+            f'{by_content[each].author or "a person"} ({in_utc(by_content[each].stamp)[11:19]}: '
+            f'{in_words(by_content[each])})'
+            for each in pair
+        )
+        size = counted(len(cells), 'cell')
+        yield f'Two findings contradict each other in {size}: {said}. Both count.'
 
 
 def in_utc(stamp: int) -> str:

@@ -3,6 +3,7 @@
 
 import csv
 from dataclasses import replace
+import gzip
 import io
 from itertools import product
 import json
@@ -396,6 +397,21 @@ def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
     page.locator('#x').fill('99')
     page.locator('#x').press('Enter')
     assert 'is not in the field' in page.locator('#cell').inner_text()
+
+
+def test_what_people_said_is_marked_and_listed(opened, tmp_path):
+    recorded = Path(__file__).parents[1] / 'log' / 'recorded' / 'day.mcap.gz'
+    tmp_path.joinpath('mission.mcap').write_bytes(gzip.decompress(recorded.read_bytes()))
+    mission = read_mission(tmp_path / 'mission.mcap')
+    page = opened(file=page_file(mission))
+    in_force = [each for each in mission.said if each.holds]
+    for mark, kind in (('finding', 'finding'), ('closed', 'no_go')):
+        cells = {cell for each in in_force if each.kind == kind for cell in each.cells}
+        assert {*marked(page, mark, mission.grid)} == cells
+    assert len(page.locator('#said tbody tr').all()) == len(mission.said) == 6
+    assert 'walked 0.9' in page.locator('#said').inner_text()
+    page.get_by_label('said', exact=True).uncheck()
+    assert marked(page, 'closed', mission.grid) is None
 
 
 def test_pixels_have_the_colours_of_their_cells(opened, shown):

@@ -17,7 +17,7 @@ from kbnitp_ros.messages.headers import header, to_stamp
 from kbnitp_ros.messages.operator_actions import Action, operator_action_message, OperatorAction
 from kbnitp_ros.messages.remarks import read_remark
 from kbnitp_ros.report.mission import read_mission
-from kbnitp_ros.report.said import said_csv, said_geojson
+from kbnitp_ros.report.said import contradiction_notes, said_csv, said_geojson, said_rows
 from matplotlib.path import Path as Outline
 from mission_log import GRID, Mission, record_to
 import numpy as np
@@ -178,3 +178,33 @@ def test_an_area_holds_until_all_its_cells_are_open_again(tmp_path):
     stamps = [each.stamp for each in mission.said]
     assert ends == [stamps[3], stamps[2], None, None, None]
     assert [bool(each['revoked_at']) for each in table] == [True, True, False, False, False]
+
+
+def test_the_page_lists_statements_and_names_those_that_contradict(tmp_path):
+    whole = Talked()
+    key = whole.deploy(Observation(TOUR, False))
+    report = whole.ledger.standings[key].report
+    where = Annotation(agent=key.agent, deployment=to_stamp(key.stamp), report=report, steps=[2])
+    where.kind, where.cause = Annotation.LOCATED, Annotation.HAZARD
+    whole.say('annotations', where, EVIL, EVIL)
+    whole.find([3, 4, 7], hazard=Finding.ABSENT, confidence=0.95)
+    found = whole.find([4], hazard=Finding.PRESENT, walked=0.5)
+    taken = whole.find([5], target=Finding.PRESENT)
+    whole.say('revocations', Revocation(revokes=taken), 'Cleo')
+    whole.close(Action.NO_GO, (0, 1))
+    mission = written(tmp_path, whole)[0]
+    rows = said_rows(mission)
+    assert [(each['words'], each['holds'], each['mark'], each['cells']) for each in rows] == [
+        ('located', 'yes', 'wreck', [12]),
+        ('no hazard', 'yes', 'finding', [3, 4, 7]),
+        ('hazard, walked 0.5', 'yes', 'finding', [4]),
+        ('target', 'taken back by Cleo', None, [5]),
+        ('took back: target', 'yes', None, []),
+        ('no go', 'yes', 'closed', [0, 1]),
+    ]
+    assert [each['number'] for each in rows] == [1, *[None] * 5]
+    assert found != taken
+    (note,) = contradiction_notes(mission)
+    assert note.startswith('Two findings contradict each other in 1 cell: ')
+    assert ': no hazard) and ' in note
+    assert note.endswith(': hazard, walked 0.5). Both count.')

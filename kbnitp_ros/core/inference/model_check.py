@@ -273,11 +273,13 @@ class Alternatives:
         if self._turned_at is not None:
             reason = f'the model is in doubt since deployment {self._turned_at}: {fits}'
         elif ratios[best] > 1.0:
-            reason = f'no reason for doubt: {fits}, and it takes an average of {IN_DOUBT:.0f}'
-        else:
+            average = np.exp(log_sum(self._log_ratios + self._log_weights))
             reason = (
-                f'no reason for doubt: the evidence fits no alternative better than {believed}'
+                f'no reason for doubt: {fits}, but all other explanations together '
+                f'{average:.2g} times as well; doubt begins at {IN_DOUBT:.0f}'
             )
+        else:
+            reason = 'no reason for doubt: nothing fits the evidence better than what is believed'
         hidden = [words for name, words in MISSED.items() if name in self._alternatives]
         if hidden and self._turned_at is None:
             reason += f'; the check can miss {" and ".join(hidden)}'

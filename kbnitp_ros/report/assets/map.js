@@ -10,6 +10,7 @@ const MAX_MARK = 24;
 // Outlines of marks around (0, 0), of size 2.
 const SYMBOLS = {
   'triangle-up': [[0, -1], [0.9, 0.7], [-0.9, 0.7]],
+  square: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
   diamond: [[0, -1.2], [1.2, 0], [0, 1.2], [-1.2, 0]],
   pentagon: [0, 1, 2, 3, 4].map((each) => [Math.sin(0.4 * Math.PI * each), -Math.cos(0.4 * Math.PI * each)]),
   x: [[-1, -0.6], [-0.6, -1], [0, -0.4], [0.6, -1], [1, -0.6], [0.4, 0], [1, 0.6], [0.6, 1], [0, 0.4], [-0.6, 1], [-1, 0.6], [-0.4, 0]],
@@ -206,7 +207,7 @@ class FieldMap {
   // Marks have a size in pixels, or a `share` of the side of a cell, of at least `least` pixels.
   paintMarks(context, at, { x, y, marker }) {
     const isOpen = marker.symbol?.endsWith('-open');
-    const outline = SYMBOLS[marker.symbol];
+    const outline = SYMBOLS[marker.symbol?.replace('-open', '')];
     context.beginPath();
     x.forEach((each, place) => {
       if (each === null) return;

@@ -16,6 +16,7 @@ const ON_EARTH = [['latitude (°)', 'latitude', 7], ['longitude (°)', 'longitud
 const COLUMNS = {
   findings: [['what', 'kind'], ...PLACE, ['probability', 'probability', 3], ['looks', 'looks', 0], ['target read', 'seen', 0]],
   safe: [...PLACE, ['hazard', 'hazard', 3], ['target', 'target', 3], ['lost by malfunctions', 'malfunctions', 2]],
+  said: [['time', 'time'], ['who', 'author'], ['says', 'words'], ['of no.', 'number', 0], ['cells', 'count', 0], ['holds', 'holds'], ['note', 'note', undefined, true]],
   lost: [...PLACE, ['step', 'steps'], ['lost here', 'lost', 3]],
   deployments: [
     ['no.', 'deployment', 0], ['agent', 'agent', undefined, true], ['outcome', 'outcome'], ['steps', 'steps', 0],
@@ -188,6 +189,13 @@ function marks(moment) {
   if (isShown('free')) {
     const free = those((each) => !mayBeHazard(moment, each));
     drawn.push(marked('free', free, 0.2, { color: '#000000', line: { color: '#ffffff', width: 1 } }));
+  }
+  if (isShown('said')) {
+    Object.entries({ finding: ['square-open', 0.7, '#7b3294'], closed: ['x', 0.7, '#b00020'], wreck: ['diamond', 0.4, '#7b3294'] }).forEach(([mark, [symbol, share, color]]) => {
+      const found = mission.said.filter((each) => each.mark === mark).flatMap((each) => each.cells);
+      const edge = symbol.endsWith('-open') ? { color, width: 2 } : { color: '#ffffff', width: 1 };
+      drawn.push(marked(mark, found, share, { symbol, color, least: 4, line: edge }));
+    });
   }
   if (moment === last) drawn.push(...lined(line([mission.lane]), 2.5));
   drawn.push(...lined(line([way]), 2.5));
@@ -485,7 +493,7 @@ function write() {
   ])));
   renew('colours', Object.keys(shown), () => Object.keys(shown).map((name, place) => (
     field('radio', 'colour', name, { id: `colour-${name}`, checked: !place }))));
-  const layers = ['targets', 'free', 'paths', ...(truth ? ['truth'] : []), ...(mission.site ? ['image'] : [])];
+  const layers = ['targets', 'free', 'paths', ...(truth ? ['truth'] : []), ...(mission.said.length ? ['said'] : []), ...(mission.site ? ['image'] : [])];
   renew('layers', layers, () => layers.map((name) => field('checkbox', 'layer', name, { checked: true })));
   renew('maps', Object.keys(shown), () => Object.entries(shown).map(([name, words]) => (
     figure(`small-${name}`, words, `map of ${words}`, `Map of ${words}`))));
@@ -493,6 +501,8 @@ function write() {
   renew('curves', panels.map(({ label }) => label), () => panels.map(({ label }, place) => (
     figure(`curve-${place}`, '', `curves of ${label}`, `Curves of ${label}, report after report; the table of deployments has the numbers`))));
   document.querySelectorAll('.truth').forEach((each) => { each.hidden = !truth; });
+  document.querySelectorAll('.said').forEach((each) => { each.hidden = !mission.said.length; });
+  fill(page('said'), COLUMNS.said, mission.said.map((row) => tableRow(COLUMNS.said, row, 'cell' in row)));
   page('ways').hidden = !mission.exact;
   ['findings', 'safe'].forEach((id) => fill(page(id), columnsOf(id), mission[id].map((row) => tableRow(columnsOf(id), row, true))));
   fill(page('deployments'), columnsOf('deployments'), mission.table.map((row) => (
