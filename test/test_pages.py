@@ -82,18 +82,21 @@ def test_a_tutorial(name, tmp_path):
 @pytest.mark.full
 @pytest.mark.processes
 def test_commands_of_a_page_work_in_order(tmp_path):
-    """Except for a study, which takes hours, and a forecast, with fewer missions."""
+    """A study, which takes hours, runs with few robots, and a forecast with fewer missions."""
     tmp_path.joinpath('hidden.yaml').write_text(shown('world'))
+    tmp_path.joinpath('config').symlink_to(ROOT / 'config')
     made = Counter()
-    for page in ('README.md', 'docs/commands.md', 'docs/files.md', 'docs/which_field.md'):
+    pages = 'README', 'docs/commands', 'docs/field', 'docs/files', 'docs/which_field'
+    for page in pages:
         for line in COMMAND.finditer(
-            ''.join(text for kind, text in blocks(page) if kind == 'bash')
+            ''.join(text for kind, text in blocks(f'{page}.md') if kind == 'bash')
         ):
             words_of = [sys.executable, *shlex.split(line[0])[1:]]
             made[line[1]] += 1
             if line[1] == 'study':
                 out = tmp_path / words_of[-1]
-                study = subprocess.Popen(words_of, cwd=tmp_path, env=ENVIRONMENT)
+                few = [*words_of, '--set', 'robots=2']
+                study = subprocess.Popen(few, cwd=tmp_path, env=ENVIRONMENT)
                 deadline = time.monotonic() + 120
                 while not list(out.glob('trials/*.npz')) and time.monotonic() < deadline:
                     time.sleep(0.1)
@@ -101,7 +104,7 @@ def test_commands_of_a_page_work_in_order(tmp_path):
                 assert study.wait(timeout=180) == 130
             else:
                 run([*words_of, *['--worlds', '2'] * (line[1] == 'forecast')], tmp_path)
-    assert made == {'demo': 7, 'replay': 1, 'report': 1, 'study': 10, 'forecast': 1, 'layout': 2}
+    assert made == {'demo': 8, 'replay': 1, 'report': 1, 'study': 10, 'forecast': 1, 'layout': 2}
     assert {'small', 'small_report', 'paper', 'team', 'forecast', 'hidden'} <= {
         each.name for each in tmp_path.joinpath('runs').iterdir()
     }
