@@ -163,7 +163,9 @@ def serving(
     """Serve the page of a log, with the board and orders of a control; yield its address."""
     follower = Follower(log_parts(log)[0], namespace)
     resources = {
-        '/': Resource('text/html', lambda: page(follower.log), is_open=True),
+        '/': Resource(
+            'text/html', lambda: page(follower.log, has_board=control is not None), is_open=True
+        ),
         '/facts': Resource('application/json', lambda: follower.facts),
         '/events': Resource('application/x-ndjson', follower.changes),
         '/said.csv': Resource('text/csv', lambda: follower.said(said_csv)),

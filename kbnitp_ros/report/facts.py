@@ -17,6 +17,7 @@ from kbnitp_ros.core import Belief, Grid, Observation
 from kbnitp_ros.core.decision.decision import safest_ways
 from kbnitp_ros.files import counted
 from kbnitp_ros.log.files import NAME
+from kbnitp_ros.messages.headers import stamp_fields
 from kbnitp_ros.report.answers import (
     answer_tiles,
     expected_losses,
@@ -187,11 +188,13 @@ def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:
 
 
 def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, Any]:
-    """Return the path of a deployment, and the probability of a loss in each step."""
+    """Return the name of a deployment, its path, and the probability of a loss in each step."""
     seen = deployment.outcome
     is_lost = seen is not None and not seen.survived
     lost = loss_shares(mission, deployment, seen) if seen and is_lost else None
     return {
+        'agent': deployment.key.agent,
+        'stamp': dict(vars(stamp_fields(deployment.key.stamp))),
         'path': deployment.path.tolist(),
         'lost': None if lost is None else np.round(lost, 6).tolist(),
     }

@@ -70,9 +70,11 @@ def in_json(value: dict[str, Any]) -> str:
     return text.replace('<', '\\u003c')
 
 
-def page(log: Path, facts: str = '') -> str:
+def page(log: Path, facts: str = '', *, has_board: bool = False) -> str:
     """Return the page of a log with packed facts; without any it asks its server for them."""
-    parts = {**shared_parts(), 'title': escape(f'Mission {mission_title(log)}'), 'facts': facts}
+    title = escape(f'Mission {mission_title(log)}')
+    board = ' data-board="look"' if has_board else ''
+    parts = {**shared_parts(), 'title': title, 'facts': facts, 'board': board}
     return re.sub('@([a-z]+)@', lambda match: parts[match[1]], asset('page.html').decode())
 
 
@@ -101,7 +103,7 @@ def policy() -> str:
 
 def script() -> bytes:
     """Return the script of all pages."""
-    return b''.join(map(asset, ('drawing.js', 'map.js', 'page.js')))
+    return b''.join(map(asset, ('drawing.js', 'map.js', 'board.js', 'page.js')))
 
 
 def asset(name: str) -> bytes:

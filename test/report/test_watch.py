@@ -70,7 +70,7 @@ def test_the_page_follows_a_log_that_grows(browser, tmp_path, monkeypatch):
         page.uncheck('[value=free]')
         page.fill('#x', '-1.25')
         page.press('#x', 'Enter')
-        page.locator('summary').first.click()
+        page.locator('#configuration summary').first.click()
         page.click('#way-to')
         record_to(log, SENT[half:], synced=True)
         until(page, 'document.getElementById("moment").max === "6"')

@@ -1,5 +1,5 @@
 // The map of a field on a canvas. It moves under a drag once it is magnified: by +, - and 0, by the wheel with Ctrl, and by two fingers.
-// Arrow keys go from cell to cell.
+// Arrow keys go from cell to cell. While `onMark` is set, a drag marks a rectangle of cells, and Enter or the space bar marks a cell.
 const MAX_ZOOM = 40;
 
 // Pixels around a field, for its axes, and of the largest mark.
@@ -62,7 +62,7 @@ class FieldMap {
   }
 
   // Draw cells and traces. `data`: the cells first, {z, zmax, colorscale, opacity, ticks, title}, then lines and marks in metres.
-  // `layout`: {grid, labels, arrows, image, unvisited, obstacles, frame}.
+  // `layout`: {grid, labels, arrows, image, unvisited, obstacles, marked, frame}.
   draw(data, layout) {
     Object.assign(this.box, { data, layout });
     const [{ z, zmax, colorscale }] = data;
@@ -114,7 +114,7 @@ class FieldMap {
   render(wide = this.box.clientWidth, high = this.box.clientHeight, density = window.devicePixelRatio || 1) {
     if (!this.box.layout || !wide || !high) return;
     Object.assign(this.canvas, { width: Math.round(wide * density), height: Math.round(high * density) });
-    this.canvas.style.touchAction = this.zoom > 1 ? 'none' : 'pan-x pan-y';
+    this.canvas.style.touchAction = this.zoom > 1 || this.onMark ? 'none' : 'pan-x pan-y';
     const context = this.canvas.getContext('2d');
     const at = this.place(wide, high);
     context.setTransform(density, 0, 0, density, 0, 0);
@@ -125,6 +125,7 @@ class FieldMap {
     context.rect(at.left, at.top, ...at.shown);
     context.clip();
     this.paintCells(context, at);
+    this.paintMarked(context, at);
     this.box.data.slice(1).filter(({ x }) => x.length).forEach((each) => (each.mode === 'lines' ? this.paintLines(context, at, each) : this.paintMarks(context, at, each)));
     this.paintFrame(context, at);
     context.restore();
@@ -188,6 +189,26 @@ class FieldMap {
       context.stroke();
     }
     context.restore();
+  }
+
+  // Marked cells, and the rectangle of a drag.
+  paintMarked(context, at) {
+    const { marked } = this.box.layout;
+    const dragged = new Set(this.dragged);
+    if (!marked.size && !dragged.size) return;
+    context.beginPath();
+    this.rectangles(at, (each) => marked.has(each) || dragged.has(each)).forEach((each) => context.rect(...each));
+    Object.assign(context, { fillStyle: 'rgba(0, 158, 255, 0.45)', strokeStyle: '#003a66', lineWidth: 1.5 });
+    context.fill();
+    context.stroke();
+  }
+
+  // The cells of the rectangle between two cells.
+  rectangle(...corners) {
+    const { width } = this.box.layout.grid;
+    const [columns, rows] = [corners.map((each) => each % width), corners.map((each) => Math.floor(each / width))];
+    const range = (ends) => Array.from({ length: Math.abs(ends[1] - ends[0]) + 1 }, (_, place) => Math.min(...ends) + place);
+    return range(rows).flatMap((row) => range(columns).map((column) => row * width + column));
   }
 
   paintLines(context, at, { x, y, line, opacity = 1 }) {
@@ -365,6 +386,8 @@ class FieldMap {
   press(event) {
     this.pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
     this.moved = 0;
+    this.from = this.onMark && this.pointers.size === 1 ? this.cellAt(event) : null;
+    this.dragged = [];
     if (!this.isSmall) this.canvas.setPointerCapture(event.pointerId);
   }
 
@@ -383,6 +406,10 @@ class FieldMap {
     if (other) {
       const distance = ([x, y]) => Math.hypot(x - other[0], y - other[1]);
       this.magnify(distance(now) / Math.max(1, distance(before)), now);
+    } else if (this.onMark) {
+      const to = this.cellAt(event);
+      if (this.from !== null && to !== null) this.dragged = this.rectangle(this.from, to);
+      this.render();
     } else if (this.zoom > 1) this.shift(this.shareAt(...now), this.shareAt(...before));
   }
 
@@ -403,11 +430,19 @@ class FieldMap {
     this.pointers.delete(event.pointerId);
     const each = isClick ? this.cellAt(event) : null;
     if (each !== null) this.onCell(each);
+    const marked = each === null ? this.dragged : [each];
+    this.dragged = [];
+    if (this.onMark && marked.length && event.type === 'pointerup') this.onMark(marked);
   }
 
   key(event) {
     if (event.altKey || event.ctrlKey || event.metaKey) return;
     const { grid, frame } = this.box.layout;
+    if (this.onMark && frame !== null && ['Enter', ' '].includes(event.key)) {
+      event.preventDefault();
+      this.onMark([frame]);
+      return;
+    }
     const [across, up] = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key] ?? [];
     const factor = { '+': 1.5, '-': 1 / 1.5, 0: 0 }[event.key];
     if (across === undefined && factor === undefined) return;

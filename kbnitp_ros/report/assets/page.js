@@ -249,6 +249,7 @@ function layout() {
     // Under translucent cells.
     image: isShown('image') ? mission.site : null,
     unvisited: new Set(those((each) => mission.visited[each] < 0 || mission.visited[each] > now)),
+    marked: markedCells,
     frame: isNamed ? cell : null,
   };
 }
@@ -258,7 +259,7 @@ function drawMap() {
     name: 'base', marker: { symbol: 'pentagon', size: 12, color: '#ffffff', line: { color: '#000000', width: 2 } },
   });
   page('map').setAttribute('aria-label', `Map: ${mission.colours[chosenColour()]}; ${page('told').textContent}`);
-  maps.get('map').draw([coloured(chosenColour()), ...walked(), bases, ...marks(now)], layout());
+  maps.get('map').draw([coloured(chosenColour()), ...walked(), bases, ...marks(now), ...boardMarks()], layout());
   Object.keys(mission.colours).forEach((each) => maps.get(`small-${each}`).draw([coloured(each), bases], layout()));
 }
 
@@ -346,6 +347,7 @@ function look(each, typed = false) {
   cell = each;
   isTyped = typed;
   isNamed = true;
+  markChosen(cell);
   if (isDue) return;
   isDue = true;
   requestAnimationFrame(() => {
@@ -355,12 +357,15 @@ function look(each, typed = false) {
   });
 }
 
+// Choose the cell at the typed coordinates; return whether it is in the field.
 function named() {
   const { corner, along, across, resolution, width, height } = mission.grid;
   const [x, y] = ['x', 'y'].map((id, place) => Number(page(id).value) - corner[place]);
   const [column, row] = [along, across].map((axis) => Math.floor((x * axis[0] + y * axis[1]) / resolution ** 2));
-  if (column >= 0 && column < width && row >= 0 && row < height) look(row * width + column, true);
+  const isInside = column >= 0 && column < width && row >= 0 && row < height;
+  if (isInside) look(row * width + column, true);
   else page('cell').textContent = `(${page('x').value}, ${page('y').value}) is not in the field.`;
+  return isInside;
 }
 
 // Longitude and latitude, as in RFC 7946; without a datum, metres in the frame of the map, which the file states.
@@ -567,11 +572,12 @@ async function load(text) {
   document.documentElement.dataset.ready = 'true';
 }
 
-// Take the token out of the address; a reload finds it again.
+// Take the tokens to look and to act out of the address; a reload finds them again.
 function tokenOfServer() {
-  const given = location.hash.match(/^#token=([^&]+)/);
-  if (given) {
-    sessionStorage.setItem('token', given[1]);
+  const given = new URLSearchParams(location.hash.slice(1));
+  if (given.has('token')) {
+    sessionStorage.setItem('token', given.get('token'));
+    sessionStorage.setItem('act', given.get('act') ?? '');
     history.replaceState(null, '', location.pathname);
   }
   return sessionStorage.getItem('token') ?? '';
@@ -654,6 +660,7 @@ page('play').addEventListener('click', play);
 page('way-from').addEventListener('click', () => wayEnds(0));
 page('way-to').addEventListener('click', () => wayEnds(1));
 ['x', 'y'].forEach((id) => page(id).addEventListener('change', named));
+page('go').addEventListener('click', goToCell);
 ['colours', 'layers'].forEach((id) => page(id).addEventListener('change', drawMap));
 page('theme').addEventListener('click', () => {
   document.documentElement.dataset.theme = isDark() ? 'light' : 'dark';
@@ -668,4 +675,7 @@ window.addEventListener('afterprint', () => maps.get('map')?.render());
 
 const written = page('facts').textContent.trim();
 if (written) attempt(() => load(written));
-else follow();
+else {
+  follow();
+  if (document.documentElement.dataset.board) followBoard();
+}
