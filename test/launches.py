@@ -36,13 +36,15 @@ sys.exit(service.run())
 """
 
 
+# On a busy machine nodes may end later than launch waits for.
+PATIENCE = ('sigterm_timeout:=60', 'sigkill_timeout:=60')
+
+
 def launched(folder, domain, *arguments, launch_file='mission', **options):
     """Start a launch file with these arguments; their paths are relative to a folder."""
-    # On a busy machine nodes may end later than launch waits for.
-    patience = [f'sig{name}_timeout:=60' for name in ('term', 'kill')]
     file = ROOT / 'launch' / f'{launch_file}.launch.py'
     return subprocess.Popen(
-        [sys.executable, '-c', LAUNCH, file, *patience, *arguments],
+        [sys.executable, '-c', LAUNCH, file, *PATIENCE, *arguments],
         cwd=folder,
         env=environment(domain),
         start_new_session=True,
