@@ -373,7 +373,7 @@ def test_the_recorded_truth_is_that_of_the_robots():
     numbers = true_numbers(parameters['agent'], parameters['estimator'])
     assert numbers == {
         'lethality': 0.5, 'malfunction': 0.01, 'true_positive': 0.95, 'false_positive': 0.05,
-        'hazard_density': 0.15, 'kappa': 0.7, 'target_background': 0.1,
+        'hazard_density': 0.15, 'kappa': 0.7, 'target_background': 0.1, 'reach': 0.0, 'duds': 0.0,
     }  # fmt: skip
     # A malfunctioning hazard is equivalent to a less lethal one.
     parameters['agent']['sensor.false_negative'] = 0.24
