@@ -3,12 +3,22 @@
 
 from contextlib import contextmanager
 import json
+from pathlib import Path
 
 from base import Base, NODES
 from kbnitp_msgs.msg import OperatorAction
 from kbnitp_ros.cli import watch
 from kbnitp_ros.cli.server import Address
 from test_control import controlled, HOSTILE, report
+
+AXE = Path(__file__).parents[1] / 'report/node_modules/axe-core/axe.min.js'
+
+# Counts the sounds of a page.
+COUNTED = """
+    window.sounds = 0;
+    const make = AudioContext.prototype.createOscillator;
+    AudioContext.prototype.createOscillator = function () { sounds += 1; return make.call(this); };
+"""
 
 # A click on the middle of a cell of the map.
 AT = """each => {
@@ -29,6 +39,7 @@ class Tab:
         self.page.on('request', self._keep)
         self.page.on('pageerror', lambda error: self.problems.append(str(error)))
         self.page.on('console', lambda each: self.problems.append(each.text))
+        self.page.add_init_script(COUNTED)
         self.page.goto(address)
 
     def _keep(self, request):
@@ -56,6 +67,14 @@ class Tab:
 
     def ready(self):
         self.until('document.documentElement.dataset.ready === "true" && board !== null')
+
+    def violations(self):
+        """Return the rules of accessibility that the page breaks."""
+        self.page.evaluate(AXE.read_text())
+        return [
+            (each['id'], each['nodes'][0]['html'])
+            for each in self.page.evaluate('axe.run()')['violations']
+        ]
 
     def press(self, selector, text=None):
         found = self.page.locator(f'{selector} >> visible=true')
@@ -120,6 +139,10 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.ready()
         assert one.page.url == f'{client.url}/'
         one.until_says('#needs', 'approve scout_1 (returns with .')
+        assert one.page.title() == '(1) log'
+        assert one.page.evaluate('sounds') == 0
+        if AXE.exists():
+            assert one.violations() == []
         first = base.proposed()
         one.press('#needs button', 'refuse')
         one.go('Refuse')
@@ -129,6 +152,8 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.until(
             'cells => board.needs.some((each) => `${each.cells}` === `${cells}`)', base.proposed()
         )
+        # Something new waits, and the page was clicked.
+        one.until('sounds > 0')
         one.press('#needs button', 'approve')
         one.until_says('#act-warning', 'cannot be called back')
         one.go('Approve')
@@ -143,6 +168,8 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.mark(24)
         one.press('#no-go')
         one.fill('author', 'Ann')
+        if AXE.exists():
+            assert one.violations() == []
         one.fill('note', HOSTILE)
         one.foresee()
         one.go('No-go')
@@ -180,6 +207,10 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         typed.fill('log')
         one.go('End the mission')
         one.until_says('#state', 'ENDED')
+        with tab(field, browser, f'{client.url}/#token={client.look}') as looking:
+            looking.ready()
+            looking.until_says('#state', 'ENDED')
+            assert looking.page.locator('.act >> visible=true').count() == 0
         orders = one.orders()
         shut = {'cells': [24], 'author': 'Ann'}
         assert orders[:8] == [
@@ -280,7 +311,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         one.until(
             'board.said.filter((each) => each.says === "NO_HAZARD" && each.holds).length === 1'
         )
-        said = client.board['said']
+        said = one.page.evaluate('board.said')
         assert [each['kind'] for each in said] == [
             'annotation',
             *4 * ['finding'],

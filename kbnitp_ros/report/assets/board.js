@@ -11,7 +11,10 @@ const MAX_WAIT = 40_000;
 const CLEARED = 0.9;
 
 // What a person says of a deployment, by the number of its kind.
-const KINDS = { 1: 'wreck: it was lost there', 2: 'no hazard: a flat battery', 3: 'recovered: carried home', 4: 'withdraw: it says nothing', 5: 'lost before the change', 6: 'lost after the change' };
+const KINDS = {
+  1: 'wreck: it was lost there', 2: 'no hazard: a flat battery', 3: 'recovered: carried home', 4: 'withdraw: it says nothing', 5: 'lost before the change',
+  6: 'lost after the change',
+};
 const [LOCATED, NO_HAZARD, RECOVERED] = [1, 2, 3];
 
 // The board as it was sent last, and the cells that are marked.
@@ -31,7 +34,6 @@ let sound = null;
 const own = new Set();
 const put = new Map();
 
-const mayAct = () => document.documentElement.dataset.board === 'act';
 const share = (number) => (number === null ? 'unknown' : number.toFixed(3).replace(/^0/, ''));
 const words = (name) => name.toLowerCase().replaceAll('_', ' ');
 const clockTime = (seconds) => new Date(1000 * seconds - ahead).toTimeString().slice(0, 8);
@@ -86,26 +88,36 @@ function needsNow() {
   return [...board.needs.filter((each) => !own.has(each.nonce)), ...overdue];
 }
 
-const keyOf = ({ what, agent, deployment, nonce, obstacle }) => JSON.stringify([what, agent, deployment, nonce, obstacle]);
+const keyOf = ({ what, agent, deployment, nonce, obstacle, cells }) => JSON.stringify([what, agent, deployment, nonce, obstacle, cells]);
+
+const proposals = () => board.needs.filter((each) => each.what === 'approval');
 
 function needRow(need) {
   const { what, agent, deployment } = need;
   const key = keyOf(need);
   const say = (text, ...buttons) => element('li', [element('span', text), ' ', ...buttons.flatMap((each) => [each, ' '])]);
   if (what === 'approval') {
+    // The operator decides on all paths of a round together.
+    const paths = proposals();
+    if (need.agent !== paths[0].agent) return [];
     return say(
-      `approve ${agent} (returns with ${share(need.returns)})`,
-      orderButton('look', `look ${key}`, () => lookAt(need.cells.at(Math.floor(need.cells.length / 2))), { className: '' }),
-      orderButton('approve', `approve ${key}`, () => proposePlans('approve')),
-      orderButton('refuse', `refuse ${key}`, () => proposePlans('refuse')),
+      `approve ${paths.map((each) => `${each.agent} (returns with ${share(each.returns)})`).join(', ')}`,
+      ...paths.map((each) => orderButton(
+        paths.length > 1 ? `look at ${each.agent}` : 'look', `look ${each.agent}`, () => lookAt(each.cells[Math.floor(each.cells.length / 2)]), { className: '' },
+      )),
+      orderButton('approve', 'approve', () => proposePlans('approve')), orderButton('refuse', 'refuse', () => proposePlans('refuse')),
     );
   }
   if (what === 'held') return say(`${agent} is held: ${need.why}`, orderButton('decide', key, () => proposeAnnotation({ agent, deployment }, NO_HAZARD)));
   if (what === 'overdue') {
-    return say([`${agent} is `, running('due in', 'until', need.due)], orderButton('lost', `lost ${key}`, () => proposeLoss(agent)), orderButton('say', `say ${key}`, () => proposeAnnotation({ agent, deployment }, LOCATED)));
+    return say(
+      [`${agent} is `, running('due in', 'until', need.due)], orderButton('lost', `lost ${key}`, () => proposeLoss(agent)),
+      orderButton('say', `say ${key}`, () => proposeAnnotation({ agent, deployment }, LOCATED)),
+    );
   }
   if (what === 'mission') {
-    return say(need.why || words(need.obstacle), ...(board.mission.hold ? [orderButton('resume', `resume ${key}`, proposeResume)] : []), orderButton('end', `end ${key}`, proposeEnd));
+    const resume = board.mission.hold ? [orderButton('resume', `resume ${key}`, proposeResume)] : [];
+    return say(need.why || words(need.obstacle), ...resume, orderButton('end', `end ${key}`, proposeEnd));
   }
   return say(`${need.stale ? 'stale preview' : 'preview'} of ${words(need.order)}: ${need.message}`);
 }
@@ -117,7 +129,7 @@ function robotRow(robot) {
   else {
     const why = robot.waits_for && robot.waits_for !== 'NONE' ? ` for ${words(robot.waits_for)}` : '';
     said.append(robot.state === null ? 'was never heard' : `${words(robot.state)}${why}`);
-    if (robot.since !== null) said.append(' ', running('since', 'since', robot.since));
+    if (robot.since !== null) said.append(' ', running('for', 'since', robot.since));
   }
   const more = [
     robot.reason, robot.at_base === false && !out && 'away from its base', robot.battery !== null && `battery ${Math.round(100 * robot.battery)} %`,
@@ -149,7 +161,8 @@ function statement(said) {
 
 function saidRow(said) {
   const others = board.contradictions.filter(({ findings }) => findings.includes(said.hash)).length;
-  const row = element('li', `${clockTime(said.time)} ${said.author || 'somebody'}: ${statement(said)}${said.note ? ` (${said.note})` : ''}`, { className: said.holds ? '' : 'over' });
+  const text = `${clockTime(said.time)} ${said.author || 'somebody'}: ${statement(said)}${said.note ? ` (${said.note})` : ''}`;
+  const row = element('li', text, { className: said.holds ? '' : 'over' });
   if (others) row.append(element('strong', ' contradicts another finding'));
   if (said.revoked_by !== null) row.append(` taken back by ${said.revoked_by || 'somebody'} at ${clockTime(said.revoked_at)}`);
   if (said.holds && said.hash && said.kind !== 'revocation') row.append(' ', orderButton('revoke', said.hash, () => proposeRevocation(said)));
@@ -164,16 +177,23 @@ function parameterRow([name, value]) {
   input.dataset.key = id;
   return element('p', [
     element('label', [`${name.replaceAll('_', ' ')} `, input]), ' ',
-    orderButton('set', `button ${name}`, () => proposeParameter(name, value, typeof value === 'boolean' ? input.checked : input.valueAsNumber), { disabled: value === null, ariaLabel: `set ${name}` }),
+    orderButton('set', `button ${name}`, () => proposeParameter(name, value, typeof value === 'boolean' ? input.checked : input.valueAsNumber), {
+      disabled: value === null, ariaLabel: `set ${name}`,
+    }),
   ]);
+}
+
+function goalInWords({ kind: what, p_free, confidence, reached, trusted }) {
+  const names = trusted.map((each) => words(each.name));
+  const wanted = confidence ? ` of ${share(confidence)}` : '';
+  return `${what} ${share(p_free)}${wanted}${reached ? ', reached' : ''}${names.length ? `, trusts ${names.join(', ')}` : ''}`;
 }
 
 function drawBoard() {
   const { mission: { state, sent, out, lost, held, hold, age, name, reason }, goal, open } = board;
   page('state').textContent = state.replaceAll('_', ' ');
   page('counts').textContent = `${sent} sent, ${out} out, ${lost} lost${held ? `, ${held} held` : ''}`;
-  const trusted = goal ? goal.trusted.map((each) => words(each.name)) : [];
-  page('goal').textContent = goal ? `${goal.kind} ${share(goal.p_free)} of ${share(goal.confidence)}${goal.reached ? ', reached' : ''}${trusted.length ? `, trusts ${trusted.join(', ')}` : ''}` : '';
+  page('goal').textContent = goal ? goalInWords(goal) : '';
   page('heard').textContent = age ? `planner silent for ${span(age)}` : 'live';
   page('heard').className = age ? 'alarm' : '';
   page('reason').textContent = reason;
@@ -182,7 +202,7 @@ function drawBoard() {
   renewPart('hold', hold, () => [hold ? orderButton('Resume', 'hold', proposeResume) : orderButton('HOLD: robots out are not stopped', 'hold', stopAll)]);
   const needs = needsNow();
   page('needs-title').hidden = !needs.length;
-  renewPart('needs', [needs, hold], () => needs.map(needRow));
+  renewPart('needs', [needs, hold], () => needs.flatMap(needRow));
   const rank = (robot) => (robot.overdue ? 0 : robot.out ? 1 : 2);
   renewPart('robots', board.robots, () => [...board.robots].sort((one, other) => rank(one) - rank(other)).map(robotRow));
   renewPart('statements', [board.said, board.contradictions], () => (board.said.length ? [...board.said].reverse().map(saidRow) : [element('li', 'nothing so far')]));
@@ -197,7 +217,7 @@ function drawBoard() {
 
 // On the map: paths that wait for approval.
 function boardMarks() {
-  const next = line((board?.needs ?? []).filter((each) => each.what === 'approval').map((each) => each.cells));
+  const next = line(board ? proposals().map((each) => each.cells) : []);
   return [
     scatter('lines', next, { line: { color: '#ffffff', width: 6 } }),
     scatter('lines', next, { name: 'next', line: { color: '#e69f00', width: 3, dash: 'dashdot' } }),
@@ -321,7 +341,8 @@ function showPreview(preview) {
   page('act-confirm').hidden = asked === undefined;
   const typed = page('act-confirm').querySelector('input');
   Object.assign(typed, { required: asked !== undefined, value: '' });
-  page('act-confirm').querySelector('span').textContent = asked === undefined ? '' : `type ${typeof asked === 'number' ? `the number of cells, ${asked},` : `the name of the mission, ${asked},`} to go on`;
+  const name = typeof asked === 'number' ? 'number of cells' : 'name of the mission';
+  page('act-confirm').querySelector('span').textContent = `type the ${name}, ${asked}, to go on`;
   page('act-go').textContent = act.title;
   (asked === undefined ? page('act-go') : typed).focus();
 }
@@ -380,7 +401,7 @@ async function send(what, wait, isWanted = () => true) {
   while (isWanted()) {
     try {
       const answer = await fetch('act', { method: 'POST', headers: { ...headersOf(), 'Content-Type': 'application/json' }, body, signal: AbortSignal.timeout(MAX_WAIT) });
-      if (answer.status === 403) return { error: 'The command watch was started anew: open the address that it printed. Whether an order without an answer was obeyed, the board says.' };
+      if (answer.status === 403) return { error: 'The command watch was started anew: open the address that it printed, and look whether the order was obeyed.' };
       if (answer.status !== 504) return await answer.json();
     } catch (error) {
       if (!(error instanceof TypeError || error instanceof DOMException)) throw error;
@@ -406,7 +427,7 @@ function proposeResume() {
 function proposePlans(name) {
   propose({
     title: name === 'approve' ? 'Approve' : 'Refuse', order: name, arguments: () => ({}),
-    lines: () => board.needs.filter((each) => each.what === 'approval').map((each) => `${each.agent}: ${counted(each.cells.length - 1, 'step')}, returns with ${share(each.returns)}`),
+    lines: () => proposals().map((each) => `${each.agent}: ${counted(each.cells.length - 1, 'step')}, returns with ${share(each.returns)}`),
     warning: name === 'approve' ? 'All robots of the round leave. They cannot be called back.' : 'Another round is proposed.',
   });
 }
@@ -448,7 +469,8 @@ function proposeFinding(title, told) {
     title: `Say ${title}`, order: 'add_finding', isSigned: true, warning: 'It counts for all cells that are marked, and can be revoked.',
     fields: [
       meant(), choice('hazard', 'hazard', said, told.hazard ?? 0), choice('target', 'target', said, told.target ?? 0),
-      number('confidence', 'confidence', 0.99, { min: 0, max: 0.999999 }), number('walked: a live hazard would have struck with', 'walked', told.walked ?? 0, { min: 0, max: 1 }),
+      number('confidence', 'confidence', 0.99, { min: 0, max: 0.999999 }),
+      number('walked: a live hazard would have struck with', 'walked', told.walked ?? 0, { min: 0, max: 1 }),
       input('the field was changed: taken away, or placed', 'changed', { type: 'checkbox', checked: told.changed ?? false }),
       input('since (now if empty)', 'since', { type: 'datetime-local', step: 1 }), note(),
     ],
@@ -478,7 +500,8 @@ function proposeRevocation(said) {
 
 // The deployments of the report, the newest first; one that it lacks so far stands before them.
 function deploymentsKnown(given) {
-  const known = Object.entries(mission?.deployments ?? {}).reverse().map(([place, { agent, stamp }]) => ({ agent, deployment: stamp, name: `no. ${Number(place) + 1} of ${agent}` }));
+  const known = Object.entries(mission?.deployments ?? {}).reverse().map(([place, { agent, stamp }]) => (
+    { agent, deployment: stamp, name: `no. ${Number(place) + 1} of ${agent}` }));
   const isKnown = !given || known.some((each) => each.agent === given.agent && sameDeployment(each.deployment, given.deployment));
   return isKnown ? known : [{ ...given, name: `the last of ${given.agent}` }, ...known];
 }
