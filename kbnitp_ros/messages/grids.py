@@ -8,7 +8,6 @@ from math import atan2, cos, hypot, isfinite, pi, remainder, sin, tau
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.core.field.grid import turned
 from kbnitp_ros.messages.headers import check_frame, Fields, filled, header_fields, stamp_fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,37 +106,6 @@ def occupancy_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> Occupanc
     return filled(OccupancyGrid(), occupancy_fields(grid, probabilities, stamp))
 
 
-# Tolerance for cells that share a side, in sides of a cell.
-TOUCHING = 1e-6
-
-
-def mask_grid(grid: Grid, probabilities: ArrayLike, stamp: int) -> OccupancyGrid:
-    """
-    Return the mask of Nav2's costmap filters.
-
-    Nav2 ignores the turn of a mask. The mask of a turned field is an unturned grid around it: each
-    cell has the largest percentage of the field's cells that it overlaps, or -1 without any.
-    """
-    message = occupancy_grid(grid, probabilities, stamp)
-    if not grid.yaw:
-        return message
-    corners = grid.in_metres(np.array([*np.ndindex(2, 2)]) * (grid.width, grid.height))
-    low = corners.min(axis=0)
-    width, height = np.ceil(np.ptp(corners, axis=0) / grid.resolution - TOUCHING).astype(int)
-    mask = Grid(int(width), int(height), resolution=grid.resolution, origin=(low[0], low[1]))
-    centers = mask.in_cells(grid.centers(np.arange(grid.cells)))
-    # Two squares overlap if their centres are nearer than this along the sides of both.
-    reach = (1.0 + abs(cos(grid.yaw)) + abs(sin(grid.yaw))) / 2 - TOUCHING
-    first = np.floor(centers - reach + 0.5)
-    percent, own = np.full(mask.cells, UNKNOWN, dtype=np.int8), np.asarray(message.data, np.int8)
-    for offset in np.ndindex(3, 3):
-        apart = first + offset + 0.5 - centers
-        is_on = np.abs([apart, turned(apart, -grid.yaw)]).max(axis=(0, 2)) < reach
-        cells = ((first + offset) @ (1, mask.width)).astype(int)
-        np.maximum.at(percent, cells[is_on], own[is_on])
-    return filled(message, Fields(info=metadata_fields(mask), data=percent))
-
-
 def read_occupancy_grid(message: Any) -> NDArray[np.float64]:
     """Return the probabilities of a nav_msgs/OccupancyGrid."""
     if not message.header.frame_id:
@@ -173,8 +141,13 @@ def _data(message: Any, grid: Grid) -> NDArray[np.int8]:
 KEEPOUT, SPEED_PERCENT, SPEED_ABSOLUTE = range(3)
 
 
-def check_filter(filter_type: int, base: float, multiplier: float) -> None:
-    """Check base and multiplier of a Nav2 costmap filter of this type."""
+def check_filter(grid: Grid, filter_type: int, base: float, multiplier: float) -> None:
+    """Check base and multiplier of a Nav2 costmap filter of this type, and the field's turn."""
+    if grid.yaw:
+        raise ValueError(
+            f'filter.type is {filter_type}, and the field is turned by {grid.yaw:.6g} rad: Nav2 '
+            'ignores the turn of a mask; take a map that is not turned, or leave filter.type out'
+        )
     given = f'filter.base is {base} and filter.multiplier is {multiplier}'
     if filter_type == KEEPOUT and (base, multiplier) != (0.0, 1.0):
         raise ValueError(f'{given}: with filter.type 0, a KeepoutFilter, they must be 0 and 1')

@@ -11,7 +11,6 @@ from kbnitp_ros.core import DeploymentKey, Estimator, Ledger, World
 from kbnitp_ros.messages.grids import (
     check_filter,
     filter_info,
-    mask_grid,
     occupancy_grid,
     read_occupancy_grid,
 )
@@ -62,8 +61,8 @@ class Views:
         """Publish the hazard map as the mask of a Nav2 costmap filter as well."""
         from nav2_msgs.msg import CostmapFilterInfo
 
-        check_filter(filter_type, base, multiplier)
         node = self._node
+        check_filter(node.grid, filter_type, base, multiplier)
         self._mask = node.create_publisher(OccupancyGrid, 'belief/hazard_mask', qos.LATCHED)
         info = node.create_publisher(CostmapFilterInfo, 'belief/costmap_filter_info', qos.LATCHED)
         topic = self._mask.topic_name
@@ -122,7 +121,7 @@ class Views:
                 values = getattr(ledger.belief, name)
                 publisher.publish(occupancy_grid(ledger.grid, values, stamp))
             if self._mask:
-                self._mask.publish(mask_grid(ledger.grid, ledger.belief.hazard, stamp))
+                self._mask.publish(occupancy_grid(ledger.grid, ledger.belief.hazard, stamp))
             world = None
             if len(self._truth) == 2:
                 world = World(self._truth['hazard'], self._truth['target'])

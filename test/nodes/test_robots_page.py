@@ -9,6 +9,7 @@ import sys
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport
 from kbnitp_ros.configuration import node_parameters
+from kbnitp_ros.core import Grid
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.messages.grids import check_filter, KEEPOUT, SPEED_ABSOLUTE, SPEED_PERCENT
 from laws import for_each
@@ -17,6 +18,7 @@ import pytest
 import yaml
 
 PAGE = Path(__file__).parents[2] / 'docs/robots.md'
+GRID = Grid(4, 3)
 AGENT = re.search(r'^```python\n(.*?)^```', PAGE.read_text(), re.MULTILINE | re.DOTALL)[1]
 
 
@@ -163,7 +165,8 @@ def test_the_examples_name_existing_parameters_and_filters():
     assert [of_filter['type'] for of_filter, _ in PRINTED] == list(plugins)
     for of_filter, costmap in PRINTED:
         assert {name: table[f'filter.{name}'].check(of_filter[name]) for name in of_filter}
-        check_filter(**{'filter_type' if n == 'type' else n: v for n, v in of_filter.items()})
+        named = {'filter_type' if n == 'type' else n: v for n, v in of_filter.items()}
+        check_filter(GRID, **named)
         (name,) = costmap['filters']
         assert costmap[name]['plugin'] == f'nav2_costmap_2d::{plugins[of_filter["type"]]}'
 
@@ -182,10 +185,15 @@ def test_without_a_filter_nothing_is_published(field):
 ])  # fmt: skip
 def test_limits_without_effect_in_nav2_are_refused(filter_type, base, multiplier, why):
     with pytest.raises(ValueError, match=why):
-        check_filter(filter_type, base, multiplier)
+        check_filter(GRID, filter_type, base, multiplier)
 
 
 def test_limits_of_nav2_are_allowed():
-    check_filter(KEEPOUT, 0.0, 1.0)
-    check_filter(SPEED_PERCENT, 100.0, -1.0)
-    check_filter(SPEED_ABSOLUTE, 1.5, -0.015)
+    check_filter(GRID, KEEPOUT, 0.0, 1.0)
+    check_filter(GRID, SPEED_PERCENT, 100.0, -1.0)
+    check_filter(GRID, SPEED_ABSOLUTE, 1.5, -0.015)
+
+
+def test_a_filter_of_a_turned_field_is_refused():
+    with pytest.raises(ValueError, match=r'turned by 0.3 rad: Nav2 ignores the turn of a mask'):
+        check_filter(Grid(4, 3, yaw=0.3), KEEPOUT, 0.0, 1.0)
