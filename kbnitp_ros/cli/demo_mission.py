@@ -101,17 +101,19 @@ def run(log: Path, parameters: Mapping[str, Mapping[str, Any]], *, has_page: boo
     planner = parameters['planner']
     if reach := reach_note(make_grid(planner), planner):
         say(f'{reach}.')
-    end_on_signals()
+    arrived = end_on_signals()
     try:
         with serving(log, None, Address(port=0)) if has_page else nullcontext():
             deploy(log, parameters)
             return conclude(log)
     except KeyboardInterrupt:
-        complain('demo', f'interrupted; {how_to_go_on(log)}')
-        return 130
+        pass
     except (RuntimeError, LogError, OSError) as error:
-        complain('demo', f'{in_words(error)}; {how_to_go_on(log)}')
-        return 1
+        if not arrived:
+            complain('demo', f'{in_words(error)}; {how_to_go_on(log)}')
+            return 1
+    complain('demo', f'interrupted; {how_to_go_on(log)}')
+    return 128 + arrived[0]
 
 
 def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:

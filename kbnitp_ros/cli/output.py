@@ -10,6 +10,7 @@ from io import TextIOWrapper
 import os
 import signal
 import sys
+from types import FrameType
 from typing import TextIO
 
 from kbnitp_ros.files import in_words, OutputError, writing
@@ -32,11 +33,24 @@ def confirmed(question: str) -> bool:
     return False
 
 
-def end_on_signals() -> None:
-    """End a command, with the processes that it has started, at SIGINT and SIGTERM."""
+def end_on_signals() -> list[int]:
+    """
+    End a command, with the processes that it has started, at SIGINT and SIGTERM.
+
+    Returns the signals that have arrived: rclpy may raise another exception in place of theirs.
+    """
+    arrived: list[int] = []
+
+    def end(number: int, _frame: FrameType | None) -> None:
+        arrived.append(number)
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        sys.exit(128 + number)
+
     # Shells start background jobs with SIGINT ignored.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    return arrived
 
 
 def complain(name: str, error: object) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demo: a whole mission in four processes, and the files it leaves."""
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 import os
 from pathlib import Path
@@ -25,7 +25,7 @@ from kbnitp_ros.cli.demo_mission import (
     recorded_parameters,
     watch,
 )
-from kbnitp_ros.cli.processes import free_domain, given_domain, Processes
+from kbnitp_ros.cli.processes import environment, free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
 from kbnitp_ros.configuration.table import FIELD_LEARNT, IN_FIELD
 from kbnitp_ros.core import (
@@ -506,7 +506,12 @@ def waits_for(obstacle, ends_by=Helper.OPERATOR, state=MissionState.RUNNING, **s
 ], every=2)  # fmt: skip
 def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
     monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
-    with free_domain() as domain, observed(domain) as observer:
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        # The demo sets these for its process.
+        for name, value in environment(domain).items():
+            monkeypatch.setenv(name, value)
+        observer = stack.enter_context(observed(domain))
         node = rclpy.create_node('planner')
         mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
         node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
@@ -528,6 +533,28 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
         executor.shutdown()
         spinning.join()
         node.destroy_node()
+
+
+@for_each('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_becomes_another_error_is_still_one(monkeypatch, capsys, tmp_path, number):
+    """As where it arrives in a callback of rclpy."""
+    handlers = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+
+    def swallow(*_):
+        try:
+            signal.raise_signal(number)
+        except (KeyboardInterrupt, SystemExit):
+            raise RuntimeError('Unable to convert call argument') from None
+
+    monkeypatch.setattr(demo_mission_module, 'deploy', swallow)
+    try:
+        parameters = chosen_parameters(parse([]))
+        code = demo_mission_module.run(tmp_path / 'mission.mcap', parameters, has_page=False)
+    finally:
+        for each, handler in handlers.items():
+            signal.signal(each, handler)
+    assert code == 128 + number
+    assert 'demo: interrupted; no robot had left' in capsys.readouterr().err
 
 
 @pytest.mark.processes

@@ -198,6 +198,8 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.until_says('#act-warning', 'cannot be taken back')
         one.go('Give scout_1 up')
         one.until('board.mission.lost === 1')
+        # The next robot leaves by itself: the dialog says who is out.
+        one.until('outNow().length === 1')
         one.press('#end')
         one.until_says('#act-confirm', 'type the name of the mission, log,')
         typed = one.page.locator('#act-confirm input')
