@@ -173,7 +173,7 @@ def test_every_nth_and_the_last_belief_are_checked(field):
         lambda: 'after 2 deployments' in field.told('/estimator', 'model_check'), 'diagnostics'
     )
     node.send_signal(SIGINT)
-    field.until(lambda: models[-1].checked == 3, 'last check', may_end=True)
+    field.until(lambda: models and models[-1].checked == 3, 'last check', may_end=True)
     stamps = {each.deployments: each.header.stamp for each in field.beliefs}
     for model in models:
         if model.checked_stamp.sec:
@@ -198,7 +198,7 @@ def test_a_weakly_known_density_of_clustered_hazards_is_stated(field):
     for number, cells in enumerate(tours, 1):
         paths.publish(path(number, cells=cells))
         reports.publish(returned(number, cells=cells))
-    field.until(lambda: beliefs[-1].deployments == len(tours), 'belief in all')
+    field.until(lambda: beliefs and beliefs[-1].deployments == len(tours), 'belief in all')
     field.until(lambda: told not in field.diagnosed('/estimator').message, 'no warning')
 
 

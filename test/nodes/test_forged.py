@@ -40,7 +40,7 @@ def test_a_second_estimator_does_not_decide(field):
     # By its prior the goal is reached at once.
     own = {'prior.hazard': 0.001, 'await_nodes': ['planner']}
     field.start('estimator', {**base.parameters, **own})
-    field.until(lambda: heard[-1].epoch != first, 'standings of another')
+    field.until(lambda: heard and heard[-1].epoch != first, 'standings of another')
     field.until(lambda: base.decisions[-1].reached, 'decision of another')
     words = '2 estimators publish standings, nodes /estimator, /estimator: the first one counts'
     field.until(lambda: words in field.said('/planner'), words)
@@ -118,7 +118,7 @@ def test_diagnostics_that_name_a_node_change_nothing(field):
     base.come_back()
     base.until_sent(3)
     base.come_back()
-    field.until(lambda: told[-1].state == MissionStatus.DONE, 'end')
+    field.until(lambda: told and told[-1].state == MissionStatus.DONE, 'end')
     assert (told[-1].ordered, told[-1].lost, told[-1].held) == (3, 1, 0)
 
 

@@ -228,7 +228,7 @@ def test_of_two_paths_with_one_stamp_the_recorded_one_counts(field):
         walked = counted()[0]
         report = read_report(reports[-1])[1]
         assert not report.survived or [cell for cell, _ in report.readings] == walked[1:]
-    field.until(lambda: beliefs[-1].deployments == 3, 'belief')
+    field.until(lambda: beliefs and beliefs[-1].deployments == 3, 'belief')
     field.processes.stop()
     assert len(list(read_log(log, [PATH]))) == 3
     assert replay(log).reproduced

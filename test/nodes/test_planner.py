@@ -319,13 +319,13 @@ def test_a_loss_that_the_model_rules_out_is_held_and_can_be_given_up(field):
     sent, cells = read_path(FIVE_BY_FIVE, 'scout_1', base.paths['scout_1'][0])
     base.reports['scout_1'].publish(report_message(sent, Observation(cells, False), 1))
     base.until_state('the outcome is impossible under this belief and sensor model: allow')
-    field.until(lambda: told[-1].held == 1, 'held deployment')
+    field.until(lambda: told and told[-1].held == 1, 'held deployment')
     assert told[-1].ends_by == MissionStatus.OPERATOR
     assert told[-1].out == 0
     assert 'impossible' in told[-1].reason
     answer = base.do('give_up', agent='scout_1')
     assert 'it counts as lost from now on' in answer
-    field.until(lambda: told[-1].state == MissionStatus.DONE, 'end')
+    field.until(lambda: told and told[-1].state == MissionStatus.DONE, 'end')
     assert (told[-1].lost, told[-1].held) == (1, 0)
 
 

@@ -63,8 +63,9 @@ class LostRobot:
 
     def until_stated(self, **values):
         def is_stated():
-            last = self.states[-1]
-            return all(getattr(last, name) == value for name, value in values.items())
+            return self.states and all(
+                getattr(self.states[-1], name) == value for name, value in values.items()
+            )
 
         self.field.until(is_stated, f'state {values}')
 
@@ -76,7 +77,10 @@ class LostRobot:
         assert answer.result().success, answer.result().message
 
     def until_lost(self):
-        self.field.until(lambda: self.beliefs[-1].deployments == 1, 'belief in the loss')
+        def is_believed():
+            return self.beliefs and self.beliefs[-1].deployments == 1
+
+        self.field.until(is_believed, 'belief in the loss')
 
     def refusals(self):
         """Return how often each node of the base refused a message."""

@@ -424,7 +424,7 @@ def test_a_mission_ends_and_its_log_agrees_with_the_simulator(
     done = f'done: {robots} of {robots} robots deployed'
     field.until(lambda: field.state(f'{MISSION}/planner') == done, done, 300)
     # The planner's diagnostics may arrive before its last belief.
-    field.until(lambda: beliefs[-1].deployments == robots, 'belief in all')
+    field.until(lambda: beliefs and beliefs[-1].deployments == robots, 'belief in all')
     said = ''.join(field.said(f'{MISSION}/{name}/robot') for name in names)
     assert where['out'] >= len(crashes) // 3
     assert said.count('leaving on') == robots
