@@ -67,7 +67,7 @@ from rclpy.signals import SignalHandlerOptions
 NAME = 'operator'
 
 # Seconds between two looks at the board for its streams, between two spins, until a silent stream
-# says that it is there, and to wait for a planner at the start and for the answer to an order.
+# says that it is there, and to wait for a planner or a service and for the answer to an order.
 PERIOD, SPIN, ALIVE, START, ANSWER = 0.25, 0.05, 5.0, 10.0, 30.0
 
 # Maximum number of orders that wait for the node, of answers that are kept, and of previews shown.
@@ -103,6 +103,8 @@ class Operator(Node):
         super().__init__(NAME, namespace=namespace, context=context)
         self.board = Board(name)
         self.orders: Queue[Given] = Queue(MAX_ORDERS)
+        # Orders whose service is not found yet, and until when it is sought.
+        self._seeking: list[tuple[float, Given]] = []
         # Messages that could not be read.
         self.refused = 0
         # Parameters of planner and estimator, by role.
@@ -277,14 +279,18 @@ class Operator(Node):
         return steps * period + float(values['return_deadline'])
 
     def give(self) -> None:
-        """Call the services of the orders that wait."""
+        """Call the services of the orders that wait, each once it is found."""
         while not self.orders.empty():
-            given = self.orders.get()
+            self._seeking.append((time.monotonic() + START, self.orders.get()))
+        seeking, self._seeking = self._seeking, []
+        for until, given in seeking:
             own = f'{self.board.status.author}/set_parameters'
             name = given.order.service if given.order else own
             if self._callers[name].service_is_ready():
                 call = self._callers[name].call_async(given.request)
                 call.add_done_callback(partial(self._answered, given))
+            elif time.monotonic() < until:
+                self._seeking.append((until, given))
             else:
                 why = f'nobody offers the service {name}: is its node running?'
                 given.answer.set_result((HTTPStatus.SERVICE_UNAVAILABLE, {'error': why}))
