@@ -207,7 +207,11 @@ function drawBoard() {
   renewPart('robots', board.robots, () => [...board.robots].sort((one, other) => rank(one) - rank(other)).map(robotRow));
   renewPart('statements', [board.said, board.contradictions], () => (board.said.length ? [...board.said].reverse().map(saidRow) : [element('li', 'nothing so far')]));
   renewPart('parameters', board.parameters, () => Object.entries(board.parameters).map(parameterRow));
-  if (mission) drawMap();
+  const next = JSON.stringify(proposals());
+  if (mission && put.get('map') !== next) {
+    put.set('map', next);
+    drawMap();
+  }
   tick();
   const keys = needs.filter(({ what }) => what !== 'preview').map(keyOf);
   if (waiting && keys.some((key) => !waiting.includes(key))) beep();
