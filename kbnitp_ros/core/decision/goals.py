@@ -106,10 +106,10 @@ class FlightState:
         return [path for path in different(paths) if np.bincount(path[1:]).max() <= most]
 
 
-def hazards_alone(hazard: Floats) -> Belief:
+def hazards_alone(grid: Grid, hazard: Floats) -> Belief:
     """Return the belief with these hazards and without targets."""
     none = np.zeros(hazard.size)
-    return Belief.from_maps(hazard, none, none)
+    return Belief.from_maps(hazard, none, none).on(grid)
 
 
 def share(part: Floats, whole: Floats) -> Floats:
@@ -122,7 +122,8 @@ def flights_over(situation: FlightState, over: Sequence[int]) -> list[Path]:
     """Return closed paths for information on the field, and direct flights to cells of `over`."""
     grid, options = situation.grid, situation.options
     hazard = situation.draws.p_hazard()
-    paths = situation.searched(hazards_alone(hazard)) + situation.searched(situation.belief)
+    paths = situation.searched(hazards_alone(grid, hazard))
+    paths += situation.searched(situation.belief)
     with np.errstate(divide='ignore'):
         cost = -np.log1p(-hazard).clip(min=LEAST) + STEP_COST
     cells = np.array(over)
@@ -327,7 +328,7 @@ class Lane:
             cells = np.unique(lanes[best_lane]).tolist()
             hazard = np.zeros(draws.cells)
             hazard[cells] = draws.p_hazard()[cells]
-            paths += situation.searched(hazards_alone(hazard))
+            paths += situation.searched(hazards_alone(situation.grid, hazard))
             survival = draws.survivals(paths, situation.model)
             is_free = free[best_lane, :, None]
             value = information_on(is_free, survival, outcomes)

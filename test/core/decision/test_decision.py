@@ -14,6 +14,7 @@ from kbnitp_ros.core import (
     Grid,
     HazardDraws,
     Lane,
+    Learning,
     NoPathError,
     Observation,
     plan,
@@ -24,6 +25,7 @@ from kbnitp_ros.core import (
     Stop,
     targets,
     Team,
+    Unknowns,
     World,
 )
 from kbnitp_ros.core.decision import decision as lanes
@@ -321,6 +323,19 @@ def test_a_mission_with_a_goal_is_decided_after_each_deployment(goal):
         else:
             assert each.decision.path.size == 0
     assert not run_mission(GRID, PRIOR, MODEL, world, 0, 7, options=NEAR, goal=goal)
+
+
+@pytest.mark.parametrize('goal', [Lane(24, 0.95), Area([6, 7, 12], 0.95)])
+@pytest.mark.parametrize('reach', [0.3, None])
+def test_a_goal_is_reached_where_hazards_may_reach(goal, reach):
+    safe = World(np.zeros(25, bool), np.zeros(25, bool), GRID)
+    believed = SensorModel(0.9, malfunction=0.001, reach=reach or 0.0)
+    learning = Learning(Unknowns(reach=(0.0, 0.6)) if reach is None else Unknowns())
+    mission = run_mission(
+        GRID, PRIOR.on(GRID), believed, safe, 20, 7, options=NEAR, learning=learning, goal=goal
+    )
+    assert mission[-1].decision.reached
+    assert len(mission) < 20
 
 
 def test_missions_stop_by_themselves():
