@@ -7,10 +7,11 @@ import sys
 import time
 
 from fickle_robot import CRASHED
+from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
-from mission import Mission, NAMESPACE, StuckError
+from mission import Mission, NAMESPACE, PATIENCE, StuckError
 import numpy as np
 from unbroken import draw_faults, folded
 
@@ -23,9 +24,6 @@ SILENT = {
 
 # Maximum number of agents of a mission.
 MAX_AGENTS = 3
-
-# Seconds for a restarted robot to publish again.
-HEARD_AGAIN = 120.0
 
 
 class DepartingMission(Mission):
@@ -78,28 +76,19 @@ class DepartingMission(Mission):
             for node in [node for node in fault.pauses if node not in BASE]:
                 del fault.pauses[node]
             self.suffer(fault)
-        self.until_over()
-        # Robots that were given up may still return.
-        deadline = time.monotonic() + HEARD_AGAIN
-        while time.monotonic() < deadline and not self._is_taken_in(self.logged()):
+        # Robots that were given up may return, and others replace those that did not move.
+        deadline = time.monotonic() + PATIENCE
+        while time.monotonic() < deadline:
             self.wait(0.5)
+            if self.log.exists():
+                logged = self.logged()
+                if not self._misjudged(logged) and self._is_believed(logged):
+                    break
         return faults
 
-    def _is_taken_in(self, logged):
-        return not self._unheard(logged) and self._is_believed(logged)
-
     def _is_believed(self, logged):
-        given = folded(self._own, logged).joint.tobytes()
-        return np.asarray(self.onlooker.belief.joint).tobytes() == given
-
-    def _unheard(self, logged):
-        reports = logged.reports
-        return [
-            key
-            for key, told in self.journals().items()
-            if 'departed' in told and 'lost' not in told
-            if not any(report.survived for report in reports.get(key, ()))
-        ]
+        given, belief = folded(self._own, logged).joint.tobytes(), self.onlooker.belief
+        return belief is not None and np.asarray(belief.joint).tobytes() == given
 
     def journals(self):
         told = {}
@@ -110,16 +99,9 @@ class DepartingMission(Mission):
                 told.setdefault(DeploymentKey(agent, stamp), {})[what] = value
         return told
 
-    def findings(self):
-        codes = self.processes.stop()
-        found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
-        found += [('exit', f'{n}: {self.said(n)}') for n in BASE if 'Traceback' in self.said(n)]
-        try:
-            logged = self.logged()
-            reproduced = replay(self.log).reproduced
-        except LogError as error:
-            return [*found, ('log', str(error))]
-        told = self.journals()
+    def _misjudged(self, logged):
+        """Return what the reports in the log say otherwise than the robots' journals."""
+        told, found = self.journals(), []
         departed = {key for key, each in told.items() if 'departed' in each}
         for key, reports in logged.reports.items():
             if key not in departed:
@@ -127,6 +109,8 @@ class DepartingMission(Mission):
             elif 'home' in told[key] and not any(report.survived for report in reports):
                 found.append(('false', f'{key} came home: {reports}'))
         found += [('lost', f'{key} departed') for key in departed - logged.reports.keys()]
+        out = [key for key in departed if not told[key].keys() & {'home', 'lost'}]
+        found += [('stuck', f'{key} is out') for key in out]
         # Robots that came back without a step are sent again.
         unmoved = [
             key for key in logged.reports if len({*told.get(key, {}).get('home', [[]])[0]}) == 1
@@ -134,8 +118,20 @@ class DepartingMission(Mission):
         robots = self._own['robots'] + len(unmoved)
         if len(logged.reports) != robots:
             found.append(('double', f'{len(logged.reports)} deployments: {robots}'))
-        if not reproduced:
-            found.append(('replay', f'{self.log} does not replay'))
+        return found
+
+    def findings(self):
+        codes = self.processes.stop()
+        found = [('exit', f'{name} ended with {code}') for name, code in codes.items() if code]
+        found += [('exit', f'{n}: {self.said(n)}') for n in BASE if 'Traceback' in self.said(n)]
+        try:
+            logged = self.logged()
+            replayed = replay(self.log)
+        except LogError as error:
+            return [*found, ('log', str(error))]
+        found += self._misjudged(logged)
+        if not replayed.reproduced:
+            found.append(('replay', '\n'.join(lines(replayed))))
         if not self._is_believed(logged):
             found.append(('belief', 'the belief published last is not that of the log'))
         return found

@@ -9,6 +9,7 @@ import signal
 import time
 
 from kbnitp_ros.cli.processes import Processes
+from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.log.read import LogError
 from kbnitp_ros.log.replay import replay
@@ -274,7 +275,7 @@ class Mission:
         found += [('exit', f'{n}: {self.said(n)}') for n in NODES if 'Traceback' in self.said(n)]
         try:
             logged = self.logged()
-            reproduced = replay(self.log).reproduced
+            replayed = replay(self.log)
         except LogError as error:
             return [*found, ('log', str(error))]
         heard = self.onlooker.evidence
@@ -293,8 +294,8 @@ class Mission:
         # A silent robot that was given up may have returned.
         late = with_defaults(self._parameters)['silent_loss']
         found += contradictions('heard', heard, late) + contradictions('logged', logged, late)
-        if not reproduced:
-            found.append(('replay', f'{self.log} does not replay'))
+        if not replayed.reproduced:
+            found.append(('replay', '\n'.join(lines(replayed))))
         if logged.reports.keys() <= logged.paths.keys():
             given = folded(self._parameters, logged).joint.tobytes()
             if np.asarray(self.onlooker.belief.joint).tobytes() != given:
