@@ -119,19 +119,19 @@ def check_skipped(names: Sequence[str]) -> None:
 @contextmanager
 def listening(
     namespace: str, skipped: Sequence[str]
-) -> Iterator[tuple[Mission, Callable[[], None]]]:
+) -> Iterator[tuple[MissionListener, Callable[[], None]]]:
     """Yield a mission, and the function that hears what is new."""
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = Node('preflight', namespace=namespace)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        yield Mission(node, skipped), partial(executor.spin_once, timeout_sec=SPIN)
+        yield MissionListener(node, skipped), partial(executor.spin_once, timeout_sec=SPIN)
     finally:
         try_shutdown()
 
 
-class Mission:
+class MissionListener:
     """The last words of the base and the agents of a mission."""
 
     def __init__(self, node: Node, skipped: Sequence[str]) -> None:

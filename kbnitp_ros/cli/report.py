@@ -13,7 +13,7 @@ from kbnitp_ros.log.files import part_note
 from kbnitp_ros.log.read import log_size
 from kbnitp_ros.nodes.runtime.command_line import add_log, command_parser
 from kbnitp_ros.report.folder import check_is_free, write_report
-from kbnitp_ros.report.mission import Mission, read_mission
+from kbnitp_ros.report.mission import MissionSummary, read_summary
 from kbnitp_ros.report.tables import mission_curves
 
 DESCRIPTION = """
@@ -57,9 +57,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 2 if mission.corrupt else 0
 
 
-def report(log: Path, folder: Path, namespace: str | None = None) -> Mission:
+def report(log: Path, folder: Path, namespace: str | None = None) -> MissionSummary:
     """Write the report of a log, with a progress bar on a terminal."""
-    mission = read_mission(log, partial(with_progress, log_size(log)), namespace)
+    mission = read_summary(log, partial(with_progress, log_size(log)), namespace)
     left_out = write_report(folder, mission, mission_curves(mission))
     say(f'wrote {folder / "report.html"} and, beside it, tables and maps')
     for note in (*mission.notes, left_out):

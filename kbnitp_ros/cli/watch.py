@@ -23,7 +23,7 @@ from kbnitp_ros.log.record import first_belief, required_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.orders import in_words
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
-from kbnitp_ros.report.mission import Mission, recorded_mission
+from kbnitp_ros.report.mission import MissionSummary, recorded_mission
 from kbnitp_ros.report.page import fitting_facts, page, policy
 from kbnitp_ros.report.said import said_csv, said_geojson
 from kbnitp_ros.report.tables import mission_curves
@@ -204,7 +204,7 @@ class Follower:
         self._grown_at = time.monotonic()
         # The log and its history, as far as they were read.
         self._read: tuple[MissionLog, History] | None = None
-        self._mission: Mission | None = None
+        self._mission: MissionSummary | None = None
         # A missing log is awaited. Other errors are raised here, but only shown by `follow`.
         with suppress(FileNotFoundError):
             self._look()
@@ -234,7 +234,7 @@ class Follower:
             shown = now
             self.is_over.wait(LOOK)
 
-    def said(self, write: Callable[[Mission], str]) -> str:
+    def said(self, write: Callable[[MissionSummary], str]) -> str:
         """Return what people said, as a function writes it; empty before the first belief."""
         return write(self._mission) if self._mission else ''
 

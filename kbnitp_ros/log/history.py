@@ -16,7 +16,7 @@ from kbnitp_ros.log.record import RecordedMission, required_belief
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.messages.beliefs import Snapshot
 from kbnitp_ros.messages.headers import from_stamp
-from kbnitp_ros.messages.progress import Known, ModelState, NOTHING_LEARNT, read_decision
+from kbnitp_ros.messages.progress import LearntNumber, ModelState, NOTHING_LEARNT, read_decision
 from kbnitp_ros.messages.states import AgentState
 from kbnitp_ros.messages.topics import REMARKS, TRUTH
 import numpy as np
@@ -124,7 +124,7 @@ class History:
         return table
 
     @property
-    def learnt(self) -> list[dict[str, Known]]:
+    def learnt(self) -> list[dict[str, LearntNumber]]:
         """Return the learnt numbers after each belief, in recorded order."""
         return [state.numbers for state in self.models.values()]
 

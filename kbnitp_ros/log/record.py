@@ -272,7 +272,7 @@ def read_resumed(
 ) -> RecordedMission:
     """Read the record of a mission, to resume it on this grid with these robots."""
     prior = check_same_field(log, grid, robot_types)
-    record = RecordedMission(grid, max_steps, robot_types, read_mission(log), values)
+    record = RecordedMission(grid, max_steps, robot_types, mission_start(log), values)
     record.prior = prior
     if prior:
         record.allow(prior.max_steps, prior.robot_types)
@@ -305,7 +305,7 @@ def read_newest_round(
     ]
 
 
-def read_mission(log: MissionLog) -> int | None:
+def mission_start(log: MissionLog) -> int | None:
     """Return the start of the mission of a log, in nanoseconds; None if it has no belief."""
     stated: dict[int, None] = {}
     sent: dict[int, None] = {}
@@ -345,6 +345,6 @@ def read_ledger(log: MissionLog) -> Ledger:
             f'{log.path} begins with a belief that holds {prior.deployments} deployments: the '
             'prior is not on record'
         )
-    ledger, mission = begun(prior), read_mission(log)
+    ledger, mission = begun(prior), mission_start(log)
     fold_evidence(ledger, log.read('path', 'report', 'status', *REMARKS), mission)
     return ledger

@@ -247,7 +247,7 @@ QUANTILES = (5, 25, 50, 75, 95)
 
 
 @dataclass(frozen=True)
-class Known:
+class LearntNumber:
     """The belief about a learnt number after some deployments."""
 
     # Mean and standard deviation of the number.
@@ -274,7 +274,7 @@ NOT_CHECKED = Checked(ModelCheck(False, {}, ''), 0, 0)
 class ModelState(NamedTuple):
     """Learnt numbers, kinds of hazard with their probabilities, and the last check."""
 
-    numbers: dict[str, Known]
+    numbers: dict[str, LearntNumber]
     kinds: dict[str, float]
     checked: Checked
 
@@ -339,7 +339,7 @@ def read_model_belief(message: Any) -> ModelState:
                 f'{column} has {values} values: it must have one for each of the {named} {names}s'
             )
     numbers = {
-        name: Known(mean, sd, tuple(quantiles), samples)
+        name: LearntNumber(mean, sd, tuple(quantiles), samples)
         for name, mean, sd, *quantiles, samples in zip(
             message.name, *(getattr(message, field) for field in fields)
         )

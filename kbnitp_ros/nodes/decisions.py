@@ -40,7 +40,7 @@ BUSY = 'another call is being answered: call again later'
 T = TypeVar('T')
 
 
-class Known(NamedTuple):
+class PublishedBelief(NamedTuple):
     """A published belief: its estimator, number of deployments, stamp, mission and evidence."""
 
     estimator: Estimator
@@ -56,7 +56,7 @@ class Decisions:
     def __init__(self, node: FieldNode) -> None:
         self._node = node
         self._grid = node.grid
-        self._newest: Known | None = None
+        self._newest: PublishedBelief | None = None
         # The last draws, and their estimator; drawn by one thread at a time.
         self._drawn: tuple[Estimator, HazardDraws] | None = None
         self._drawing = Lock()
@@ -65,7 +65,7 @@ class Decisions:
         self._no_go: tuple[int, ...] = ()
         self.open_grid = node.grid
         # The belief, the confidence and the no-go cells of the last decision begun.
-        self._begun: tuple[Known | None, float, tuple[int, ...]] = None, 0.0, ()
+        self._begun: tuple[PublishedBelief | None, float, tuple[int, ...]] = None, 0.0, ()
         # Services with a call that is being answered.
         self._answering: set[str] = set()
         self._publisher = Repeated(node, DecisionMessage, 'decision', qos.LATCHED)
@@ -84,7 +84,9 @@ class Decisions:
         """Decide on a new belief, and publish the decision once it is computed."""
         # A late deployment gives the ledger another estimator, and leaves this one as it is.
         evidence = EvidenceName(epoch, ledger.changes)
-        self._newest = Known(ledger.estimator, len(ledger.deployments), stamp, mission, evidence)
+        self._newest = PublishedBelief(
+            ledger.estimator, len(ledger.deployments), stamp, mission, evidence
+        )
         self._decide()
 
     def close(self, no_go: tuple[int, ...]) -> None:
@@ -126,7 +128,9 @@ class Decisions:
         decide = partial(self._decision, goal, self.open_grid, known, most)
         self._deciding = self._node.compute(decide, self._take)
 
-    def _decision(self, goal: Goal, grid: Grid, known: Known, max_steps: int) -> Decision:
+    def _decision(
+        self, goal: Goal, grid: Grid, known: PublishedBelief, max_steps: int
+    ) -> Decision:
         """Decide, and find the numbers that a reached goal trusts."""
         hazards = joint_hazards(known.estimator, known.deployments)
         decision = goal.decide(grid, hazards, known.estimator.model, max_steps)
@@ -161,7 +165,7 @@ class Decisions:
                 self._node.get_logger().warning(f'the decision {sentence}')
         self._decide()
 
-    def _draws(self, known: Known) -> HazardDraws:
+    def _draws(self, known: PublishedBelief) -> HazardDraws:
         """Return draws of the hazards for a belief, as often as it is asked."""
         with self._drawing:
             if self._drawn is None or self._drawn[0] is not known.estimator:
@@ -209,7 +213,7 @@ class Decisions:
         find = partial(self._safest_path, self.open_grid, known, start, to)
         return self._answered('safest_path', response, find, fill)
 
-    def _safest_path(self, grid: Grid, known: Known, start: int, to: int) -> Decision:
+    def _safest_path(self, grid: Grid, known: PublishedBelief, start: int, to: int) -> Decision:
         model, most = known.estimator.model, self._node.values['max_steps']
         hazards = joint_hazards(known.estimator, known.deployments)
         return safest_path(grid, hazards, model, start, to, most)

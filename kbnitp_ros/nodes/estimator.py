@@ -16,7 +16,7 @@ from kbnitp_ros.configuration.table import MAX_AGENTS
 from kbnitp_ros.core import DeploymentKey, Ledger, Report
 from kbnitp_ros.core.inference.record import OPEN, Verdict
 from kbnitp_ros.files import counted, waiting_for
-from kbnitp_ros.log.record import check_same_field, fold_evidence, read_mission, read_no_go
+from kbnitp_ros.log.record import check_same_field, fold_evidence, mission_start, read_no_go
 from kbnitp_ros.log.roles import MissionLog, resumed_log
 from kbnitp_ros.messages.beliefs import belief_maps
 from kbnitp_ros.messages.deployments import AgentStatus as Status
@@ -136,7 +136,7 @@ class EstimatorNode(FieldNode):
     def _take_in(self, log: MissionLog) -> None:
         """Judge the recorded paths, reports and statuses; duplicates change nothing."""
         if self._mission is None:
-            self._mission = read_mission(log)
+            self._mission = mission_start(log)
         evidence = log.read('path', 'report', 'status', 'standings', *REMARKS)
         messages = self.log_progress(evidence, f'reading {log.path}')
         self._epoch = max(self._epoch, fold_evidence(self._ledger, messages, self._mission))

@@ -14,7 +14,7 @@ from kbnitp_ros.core import DeploymentKey
 from kbnitp_ros.messages.headers import content_hash, from_stamp, mission_of_path, named, read_name
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
-from kbnitp_ros.robot.journal import Deployment, Journal
+from kbnitp_ros.robot.journal import Journal, JournaledDeployment
 from kbnitp_ros.robot.orders import Orders
 from nav_msgs.msg import Path
 from rclpy.subscription import Subscription
@@ -180,7 +180,7 @@ class RecordedPaths(Generic[P]):
 SETTLED = 0.3
 
 
-class PendingPaths(RecordedPaths[Deployment]):
+class PendingPaths(RecordedPaths[JournaledDeployment]):
     """The recorded paths on which a real robot has not departed yet."""
 
     # Paths arrive again after a restart of the robot or the base. The base sends no path while the
@@ -191,7 +191,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         node: FieldNode,
         agent: str,
         journal: Journal,
-        refuse: Callable[[Deployment, str], object],
+        refuse: Callable[[JournaledDeployment, str], object],
     ) -> None:
         super().__init__(node, agent, self._read_path, self._take_path)
         self._journal = journal
@@ -199,9 +199,9 @@ class PendingPaths(RecordedPaths[Deployment]):
         self.orders = Orders(journal)
         self._last = 0.0
 
-    def _read_path(self, message: Path) -> Deployment | None:
+    def _read_path(self, message: Path) -> JournaledDeployment | None:
         key, path = self._node.read_path(self.agent, message)
-        deployment = Deployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
+        deployment = JournaledDeployment(key.stamp, mission_of_path(message), tuple(path.tolist()))
         known = self.orders.find(key.stamp)
         if known is not None and known.path != deployment.path:
             raise ValueError(f'deployment {key} already has another path: the first path counts')
@@ -211,7 +211,7 @@ class PendingPaths(RecordedPaths[Deployment]):
         self._last = time.monotonic()
         return deployment
 
-    def _take_path(self, deployment: Deployment) -> None:
+    def _take_path(self, deployment: JournaledDeployment) -> None:
         self._last = time.monotonic()
         own = self._journal.mission
         if own is not None and deployment.mission < own:
@@ -234,7 +234,7 @@ class PendingPaths(RecordedPaths[Deployment]):
             self._last = time.monotonic()
 
     @property
-    def newest(self) -> Deployment | None:
+    def newest(self) -> JournaledDeployment | None:
         """Return the newest open order, which comes next; None if there is none."""
         return self.orders.open_orders[-1] if self.orders.open_orders else None
 

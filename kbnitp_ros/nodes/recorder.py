@@ -24,7 +24,7 @@ from kbnitp_ros.files import waiting_for
 from kbnitp_ros.log.configuration import parameters_record, run_record
 from kbnitp_ros.log.files import make_folder, new_log
 from kbnitp_ros.log.read import LoggedMessage, PARAMETERS, RUN
-from kbnitp_ros.log.record import read_mission
+from kbnitp_ros.log.record import mission_start
 from kbnitp_ros.log.roles import read_content, RECORD, resumed_log, Role
 from kbnitp_ros.log.schema import qos_profiles_yaml
 from kbnitp_ros.log.write import check_size, LogWriter
@@ -151,7 +151,7 @@ class RecorderNode(MissionNode):
         # By node: first difference between the topics that it states and the topics of this node.
         self._differing: dict[str, str] = {}
         if recorded is not None:
-            self._tracker.mission = read_mission(recorded)
+            self._tracker.mission = mission_start(recorded)
             for role, logged in recorded.read(*ACTED_ON, 'standings'):
                 if role.name == 'standings':
                     self._estimator = logged.said.epoch, logged.said.rules

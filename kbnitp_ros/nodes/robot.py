@@ -30,7 +30,7 @@ from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
 from kbnitp_ros.nodes.runtime.process import run
-from kbnitp_ros.robot.journal import Deployment, Journal, Step
+from kbnitp_ros.robot.journal import Journal, JournaledDeployment, Step
 from kbnitp_ros.robot.track import BY_ODOMETRY, BY_POSES
 from kbnitp_ros.robot.trip import distance_home, Trip, USUAL_SPEED
 from kbnitp_ros.robot.whereabouts import Fixes, Place, Transforms
@@ -193,7 +193,7 @@ class RobotNode(FieldNode):
                 f'off in cell {self._trip.cell}: it goes home'
             )
 
-    def _set_out(self, deployment: Deployment, path: Sequence[int]) -> Trip:
+    def _set_out(self, deployment: JournaledDeployment, path: Sequence[int]) -> Trip:
         """Return the trip of a deployment along a path, or home if the path is empty."""
         key, warn = self._key(deployment), self.get_logger().warning
         return Trip(
@@ -214,7 +214,7 @@ class RobotNode(FieldNode):
         given: float = self.values['max_speed']
         return given or self._driver.max_speed
 
-    def _key(self, deployment: Deployment) -> DeploymentKey:
+    def _key(self, deployment: JournaledDeployment) -> DeploymentKey:
         return DeploymentKey(self._agent, deployment.stamp)
 
     def _publish_status(
@@ -397,7 +397,7 @@ class RobotNode(FieldNode):
             else self._go_on(self._trip)
         )
 
-    def _report_forgotten(self, deployment: Deployment) -> None:
+    def _report_forgotten(self, deployment: JournaledDeployment) -> None:
         """Report a return from a deployment that the journal lost, and vouch for no step."""
         if not self._keep(partial(self._journal.depart, deployment)):
             return
@@ -412,7 +412,7 @@ class RobotNode(FieldNode):
             f'home from {self._key(deployment)}, which the journal lost: no step is vouched for'
         )
 
-    def _refuse(self, deployment: Deployment, reason: str) -> bool:
+    def _refuse(self, deployment: JournaledDeployment, reason: str) -> bool:
         """Refuse a path for good; return whether the refusal is in the journal."""
         stamp, now = deployment.stamp, self.now()
         if not self._keep(partial(self._journal.refuse, stamp, now, reason)):
@@ -421,7 +421,7 @@ class RobotNode(FieldNode):
         self.get_logger().warning(f'deployment {self._key(deployment)} is refused: {reason}')
         return True
 
-    def _depart(self, deployment: Deployment) -> bool:
+    def _depart(self, deployment: JournaledDeployment) -> bool:
         """Record the departure in the journal and report it; return False if recording fails."""
         deployment.departed = self.now()
         if not self._keep(partial(self._journal.depart, deployment)):
@@ -537,7 +537,7 @@ class RobotNode(FieldNode):
         )
         return f'home from {key}'
 
-    def _report(self, deployment: Deployment) -> None:
+    def _report(self, deployment: JournaledDeployment) -> None:
         most = MAX_WALK * value_for(self.values, 'max_steps', self._agent)
         observation, now = deployment.observation(most), self.now()
         if len(deployment.steps) > most:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from kbnitp_ros.core import Observation, targets, World
 from kbnitp_ros.core.inference.filter import hazards_used_up
 from kbnitp_ros.files import counted, some
-from kbnitp_ros.report.mission import DeploymentSummary, Mission
+from kbnitp_ros.report.mission import DeploymentSummary, MissionSummary
 from kbnitp_ros.report.tables import Curves
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class Cells:
     suspected: NDArray[np.bool_]
 
 
-def classify_cells(mission: Mission) -> Cells:
+def classify_cells(mission: MissionSummary) -> Cells:
     """Return the classes of cells, without blocked cells."""
     hazard, inside = mission.moments[-1].belief.hazard, mission.grid.free
     entered, free = mission.entered() & inside, inside & (hazard <= FREE)
@@ -47,7 +47,7 @@ def classify_cells(mission: Mission) -> Cells:
     return Cells(entered, entered & free, free & ~entered, suspected)
 
 
-def list_findings(mission: Mission) -> list[dict[str, Any]]:
+def list_findings(mission: MissionSummary) -> list[dict[str, Any]]:
     """Return the targets and the suspected hazards as rows of a table, the most probable first."""
     belief, model = mission.moments[-1].belief, mission.moments[-1].snapshot.model
     known = {each.cell: each for each in targets(belief, model, mission.ended)}
@@ -71,7 +71,7 @@ def list_findings(mission: Mission) -> list[dict[str, Any]]:
     return placed(mission, table)
 
 
-def placed(mission: Mission, table: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def placed(mission: MissionSummary, table: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return rows with the centres of their cells in metres and, with a datum, in degrees."""
     centers = mission.grid.centers([row['cell'] for row in table])
     columns = dict(zip('xy', centers.T.tolist()))
@@ -94,7 +94,7 @@ def spot(x: float, y: float) -> str:
 MAX_SAFE = 1000
 
 
-def safe_cells(mission: Mission) -> list[dict[str, Any]]:
+def safe_cells(mission: MissionSummary) -> list[dict[str, Any]]:
     """Return the free cells as rows of a table, the safest first, at most `MAX_SAFE`."""
     grid, belief = mission.grid, mission.moments[-1].belief
     free = np.flatnonzero(classify_cells(mission).free)
@@ -121,7 +121,7 @@ def safe_cells(mission: Mission) -> list[dict[str, Any]]:
     return placed(mission, table)
 
 
-def expected_losses(mission: Mission) -> NDArray[np.float64]:
+def expected_losses(mission: MissionSummary) -> NDArray[np.float64]:
     """Return the expected number of robots lost in each cell, shape (cells,)."""
     expected = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
@@ -132,7 +132,7 @@ def expected_losses(mission: Mission) -> NDArray[np.float64]:
 
 
 def loss_shares(
-    mission: Mission, deployment: DeploymentSummary, seen: Observation
+    mission: MissionSummary, deployment: DeploymentSummary, seen: Observation
 ) -> NDArray[np.float64]:
     """Return P(step | lost) by the last belief, or that after the report if hazards change."""
     stays = mission.dynamics == 'static' or deployment.moment is None
@@ -141,7 +141,7 @@ def loss_shares(
     return shares(seen, moment.agent_model(deployment.key.agent).survival(hazard))
 
 
-def expected_used_up(mission: Mission) -> NDArray[np.float64]:
+def expected_used_up(mission: MissionSummary) -> NDArray[np.float64]:
     """Return the expected number of hazards used up in each cell, shape (cells,)."""
     used_up = np.zeros(mission.grid.cells)
     for deployment in mission.deployments:
@@ -150,7 +150,7 @@ def expected_used_up(mission: Mission) -> NDArray[np.float64]:
     return used_up
 
 
-def used_up_at(mission: Mission, place: int) -> NDArray[np.float64]:
+def used_up_at(mission: MissionSummary, place: int) -> NDArray[np.float64]:
     """Return the expected number of hazards that a deployment uses up, in each cell."""
     moment, before = mission.moments[place], mission.moments[place - 1].belief
     if moment.outcome is None or moment.deployment is None:
@@ -171,7 +171,7 @@ def shares(seen: Observation, survival: NDArray[np.float64]) -> NDArray[np.float
     return share
 
 
-def advice(mission: Mission) -> tuple[str, str]:
+def advice(mission: MissionSummary) -> tuple[str, str]:
     """Return the recommended action, in a few words, and the reason."""
     out, decision = mission.in_flight, mission.decision
     if decision is not None and decision.reached:
@@ -183,7 +183,7 @@ def advice(mission: Mission) -> tuple[str, str]:
     return pace(mission)
 
 
-def pace(mission: Mission) -> tuple[str, str]:
+def pace(mission: MissionSummary) -> tuple[str, str]:
     """Estimate the number of further robots for the undecided cells, and explain the estimate."""
     moments = mission.moments
     left = undecided(mission, -1)
@@ -210,7 +210,7 @@ def pace(mission: Mission) -> tuple[str, str]:
     )
 
 
-def undecided(mission: Mission, moment: int) -> int:
+def undecided(mission: MissionSummary, moment: int) -> int:
     """Return the number of cells that are neither free nor hazardous with 95 % at a moment."""
     hazard = mission.moments[moment].belief.hazard[mission.grid.free]
     return int(((hazard > FREE) & (hazard < 1.0 - FREE)).sum())
@@ -230,7 +230,7 @@ class Tile(NamedTuple):
     link: str = ''
 
 
-def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
+def answer_tiles(mission: MissionSummary, curves: Curves) -> Iterator[Tile]:
     """Yield the questions of a field engineer with the answers of a log."""
     cells, inside = classify_cells(mission), mission.grid.free
     assumed = int(cells.assumed.sum())
@@ -294,7 +294,7 @@ def answer_tiles(mission: Mission, curves: Curves) -> Iterator[Tile]:
 DUDS = ' Free of hazards that can strike: a hazard that never strikes, a dud, is not found.'
 
 
-def lane(mission: Mission) -> Tile:
+def lane(mission: MissionSummary) -> Tile:
     """Describe the decision on the lane, or on another goal."""
     decision = mission.decision
     if decision is None:
@@ -327,7 +327,7 @@ def lane(mission: Mission) -> Tile:
     )
 
 
-def risk(mission: Mission) -> str:
+def risk(mission: MissionSummary) -> str:
     """Describe the lethality of hazards."""
     last = mission.moments[-1]
     if 'lethality' not in last.state.numbers:
@@ -336,7 +336,7 @@ def risk(mission: Mission) -> str:
     return f'Lethality: {middle:.0f} % (learnt, {low:.0f} to {high:.0f} %).'
 
 
-def fit(mission: Mission) -> Tile:
+def fit(mission: MissionSummary) -> Tile:
     """Describe the recorded truth and the model check, which show how reliable the answers are."""
     question, (_, kinds, checked) = 'Can I trust it?', mission.moments[-1].state
     check = checked.check
@@ -357,7 +357,7 @@ def fit(mission: Mission) -> Tile:
     return Tile(question, answer, right + ' '.join(details), 'curves-title')
 
 
-def by_truth(mission: Mission, world: World) -> str:
+def by_truth(mission: MissionSummary, world: World) -> str:
     """Describe the true state of free and suspected cells."""
     cells, inside = classify_cells(mission), mission.grid.free
     missed = int((world.hazard & cells.free).sum())
@@ -369,7 +369,7 @@ def by_truth(mission: Mission, world: World) -> str:
     )
 
 
-def where_lost(mission: Mission, lost: int) -> Tile:
+def where_lost(mission: MissionSummary, lost: int) -> Tile:
     """Describe the cells in which half of the losses are expected."""
     question = 'Where were robots lost? (x, y in m)'
     if not lost:

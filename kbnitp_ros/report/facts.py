@@ -28,7 +28,7 @@ from kbnitp_ros.report.answers import (
     safe_cells,
     used_up_at,
 )
-from kbnitp_ros.report.mission import DeploymentSummary, Mission
+from kbnitp_ros.report.mission import DeploymentSummary, MissionSummary
 from kbnitp_ros.report.said import contradiction_notes, said_rows
 from kbnitp_ros.report.tables import Curves, out_at, rows
 from kbnitp_ros.styles import COUNTS, DARK_MAPS, MAPS, SERIES, stops
@@ -59,7 +59,7 @@ LEVELS = 255
 
 
 def mission_facts(
-    mission: Mission, curves: Curves, kept: NDArray[np.intp], left_out: str = ''
+    mission: MissionSummary, curves: Curves, kept: NDArray[np.intp], left_out: str = ''
 ) -> dict[str, Any]:
     """Return the facts of a mission, with the moments of these indices."""
     grid, world, last = mission.grid, mission.world, mission.moments[-1]
@@ -123,7 +123,7 @@ def mission_title(log: Path) -> str:
     return path.parent.name if path.name == NAME else path.name
 
 
-def configuration(mission: Mission) -> dict[str, dict[str, str]]:
+def configuration(mission: MissionSummary) -> dict[str, dict[str, str]]:
     """Return the versions of a run, and the parameters of its nodes, as texts."""
     tables = {'Versions': mission.run, **mission.parameters}
     return {
@@ -144,7 +144,7 @@ def ways(grid: Grid, belief: Belief) -> dict[int, list[int]]:
     return dict(zip(starts, safest_ways(grid, belief.hazard, starts).tolist()))
 
 
-def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
+def deployments_shown(mission: MissionSummary, kept: NDArray[np.intp]) -> list[int]:
     """Return the deployments listed on a page: all, or the deployments of its moments."""
     if kept.size == len(mission.moments):
         return list(range(len(mission.deployments)))
@@ -152,7 +152,7 @@ def deployments_shown(mission: Mission, kept: NDArray[np.intp]) -> list[int]:
     return sorted(each for each in shown if each is not None)
 
 
-def summary(mission: Mission, curves: Curves) -> str:
+def summary(mission: MissionSummary, curves: Curves) -> str:
     """Summarize a mission in a few sentences."""
     ended, entropy = mission.robots, curves.entropy
     lost = sum(not each.survived for each in ended)
@@ -173,7 +173,7 @@ def summary(mission: Mission, curves: Curves) -> str:
     return ' '.join(filter(None, words))
 
 
-def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:
+def colour_scales(mission: MissionSummary) -> dict[str, dict[str, list[Any]]]:
     """Return the colours of each map on light paper and on a dark screen."""
     assumed = mission.assumed
     scales = {
@@ -187,7 +187,7 @@ def colour_scales(mission: Mission) -> dict[str, dict[str, list[Any]]]:
     return {**scales, 'robots-lost': counts, 'used-up': counts}
 
 
-def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, Any]:
+def path_and_loss(mission: MissionSummary, deployment: DeploymentSummary) -> dict[str, Any]:
     """Return the name of a deployment, its path, and the probability of a loss in each step."""
     seen = deployment.outcome
     is_lost = seen is not None and not seen.survived
@@ -200,7 +200,7 @@ def path_and_loss(mission: Mission, deployment: DeploymentSummary) -> dict[str, 
     }
 
 
-def field_facts(mission: Mission) -> dict[str, Any]:
+def field_facts(mission: MissionSummary) -> dict[str, Any]:
     """Return the field."""
     grid = mission.grid
     corner, along, across = grid.in_metres([(0, 0), (1, 0), (0, 1)])
@@ -220,7 +220,7 @@ def field_facts(mission: Mission) -> dict[str, Any]:
     }
 
 
-def first_visits(mission: Mission) -> NDArray[np.intp]:
+def first_visits(mission: MissionSummary) -> NDArray[np.intp]:
     """Return the index of the first moment after each cell's first visit; else len(moments)."""
     times = [each.time for each in mission.moments]
     first = np.full(mission.grid.cells, len(times), dtype=np.intp)
@@ -233,7 +233,7 @@ def first_visits(mission: Mission) -> NDArray[np.intp]:
     return first
 
 
-def target_looks(mission: Mission) -> dict[int, list[tuple[int, int]]] | None:
+def target_looks(mission: MissionSummary) -> dict[int, list[tuple[int, int]]] | None:
     """Return the readings of each cell with their moments; None if targets are static."""
     if mission.moments[0].snapshot.target_dynamics.effect == 'static':
         return None
@@ -249,7 +249,7 @@ def target_looks(mission: Mission) -> dict[int, list[tuple[int, int]]] | None:
 
 
 def moment_facts(
-    mission: Mission, curves: Curves, place: int, out: NDArray[np.intp]
+    mission: MissionSummary, curves: Curves, place: int, out: NDArray[np.intp]
 ) -> dict[str, Any]:
     """Return a moment."""
     moment = mission.moments[place]
@@ -281,7 +281,7 @@ def likely_steps(seen: Observation | None) -> tuple[int, int] | None:
     return int(likely[0]), int(likely[-1]) + 1
 
 
-def describe_moment(mission: Mission, place: int) -> str:
+def describe_moment(mission: MissionSummary, place: int) -> str:
     """Return a moment in a sentence."""
     moment = mission.moments[place]
     if moment.deployment is None:
@@ -296,7 +296,7 @@ def describe_moment(mission: Mission, place: int) -> str:
 
 
 def described_facts(
-    mission: Mission, curves: Curves, place: int, out: NDArray[np.intp]
+    mission: MissionSummary, curves: Curves, place: int, out: NDArray[np.intp]
 ) -> Iterator[tuple[str, str]]:
     """Yield the facts of a moment, as pairs of a name and a text."""
     moment = mission.moments[place]
@@ -359,7 +359,7 @@ def known(values: NDArray[Any]) -> list[float | None]:
     return [None if isnan(value) else value for value in values.tolist()]
 
 
-def learnt_facts(mission: Mission, kept: NDArray[np.intp]) -> dict[str, dict[str, Any]]:
+def learnt_facts(mission: MissionSummary, kept: NDArray[np.intp]) -> dict[str, dict[str, Any]]:
     """Return the curves of the learnt numbers, and their true values."""
     facts = {}
     for name in mission.moments[-1].state.numbers:

@@ -10,7 +10,7 @@ from pathlib import Path
 import shutil
 import tempfile
 
-from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.mission import MissionSummary
 from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.said import said_csv, said_geojson
 from kbnitp_ros.report.tables import Curves, write_beliefs, write_tables
@@ -29,7 +29,7 @@ def check_is_free(folder: Path) -> None:
         )
 
 
-def write_report(folder: Path, mission: Mission, curves: Curves) -> str:
+def write_report(folder: Path, mission: MissionSummary, curves: Curves) -> str:
     """Write a report, all of its files or none; return a note on moments that the page omits."""
     check_is_free(folder)
     with whole_folder(folder) as new:

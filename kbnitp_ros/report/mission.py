@@ -87,7 +87,7 @@ class DeploymentSummary:
 
 
 @dataclass(frozen=True, eq=False)
-class Mission:
+class MissionSummary:
     """The mission of a log."""
 
     # The log.
@@ -171,17 +171,17 @@ class Mission:
         return visited
 
 
-def read_mission(
+def read_summary(
     path: str | Path,
     progress: Callable[[Iterator[LoggedMessage]], Iterable[LoggedMessage]] = iter,
     namespace: str | None = None,
-) -> Mission:
+) -> MissionSummary:
     """Return the mission of a log; `namespace` selects one of several."""
     log = MissionLog(path, namespace)
     return recorded_mission(log, read_history(log, progress))
 
 
-def recorded_mission(log: MissionLog, history: History) -> Mission:
+def recorded_mission(log: MissionLog, history: History) -> MissionSummary:
     """Return the mission of a log by its history."""
     evidence, path = history.evidence, log.path
     grid = evidence.grid
@@ -194,7 +194,7 @@ def recorded_mission(log: MissionLog, history: History) -> Mission:
     parameters = log.parse_parameters(metadata)
     site, unseen = map_site(parameters, grid)
     datum, differing = recorded_datum(parameters)
-    return Mission(
+    return MissionSummary(
         log=path,
         grid=grid,
         moments=moments,

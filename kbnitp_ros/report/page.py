@@ -15,7 +15,7 @@ import re
 from typing import Any
 
 from kbnitp_ros.report.facts import mission_facts, mission_title, packed
-from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.mission import MissionSummary
 from kbnitp_ros.report.tables import Curves
 import numpy as np
 
@@ -26,13 +26,13 @@ MAX_BYTES = 15_000_000
 PLAIN = ('name', 'summary', 'notes', 'tiles', 'configuration', 'frames')
 
 
-def mission_page(mission: Mission, curves: Curves) -> tuple[str, str]:
+def mission_page(mission: MissionSummary, curves: Curves) -> tuple[str, str]:
     """Return the page of a mission, of at most `MAX_BYTES`, and a note on omitted moments."""
     facts, left_out = fitting_facts(mission, curves)
     return page(mission.log, facts), left_out
 
 
-def fitting_facts(mission: Mission, curves: Curves) -> tuple[str, str]:
+def fitting_facts(mission: MissionSummary, curves: Curves) -> tuple[str, str]:
     """Return the facts that fit into a page, in JSON, and a note on omitted moments."""
     moments = len(mission.moments)
     empty = len(page(mission.log).encode())

@@ -16,7 +16,7 @@ from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.files import counted
 from kbnitp_ros.maps import Datum
 from kbnitp_ros.messages.headers import in_seconds, SECOND
-from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.mission import MissionSummary
 import numpy as np
 
 # Columns of said.csv, and properties of the features of said.geojson.
@@ -32,7 +32,7 @@ Ring = list[list[float]]
 METRES, EARTH = 'map, metres: x y', 'WGS84, degrees: longitude latitude'
 
 
-def said_csv(mission: Mission) -> str:
+def said_csv(mission: MissionSummary) -> str:
     """Return all statements as a table, one row each."""
     text = io.StringIO()
     table = DictWriter(text, COLUMNS, lineterminator='\n')
@@ -43,7 +43,7 @@ def said_csv(mission: Mission) -> str:
     return text.getvalue()
 
 
-def said_geojson(mission: Mission) -> str:
+def said_geojson(mission: MissionSummary) -> str:
     """Return all statements as a collection of features, one each."""
     features = [
         {
@@ -63,7 +63,7 @@ def said_geojson(mission: Mission) -> str:
     return json.dumps({'type': 'FeatureCollection', 'features': features}, allow_nan=False)
 
 
-def properties(mission: Mission, said: Statement) -> dict[str, Any]:
+def properties(mission: MissionSummary, said: Statement) -> dict[str, Any]:
     """Return the values of a statement by the names of `COLUMNS`, without its polygon."""
     values = {name: each for name, each in said.values.items() if name in COLUMNS}
     for name in values.keys() & {'deployment', 'since'}:
@@ -92,7 +92,7 @@ def properties(mission: Mission, said: Statement) -> dict[str, Any]:
 MARKS = {'finding': 'finding', 'annotation': 'wreck', 'no_go': 'closed'}
 
 
-def said_rows(mission: Mission) -> list[dict[str, Any]]:
+def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
     """Return the statements as rows of the page, with the cells that it marks."""
     numbers = {each.key: number for number, each in enumerate(mission.deployments, 1)}
     words = {each.content: in_words(each) for each in mission.said}
@@ -138,7 +138,7 @@ def holds_in_words(said: Statement) -> str:
     return 'yes' if said.holds else 'no'
 
 
-def contradiction_notes(mission: Mission) -> Iterator[str]:
+def contradiction_notes(mission: MissionSummary) -> Iterator[str]:
     """Yield a note on each two findings that contradict each other."""
     by_content = {each.content: each for each in mission.said}
     for pair, cells in contradictions(mission.said).items():

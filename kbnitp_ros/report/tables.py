@@ -13,7 +13,7 @@ from kbnitp_ros.core import log_loss, path_information
 from kbnitp_ros.core.field.belief import binary_entropy
 from kbnitp_ros.core.field.compiled import interpreted
 from kbnitp_ros.maps import quantise_belief, write_probabilities
-from kbnitp_ros.report.mission import Mission
+from kbnitp_ros.report.mission import MissionSummary
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,7 +59,7 @@ class Curves:
 MAX_INTERPRETED = 400
 
 
-def mission_curves(mission: Mission) -> Curves:
+def mission_curves(mission: MissionSummary) -> Curves:
     """Return the curves of a mission."""
     moments, world = mission.moments, mission.world
     beliefs = [each.belief for each in moments]
@@ -87,7 +87,7 @@ def mission_curves(mission: Mission) -> Curves:
     )
 
 
-def information_at(mission: Mission, place: int) -> float:
+def information_at(mission: MissionSummary, place: int) -> float:
     """Return the expected information of a moment's deployment, nats; NaN if unknown."""
     moment = mission.moments[place]
     if place == 0 or moment.deployment is None or moment.is_late or moment.is_after_gap:
@@ -97,7 +97,7 @@ def information_at(mission: Mission, place: int) -> float:
     return float(path_information(before.belief, model, deployment.path))
 
 
-def lost_by(mission: Mission) -> NDArray[np.intp]:
+def lost_by(mission: MissionSummary) -> NDArray[np.intp]:
     """Return the number of robots known to be lost at each moment; late returns are subtracted."""
     is_lost: dict[int, bool] = {}
     counts = []
@@ -112,7 +112,7 @@ def lost_by(mission: Mission) -> NDArray[np.intp]:
     return np.array(counts, dtype=np.intp)
 
 
-def out_at(mission: Mission) -> list[NDArray[np.intp]]:
+def out_at(mission: MissionSummary) -> list[NDArray[np.intp]]:
     """Return the robots in flight at each moment, by index of their deployments."""
     never = np.iinfo(np.int64).max
     sent = np.array([each.sent or 0 for each in mission.deployments])
@@ -145,7 +145,7 @@ COLUMNS = {
 }
 
 
-def rows(mission: Mission, curves: Curves) -> list[dict[str, Any]]:
+def rows(mission: MissionSummary, curves: Curves) -> list[dict[str, Any]]:
     """Return one row for each deployment, by the names of `COLUMNS`; None if unknown."""
     entropy = curves.entropy
     loss = curves.log_loss
@@ -196,7 +196,7 @@ def text(numbers: NDArray[np.integer]) -> str:
     return ' '.join(map(str, numbers.tolist()))
 
 
-def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
+def write_tables(folder: Path, mission: MissionSummary, curves: Curves) -> None:
     """Write deployments.csv; raises OSError."""
     with (folder / 'deployments.csv').open('w', encoding='utf-8', newline='') as file:
         table = DictWriter(file, COLUMNS, lineterminator='\n')
@@ -204,7 +204,7 @@ def write_tables(folder: Path, mission: Mission, curves: Curves) -> None:
         table.writerows(rows(mission, curves))
 
 
-def write_beliefs(folder: Path, mission: Mission, curves: Curves) -> None:
+def write_beliefs(folder: Path, mission: MissionSummary, curves: Curves) -> None:
     """Write belief.npz and the last belief as maps of map_server; raises OSError."""
     moments = mission.moments
     arrays: dict[str, Any] = {

@@ -42,7 +42,7 @@ class Step:
 
 
 @dataclass
-class Deployment:
+class JournaledDeployment:
     """A deployment: its order, and its walk so far."""
 
     # Stamp of the path, nanoseconds, which names the deployment.
@@ -98,7 +98,7 @@ class Journal:
 
     def _open(self) -> None:
         """Open and read the file; create it if it is missing."""
-        self.deployments: list[Deployment] = []
+        self.deployments: list[JournaledDeployment] = []
         # Refused orders by the stamps of their paths: time, nanoseconds, and reason.
         self.refusals: dict[int, tuple[int, str]] = {}
         # Description of the bytes cut off on opening; empty if the file was whole.
@@ -225,7 +225,7 @@ class Journal:
             path = tuple(entry['orders'])
             self._is_damaged = False
             self.deployments.append(
-                Deployment(entry['deployment'], entry['mission'], path, entry['departed'])
+                JournaledDeployment(entry['deployment'], entry['mission'], path, entry['departed'])
             )
         elif 'refused' in entry:
             self.refusals[entry['refused']] = entry['time'], entry['reason']
@@ -274,16 +274,16 @@ class Journal:
         return self.deployments[-1].mission if self.deployments else None
 
     @property
-    def under_way(self) -> Deployment | None:
+    def under_way(self) -> JournaledDeployment | None:
         """Return the deployment in flight; None if the robot is home."""
         newest = self.deployments[-1] if self.deployments else None
         return None if newest is None or newest.is_home else newest
 
-    def may_lack(self, deployment: Deployment) -> bool:
+    def may_lack(self, deployment: JournaledDeployment) -> bool:
         """Return whether a deployment may have been in lines that were cut off."""
         return self._is_damaged and self.mission in (None, deployment.mission)
 
-    def depart(self, deployment: Deployment) -> None:
+    def depart(self, deployment: JournaledDeployment) -> None:
         """Record a deployment, before its departure is reported."""
         self.write()
         self._append(
@@ -303,7 +303,7 @@ class Journal:
         self._append({'refused': stamp, 'time': time, 'reason': reason})
         self.refusals[stamp] = time, reason
 
-    def step(self, deployment: Deployment, number: int) -> None:
+    def step(self, deployment: JournaledDeployment, number: int) -> None:
         """Record a step of a deployment; raise OSError as `write` does."""
         step = deployment.steps[number - 1]
         self._unwritten.append(
@@ -316,7 +316,7 @@ class Journal:
         )
         self.write()
 
-    def arrive(self, deployment: Deployment, time: int) -> None:
+    def arrive(self, deployment: JournaledDeployment, time: int) -> None:
         """Record that the robot is home, and the evidence of its steps, as `write` does."""
         deployment.is_home = True
         evidence = [step.reading if step.is_entered else NOT_ENTERED for step in deployment.steps]

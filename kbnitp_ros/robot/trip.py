@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from kbnitp_ros.core import Grid
 from kbnitp_ros.files import waiting_for
 from kbnitp_ros.messages.headers import SECOND
-from kbnitp_ros.robot.journal import Deployment, Step
+from kbnitp_ros.robot.journal import JournaledDeployment, Step
 from kbnitp_ros.robot.track import Track
 from kbnitp_ros.robot.way import Itinerary, MARGIN, shortest_way, Walk, without_loops
 from kbnitp_ros.robot.whereabouts import NO_STEP, Place, Whereabouts
@@ -57,11 +57,11 @@ class Trip:
         self,
         grid: Grid,
         home: Sequence[float],
-        deployment: Deployment,
+        deployment: JournaledDeployment,
         path: Sequence[int],
         values: Mapping[str, Any],
         driver: Drive,
-        record: Callable[[Deployment, int], object],
+        record: Callable[[JournaledDeployment, int], object],
         warn: Callable[[str], object],
         max_speed: float = 0.0,
         clock: Callable[[], float] = time.monotonic,

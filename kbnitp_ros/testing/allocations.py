@@ -12,7 +12,7 @@ from kbnitp_ros.testing.laws import (
     draw_field,
     draw_robot_type,
     draw_walk,
-    Field,
+    FieldCase,
     hold,
     PLANS,
     require,
@@ -21,7 +21,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class RoundCase(Field):
+class RoundCase(FieldCase):
     """A field, and the robots of a round."""
 
     # Two to four robots, some with limits and numbers of their own.

@@ -88,7 +88,7 @@ MISSIONS, PLANS = 0x4C415753, 0x4C415754
 
 
 @dataclass(frozen=True, eq=False)
-class Field:
+class FieldCase:
     """A small field and the belief about it."""
 
     # At most 4 x 4 cells, some of them blocked.
@@ -100,7 +100,7 @@ class Field:
 
 
 @dataclass(frozen=True, eq=False)
-class MissionCase(Field):
+class MissionCase(FieldCase):
     """A field and the observations of a mission in it."""
 
     # Seed of the method's random draws.
@@ -117,7 +117,7 @@ class MissionCase(Field):
         return tuple(each for each in self.deployments if each[0].survived)
 
 
-def draw_field(rng: np.random.Generator) -> Field:
+def draw_field(rng: np.random.Generator) -> FieldCase:
     """Draw a field."""
     width, height = (int(n) for n in rng.integers(2, 5, 2))
     base, *others = (int(cell) for cell in rng.permutation(width * height))
@@ -125,7 +125,7 @@ def draw_field(rng: np.random.Generator) -> Field:
     hazard = rng.uniform(0.02, 0.9, grid.cells) * (rng.random(grid.cells) < 0.8)
     kappa, background = rng.uniform(0.05, 0.95, (2, grid.cells))
     target = hazard * kappa + (1.0 - hazard) * background
-    return Field(grid, Belief.prior(grid, hazard, target, kappa), draw_model(rng))
+    return FieldCase(grid, Belief.prior(grid, hazard, target, kappa), draw_model(rng))
 
 
 def draw_model(rng: np.random.Generator) -> SensorModel:

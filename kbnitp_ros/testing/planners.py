@@ -9,7 +9,7 @@ from itertools import pairwise
 
 from kbnitp_ros.core import Belief, Candidate, Grid, PathFinder, Plan, PLANNERS, SearchOptions
 from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.testing.laws import draw_field, draw_walk, Field, hold, PLANS, require
+from kbnitp_ros.testing.laws import draw_field, draw_walk, FieldCase, hold, PLANS, require
 import numpy as np
 
 Planner = Callable[[PathFinder, Objective], list[Candidate]]
@@ -19,7 +19,7 @@ VALUE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class SearchCase(Field):
+class SearchCase(FieldCase):
     """A field, and the search for a path in it."""
 
     # The limits of the path, and earlier visits.

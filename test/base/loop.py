@@ -42,7 +42,7 @@ from kbnitp_ros.messages.operator_actions import (
 from kbnitp_ros.messages.progress import Helper, Obstacle
 from kbnitp_ros.messages.standings import read_standings, standings_fields, standings_message
 from kbnitp_ros.messages.topics import OF_AGENT, OF_MISSION
-from kbnitp_ros.robot.journal import Deployment
+from kbnitp_ros.robot.journal import JournaledDeployment
 from kbnitp_ros.robot.orders import Orders
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -443,7 +443,7 @@ class Loop:
         for topic, message in self.log:
             if topic == f'{agent}/path':
                 key, cells = read_path(GRID, agent, message)
-                orders.take(Deployment(key.stamp, 0, tuple(cells.tolist())))
+                orders.take(JournaledDeployment(key.stamp, 0, tuple(cells.tolist())))
             elif topic == f'{agent}/report':
                 orders.note_end(hear_report(message, agent)[0].stamp)
             elif topic == f'{agent}/status':

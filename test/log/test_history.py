@@ -16,7 +16,7 @@ from kbnitp_ros.core import (
 )
 from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.log.history import read_history
-from kbnitp_ros.log.record import read_mission, read_resumed
+from kbnitp_ros.log.record import mission_start, read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.roles import MissionLog
 from kbnitp_ros.log.write import LogWriter
@@ -141,7 +141,7 @@ def test_paths_of_other_missions_are_skipped(tmp_path, messages, mission, paths)
         for time, (topic, kind, message) in enumerate(messages):
             writer.add_topic(topic, kind, '[]')
             writer.write(topic, serialize_message(message), time, time)
-    assert read_mission(MissionLog(log)) == mission
+    assert mission_start(MissionLog(log)) == mission
     assert read_resumed(MissionLog(log), NARROW, 4).orders == [
         DeploymentKey('scout', path) for path in paths
     ]

@@ -62,12 +62,12 @@ sys.meta_path.insert(0, NoRos())
 from kbnitp_ros.log.history import read_history
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.report.tables import mission_curves
-from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.mission import read_summary
 from kbnitp_ros.report.folder import write_report
 for log in sys.argv[1:]:
     found = replay(log)
     print(found.grade.name, found.compared.total(), len(read_history(log).observations))
-    mission = read_mission(log)
+    mission = read_summary(log)
     if mission.moments[-1].state.numbers:
         write_report(Path(log).parent / 'report', mission, mission_curves(mission))
 """

@@ -39,7 +39,7 @@ from kbnitp_ros.messages.grids import occupancy_grid
 from kbnitp_ros.messages.headers import header
 from kbnitp_ros.messages.operator_actions import Action, operator_action_message
 from kbnitp_ros.messages.operator_actions import OperatorAction as Decided
-from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.mission import read_summary
 from laws import for_each
 from mcap.reader import make_reader
 from mission_log import GRID, MAX_STEPS, Mission, mission, QOS, record_to
@@ -73,7 +73,7 @@ def read(path):
     """Return the values that each reader takes from a log, and the refused ones."""
     log = MissionLog(path)
     record = read_resumed(log, GRID, MAX_STEPS)
-    report, history, page = replay(log), read_history(log), read_mission(path)
+    report, history, page = replay(log), read_history(log), read_summary(path)
     taken = {
         'replay': [
             report.grade, report.compared, report.standing, report.not_yet_held,

@@ -20,7 +20,7 @@ from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
 from kbnitp_ros.nodes.driver import detection_class, read_detection
 from kbnitp_ros.nodes.runtime import qos
-from kbnitp_ros.robot.journal import Deployment, Journal, Step
+from kbnitp_ros.robot.journal import Journal, JournaledDeployment, Step
 from laws import for_each
 from nav2_msgs.action import FollowWaypoints
 from nav_msgs.msg import Path as PathMessage
@@ -53,7 +53,7 @@ def transform(field, x, y, parent='map', child='base_link', turned=1.0):
 def test_impossible_positions_make_no_step(field):
     """The test sets the position; no Nav2 drives the robot, so it waits for its action server."""
     fleet = Fleet(field)
-    deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0), 1, [Step(1, 1), Step(2, 2)])
+    deployment = JournaledDeployment(10**9, 5, (0, 1, 2, 1, 0), 1, [Step(1, 1), Step(2, 2)])
     journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
     journal.depart(deployment)
     for number in (1, 2):
@@ -94,7 +94,7 @@ def test_impossible_positions_make_no_step(field):
 def test_an_endless_walk_is_reported_up_to_the_maximum(field):
     """The robot was lost for hours and is at its base, where its power was off."""
     fleet = Fleet(field)
-    deployment = Deployment(10**9, 5, (0, 1, 2, 1, 0))
+    deployment = JournaledDeployment(10**9, 5, (0, 1, 2, 1, 0))
     journal = Journal(fleet.journal('scout_1'), 'scout_1', GRID)
     journal.depart(deployment)
     for number in range(1, 302):
@@ -147,7 +147,7 @@ def test_detections_count_in_the_robot_s_cell_in_any_order(
 ):
     """The robot returns from cell 5 under control of the test; the only target is in cell 2."""
     fleet = Fleet(field, detection_type=detection_type)
-    deployment = Deployment(10**9, 5, (0, 5, 0), 1, [Step(5, 1)])
+    deployment = JournaledDeployment(10**9, 5, (0, 5, 0), 1, [Step(5, 1)])
     with closing(Journal(fleet.journal('scout_1'), 'scout_1', GRID)) as journal:
         journal.depart(deployment)
         journal.step(deployment, 1)

@@ -19,7 +19,7 @@ from kbnitp_ros.report.answers import (
     undecided,
     used_up_at,
 )
-from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.mission import read_summary
 from kbnitp_ros.report.tables import mission_curves
 from laws import for_each
 from mission_log import GRID, MODEL, record
@@ -30,7 +30,7 @@ import pytest
 
 def answered(whole, folder):
     """Return the mission of these messages, and its tiles by question."""
-    mission = read_mission(record(folder / 'mission.mcap', whole.sent))
+    mission = read_summary(record(folder / 'mission.mcap', whole.sent))
     tiles = answer_tiles(mission, mission_curves(mission))
     return mission, {each.question: each for each in tiles}
 

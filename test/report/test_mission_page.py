@@ -25,7 +25,7 @@ from kbnitp_ros.report.answers import (
     list_findings,
     used_up_at,
 )
-from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.mission import read_summary
 from kbnitp_ros.report.page import mission_page
 from kbnitp_ros.report.tables import mission_curves
 from kbnitp_ros.study.scenario import NUMBERS
@@ -56,7 +56,7 @@ def page_file(mission):
 def shown(tmp_path_factory):
     """Return a mission of 30 robots and the file of its page."""
     folder = tmp_path_factory.mktemp('page')
-    mission = read_mission(single(folder / 'mission.mcap', 30))
+    mission = read_summary(single(folder / 'mission.mcap', 30))
     return mission, page_file(mission)
 
 
@@ -318,7 +318,7 @@ def test_the_path_and_the_readings_of_a_moment_are_drawn(opened, shown):
 def test_last_contacts_are_drawn(opened, tmp_path):
     whole, path = sent_by_single(2), [GRID.base, 1, 2, 3, 2, 1, GRID.base]
     whole.deploy(Observation(path, False, lost_at=[0.0, 0.1, 0.6, 1.0, 0.5, 0.2]))
-    mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
+    mission = read_summary(record(tmp_path / 'mission.mcap', whole.sent))
     page = opened(file=page_file(mission))
     drawn = 'document.getElementById("map").data.map(each => [each.x, each.y])[7]'
     move(page, 3)
@@ -337,7 +337,7 @@ def test_hazards_believed_used_up_are_drawn_and_listed(opened, shown, tmp_path):
     whole = Shown(dynamics=Dynamics('used_up'))
     for _ in range(6):
         whole.deploy(whole.walk())
-    mission = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
+    mission = read_summary(record(tmp_path / 'mission.mcap', whole.sent))
     page = opened(file=page_file(mission))
     used_up = np.where(mission.grid.free, expected_used_up(mission), np.nan)
     assert coloured(page, 'used-up') == pytest.approx(used_up, abs=1e-3, nan_ok=True)
@@ -352,7 +352,7 @@ def test_a_cell_whose_target_may_change_shows_how_old_its_last_reading_is(opened
     for cells, readings in (([2, 1, 2], (1, 0)), ([2, 3, 2], (-1, 0)), ([2, 1, 6, 2], (0, -1, 1))):
         whole.deploy(Observation(cells, True, readings))
     whole.deploy(Observation([2, 3, 2], False))
-    page = opened(file=page_file(read_mission(record(tmp_path / 'mission.mcap', whole.sent))))
+    page = opened(file=page_file(read_summary(record(tmp_path / 'mission.mcap', whole.sent))))
     column, row = page.locator('#x'), page.locator('#y')
     for cell, said in (
         (1, ' No target was read 1 deployment ago; the probability is of now.'),
@@ -402,7 +402,7 @@ def test_a_clicked_cell_shows_its_numbers_and_history(opened, shown):
 def test_what_people_said_is_marked_and_listed(opened, tmp_path):
     recorded = Path(__file__).parents[1] / 'log' / 'recorded' / 'day.mcap.gz'
     tmp_path.joinpath('mission.mcap').write_bytes(gzip.decompress(recorded.read_bytes()))
-    mission = read_mission(tmp_path / 'mission.mcap')
+    mission = read_summary(tmp_path / 'mission.mcap')
     page = opened(file=page_file(mission))
     in_force = [each for each in mission.said if each.holds]
     for mark, kind in (('finding', 'finding'), ('closed', 'no_go')):
@@ -509,7 +509,7 @@ def test_a_learnt_number_of_any_name_is_drawn(opened, tmp_path):
     for message in whole.sent:
         if message.topic == '/model':
             message.message.name = names
-    learnt = read_mission(record(tmp_path / 'mission.mcap', whole.sent))
+    learnt = read_summary(record(tmp_path / 'mission.mcap', whole.sent))
     assert list(learnt.moments[-1].state.numbers) == names
     page = opened(file=page_file(learnt))
     # Of a mission without a truth there is no log loss.
@@ -538,7 +538,7 @@ def surveyed(tmp_path_factory):
     with LogWriter(folder / 'mission.mcap') as log:
         log.add_metadata(f'{PARAMETERS}/estimator', parameters_record(parameters))
         record_to(log, sent_by_single(12, grid=grid).sent)
-    mission = read_mission(folder / 'mission.mcap')
+    mission = read_summary(folder / 'mission.mcap')
     return mission, page_file(mission)
 
 
@@ -579,7 +579,7 @@ def test_nodes_with_different_datums_are_named(surveyed, tmp_path):
             given = {'datum': datum, **({'learn.numbers': []} if node == 'estimator' else {})}
             log.add_metadata(f'{PARAMETERS}/{node}', parameters_record(given))
         record_to(log, sent_by_single(3).sent)
-    read = read_mission(tmp_path / 'mission.mcap')
+    read = read_summary(tmp_path / 'mission.mcap')
     assert read.datum == mission.datum
     (note,) = (each for each in read.notes if each.startswith('Nodes had different datums'))
     assert f'/scout_1/robot {other}; /estimator {list(DATUM)}. ' in note
@@ -613,7 +613,7 @@ def test_a_missing_map_is_stated(surveyed, tmp_path):
         told.unlink()
         if content:
             told.write_text(known.replace('origin: [30.0, -8.0, 0.7]', content))
-        again = read_mission(mission.log)
+        again = read_summary(mission.log)
         assert again.site is None
         assert any('The map is not shown' in note and why in note for note in again.notes)
         told.write_text(known)
@@ -861,7 +861,7 @@ def test_the_pictures_of_the_documentation_can_be_taken(shown, tmp_path):
 
 def test_a_team_shows_robots_in_flight(opened, tmp_path):
     log, _ = team(tmp_path / 'mission.mcap')
-    mission = read_mission(log)
+    mission = read_summary(log)
     page = opened(file=page_file(mission))
     move(page, 1)
     facts = page.locator('#deployment').inner_text()

@@ -16,7 +16,7 @@ from kbnitp_ros.maps import quantise_belief, read_probabilities
 from kbnitp_ros.messages.topics import BELIEF
 from kbnitp_ros.report import page
 from kbnitp_ros.report.facts import mission_facts
-from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.mission import read_summary
 from kbnitp_ros.report.tables import COLUMNS, mission_curves, rows
 from laws import for_each
 from mission_log import GRID, Mission, MODEL, on, record, record_to, without
@@ -41,7 +41,7 @@ def report(log, out):
 
 def told(log):
     """Return mission, curves, page and table of a log, without pictures."""
-    mission = read_mission(log)
+    mission = read_summary(log)
     curves = mission_curves(mission)
     html, left_out = page.mission_page(mission, curves)
     assert not left_out
@@ -60,7 +60,7 @@ def shown(tmp_path_factory):
 def test_a_single_robot(shown):
     log, out = shown
     assert {file.name for file in out.iterdir()} == FILES
-    mission = read_mission(log)
+    mission = read_summary(log)
     assert [moment.held for moment in mission.moments] == list(range(7))
     assert all(one.time < other.time for one, other in pairwise(mission.moments))
     assert [each.deployment for each in mission.moments] == [None, *range(6)]
@@ -87,7 +87,7 @@ def test_the_tables_agree_with_the_arrays_and_the_log(shown):
     read = pandas.read_csv(out / 'deployments.csv', dtype=types, float_precision='round_trip')
     assert list(read) == list(COLUMNS)
     table = read.to_dict('records')
-    mission = read_mission(log)
+    mission = read_summary(log)
     for row, deployment in zip(table, mission.deployments, strict=True):
         assert row['path'] == ' '.join(map(str, deployment.path))
         assert row['outcome'] == ('returned' if deployment.outcome.survived else 'lost')
@@ -101,7 +101,7 @@ def test_the_tables_agree_with_the_arrays_and_the_log(shown):
 
 def test_the_last_belief_can_be_the_prior_of_another_mission(shown):
     log, out = shown
-    mission = read_mission(log)
+    mission = read_summary(log)
     values = {name: each.default for name, each in node_parameters('estimator').items()}
     values |= {f'prior.{name}_map': str(out / f'{name}.yaml') for name in NAMES}
     values['learn.numbers'] = ()
@@ -202,7 +202,7 @@ def test_repeated_beliefs_are_shown_once(tmp_path):
     whole = sent_by_single(3)
     held, prior = on(whole.sent, '/belief')[-1], on(whole.sent, '/belief')[0]
     log = record(tmp_path / 'mission.mcap', [*whole.sent, prior, held])
-    assert [each.held for each in read_mission(log).moments] == [0, 1, 2, 3]
+    assert [each.held for each in read_summary(log).moments] == [0, 1, 2, 3]
 
 
 def gap(whole, *numbers):

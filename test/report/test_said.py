@@ -16,7 +16,7 @@ from kbnitp_ros.log.write import LogWriter
 from kbnitp_ros.messages.headers import header, to_stamp
 from kbnitp_ros.messages.operator_actions import Action, operator_action_message, OperatorAction
 from kbnitp_ros.messages.remarks import read_remark
-from kbnitp_ros.report.mission import read_mission
+from kbnitp_ros.report.mission import read_summary
 from kbnitp_ros.report.said import contradiction_notes, said_csv, said_geojson, said_rows
 from matplotlib.path import Path as Outline
 from mission_log import GRID, Mission, record_to
@@ -52,7 +52,7 @@ def written(folder, whole, datum=()):
     with LogWriter(folder / 'mission.mcap') as log:
         log.add_metadata(f'{PARAMETERS}/estimator', parameters_record({'datum': list(datum)}))
         record_to(log, whole.sent)
-    mission = read_mission(folder / 'mission.mcap')
+    mission = read_summary(folder / 'mission.mcap')
     table = [*csv.DictReader(io.StringIO(said_csv(mission), newline=''))]
     features = json.loads(said_geojson(mission))['features']
     assert len(table) == len(features) == len(mission.said)

@@ -9,7 +9,7 @@ from typing import Any
 
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.headers import SECOND
-from kbnitp_ros.robot.journal import Deployment
+from kbnitp_ros.robot.journal import JournaledDeployment
 from kbnitp_ros.robot.trip import Trip
 from kbnitp_ros.robot.way import shortest_way
 from kbnitp_ros.robot.whereabouts import Transforms
@@ -157,7 +157,7 @@ class Result:
     """Outcome of a deployment, beside the truth."""
 
     # The deployment, if the robot is back.
-    deployment: Deployment | None = None
+    deployment: JournaledDeployment | None = None
     # Whether the robot truly was in the cell of each step, between the entries around it.
     is_true: list[bool] = field(default_factory=list)
     is_ever: list[bool] = field(default_factory=list)
@@ -181,7 +181,7 @@ class Robot:
             yaw=rng.uniform(-np.pi, np.pi), connectivity=int(rng.choice([4, 8])),
         )  # fmt: skip
         self.targets = (np.arange(256) // 16 + np.arange(256) % 16) % 2 == 1
-        self.deployment = Deployment(1, 1, self._path(), departed=1)
+        self.deployment = JournaledDeployment(1, 1, self._path(), departed=1)
         self.nav2 = Nav2(self, scenario.driver or str(rng.choice(list(NEAR))))
         self.values = {**VALUES, 'arrival_tolerance': 0.5 * resolution}
         self.transforms = Transforms('map', name)

@@ -10,7 +10,7 @@ from extent import FULL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot.journal import Deployment, Journal, Step
+from kbnitp_ros.robot.journal import Journal, JournaledDeployment, Step
 from laws import for_each
 import pytest
 
@@ -29,7 +29,7 @@ def live(journal, doings):
     deployment = None
     for number, doing in enumerate(doings):
         if deployment is None:
-            deployment = Deployment(1000 + number, 7, ORDERS)
+            deployment = JournaledDeployment(1000 + number, 7, ORDERS)
             journal.depart(deployment)
         elif doing == 0:
             journal.arrive(deployment, number)
@@ -76,7 +76,7 @@ def test_a_power_loss_at_any_byte_loses_at_most_the_unsynced_line(tmp_path_facto
     # The robot resumes from it.
     journal = opened(path)
     assert not journal.corruption
-    deployment = Deployment(9999, 7, ORDERS)
+    deployment = JournaledDeployment(9999, 7, ORDERS)
     # A line that was torn is one that nobody acted on.
     assert not journal.may_lack(deployment)
     journal.depart(deployment)
@@ -105,7 +105,7 @@ def test_lines_after_corruption_are_cut_off_and_kept_beside(tmp_path_factory, do
     assert str(path) in journal.corruption
     kept = [each for each in path.parent.iterdir() if 'corrupt' in each.name]
     # A deployment may have been cut off, until the next one is recorded.
-    lost = Deployment(9999, 7, ORDERS)
+    lost = JournaledDeployment(9999, 7, ORDERS)
     assert journal.may_lack(lost) == bool(kept)
     whole_lines = path.read_bytes()
     if kept:
@@ -113,7 +113,7 @@ def test_lines_after_corruption_are_cut_off_and_kept_beside(tmp_path_factory, do
     journal = opened(path)
     assert not journal.corruption
     assert journal.may_lack(lost) == bool(kept)
-    assert journal.may_lack(Deployment(9999, 8, ORDERS)) == bool(kept and not whole)
+    assert journal.may_lack(JournaledDeployment(9999, 8, ORDERS)) == bool(kept and not whole)
     journal.depart(lost)
     assert not journal.may_lack(lost)
     journal.close()
@@ -143,7 +143,7 @@ def test_a_journal_of_another_field_is_kept_in_the_folder_of_its_mission(tmp_pat
         journal = opened(path, grid=grid)
         assert not journal.deployments
         assert {each.read_bytes() for each in tmp_path.glob('7/*')} == set(kept)
-        deployment = Deployment(number + 1, 7, (0, 1, 0), 1)
+        deployment = JournaledDeployment(number + 1, 7, (0, 1, 0), 1)
         journal.depart(deployment)
         content = path.read_bytes()
         journal.close()
@@ -164,7 +164,7 @@ def test_each_journal_has_an_identifier_of_its_own(tmp_path):
     assert len(known) == 32
     assert set(known) <= set('0123456789abcdef')
     assert reopened(other).id != known
-    journal.depart(Deployment(1, 7, ORDERS, 1))
+    journal.depart(JournaledDeployment(1, 7, ORDERS, 1))
     journal.arrive(journal.deployments[-1], 2)
     journal.close()
     assert reopened(path).id == known
@@ -201,7 +201,7 @@ def test_nothing_is_written_to_a_journal_that_was_deleted(tmp_path):
     journal = opened(path)
     path.unlink()
     with pytest.raises(FileNotFoundError, match=f'The file was deleted: {str(path)!r}'):
-        journal.depart(Deployment(1, 7, ORDERS))
+        journal.depart(JournaledDeployment(1, 7, ORDERS))
     assert not journal.deployments
     journal.close()
 
@@ -229,7 +229,7 @@ def test_two_processes_never_write_one_journal(tmp_path):
 def test_a_full_disk_loses_no_recorded_line(tmp_path):
     path = tmp_path / 'journal'
     journal = opened(path)
-    deployment = Deployment(1, 7, ORDERS)
+    deployment = JournaledDeployment(1, 7, ORDERS)
     journal.depart(deployment)
     size = path.stat().st_size
     refused = f'File too large: {str(path)!r}'
@@ -243,7 +243,7 @@ def test_a_full_disk_loses_no_recorded_line(tmp_path):
         with pytest.raises(OSError, match=refused):
             journal.arrive(deployment, 9)
         with pytest.raises(OSError, match=refused):
-            journal.depart(Deployment(2, 7, ORDERS))
+            journal.depart(JournaledDeployment(2, 7, ORDERS))
     assert len(journal.deployments) == 1
     # With room again, pending lines are written in order.
     journal.write()

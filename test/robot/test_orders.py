@@ -4,7 +4,7 @@
 from contextlib import closing
 
 from kbnitp_ros.core import Grid
-from kbnitp_ros.robot.journal import Deployment, Journal
+from kbnitp_ros.robot.journal import Journal, JournaledDeployment
 from kbnitp_ros.robot.orders import Orders
 from laws import for_each
 import pytest
@@ -17,7 +17,7 @@ def journal(tmp_path):
 
 
 def order(stamp):
-    return Deployment(stamp, 7, (0, 1, 0), stamp + 1)
+    return JournaledDeployment(stamp, 7, (0, 1, 0), stamp + 1)
 
 
 def ordered(journal, *stamps):

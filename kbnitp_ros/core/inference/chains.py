@@ -147,7 +147,7 @@ class Chains:
         )
         losses = evidence.blocks(shown, most)
         clustering, nowhere = hypotheses.clustering, np.zeros(CHAINS, np.intp)
-        self._field = gibbs.Field(
+        self._field = gibbs.ChainStates(
             losses,
             self._hazardous,
             np.zeros((CHAINS, losses.weight.size), np.int32),

@@ -39,7 +39,7 @@ class Losses(NamedTuple):
     unexposed: NDArray[np.int32]
 
 
-class Field(NamedTuple):
+class ChainStates(NamedTuple):
     """The hazards of each chain, the losses, and what determines the conditional of a hazard."""
 
     losses: Losses
@@ -59,7 +59,7 @@ class Field(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """One chain's rows of a `Field`."""
+    """One chain's rows of a `ChainStates`."""
 
     hazardous: NDArray[np.int8]
     exposures: NDArray[np.int32]
@@ -136,7 +136,7 @@ def put(losses: Losses, chain: Chain, cell: int, hazard: int) -> None:
 
 @compiled
 def draw_hazards(
-    field: Field,
+    field: ChainStates,
     cells: NDArray[np.intp],
     odds: NDArray[np.float64],
     uniform: NDArray[np.float64],
@@ -175,7 +175,7 @@ def nth_cell(losses: Losses, chain: Chain, loss: int, hazard: int, n: int) -> in
 
 @compiled
 def swap_hazards(
-    field: Field,
+    field: ChainStates,
     is_drawn: NDArray[np.bool_],
     odds: NDArray[np.float64],
     uniform: NDArray[np.float64],
@@ -209,7 +209,7 @@ def swap_hazards(
 
 
 @compiled
-def count_exposures(field: Field) -> None:
+def count_exposures(field: ChainStates) -> None:
     """Add up the exposures of all blocks in each chain."""
     losses = field.losses
     for chain in range(field.hazardous.shape[0]):
@@ -223,7 +223,7 @@ def count_exposures(field: Field) -> None:
 
 
 @compiled
-def count_coupled(field: Field, pairs: NDArray[np.int64]) -> None:
+def count_coupled(field: ChainStates, pairs: NDArray[np.int64]) -> None:
     """Count the pairs of neighbouring hazards in each chain."""
     for chain in range(field.hazardous.shape[0]):
         pairs[chain] = 0
