@@ -141,7 +141,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             self._sources[name] = f'the module {module}'
         # The import of a foreign module may raise anything, and end the process.
         except (Exception, SystemExit) as error:
-            self._refused[name] = in_words(error)
+            self._refused[name] = one_line(error)
         finally:
             sys.path.remove(folder)
 
@@ -181,7 +181,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         except Exception as error:
             if given in self.own:
                 raise
-            raise self.fault(given, f'failed: {in_words(error)}') from error
+            raise self.fault(given, f'failed: {one_line(error)}') from error
 
     def fault(self, given: str | Callable[..., Any], words: str) -> PluginError:
         """Return a PluginError that names an entry and its package."""
@@ -208,7 +208,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
                 self._add(point.name, point.load(), source)
             # The import of a foreign module may raise anything, and end the process.
             except (Exception, SystemExit) as error:
-                reason = f'refused plug-in of {source}: {in_words(error)}'
+                reason = f'refused plug-in of {source}: {one_line(error)}'
                 self._refused[point.name] = reason
                 warn(f'{self.kind} {point.name!r}: {reason}', RuntimeWarning, stacklevel=4)
 
@@ -264,7 +264,7 @@ def entry_source(point: EntryPoint) -> str:
     return f'{whose} (entry point {point.name} = {point.value})'
 
 
-def in_words(error: BaseException) -> str:
+def one_line(error: BaseException) -> str:
     """Return an error as one line, with its type unless it is a ValueError or TypeError."""
     words = ' '.join(str(error).split())
     return words if type(error) in (ValueError, TypeError) else f'{type(error).__name__}: {words}'

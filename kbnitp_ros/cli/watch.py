@@ -21,7 +21,7 @@ from kbnitp_ros.log.history import History, read_history
 from kbnitp_ros.log.read import is_finished
 from kbnitp_ros.log.record import first_belief, required_belief
 from kbnitp_ros.log.roles import MissionLog
-from kbnitp_ros.messages.orders import in_words
+from kbnitp_ros.messages.orders import describe_orders
 from kbnitp_ros.nodes.runtime.command_line import add_namespace, command_parser
 from kbnitp_ros.report.mission import MissionSummary, recorded_mission
 from kbnitp_ros.report.page import fitting_facts, page, policy
@@ -182,7 +182,7 @@ def serving(
         try:
             with tokens as file:
                 if control:
-                    say(f'--control {in_words()}', f'the tokens are in {file}')
+                    say(f'--control {describe_orders()}', f'the tokens are in {file}')
                 say(f'the page of {follower.log} is at {address}')
                 yield address
         finally:

@@ -79,10 +79,10 @@ def differences(
             yield from differences(their, our, tolerance, name=f'{name}[{index}]')
     # NaN differs from itself.
     elif theirs != ours and (theirs == theirs or ours == ours):
-        yield Difference(name, f'is {in_words(theirs)}, computed is {in_words(ours)}')
+        yield Difference(name, f'is {describe_value(theirs)}, computed is {describe_value(ours)}')
 
 
-def in_words(value: object) -> str:
+def describe_value(value: object) -> str:
     """Return a value in words, cut if it is a long text."""
     return shown(value) if isinstance(value, str) else repr(value)
 

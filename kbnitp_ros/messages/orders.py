@@ -55,6 +55,6 @@ PARAMETERS = (
 CLEARED = 0.9
 
 
-def in_words() -> str:
+def describe_orders() -> str:
     """Return a sentence on all that may be ordered."""
     return f'may order {", ".join(ORDERS)}, and {SET} {", ".join(PARAMETERS)} of the planner'

@@ -173,7 +173,7 @@ class Remarks:
                 answer.set_result(self._refused(service, response, error))
                 return
             if request.preview:
-                answer.set_result(answered(response, True, in_words(response.effect)))
+                answer.set_result(answered(response, True, describe_effect(response.effect)))
                 return
             self._last, self._is_busy = stamp, True
             self._pending = Pending(remark, Trial(trial, taken), response, answer)
@@ -237,10 +237,10 @@ class Remarks:
             answer.set_result(self._refused('remarks', response, error))
             return
         response.content = remark.content
-        answer.set_result(answered(response, True, in_words(response.effect)))
+        answer.set_result(answered(response, True, describe_effect(response.effect)))
 
 
-def in_words(effect: Effect) -> str:
+def describe_effect(effect: Effect) -> str:
     """Return a sentence on what a remark changes."""
     words = [f'expected hazards {effect.hazards[0]:.2f} -> {effect.hazards[1]:.2f}']
     if not np.isnan(effect.p_free[0]):

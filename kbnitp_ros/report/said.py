@@ -95,17 +95,19 @@ MARKS = {'finding': 'finding', 'annotation': 'wreck', 'no_go': 'closed'}
 def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
     """Return the statements as rows of the page, with the cells that it marks."""
     numbers = {each.key: number for number, each in enumerate(mission.deployments, 1)}
-    words = {each.content: in_words(each) for each in mission.said}
+    words = {each.content: describe_statement(each) for each in mission.said}
     rows = []
     for said in mission.said:
         key = DeploymentKey(said.values.get('agent', ''), said.values.get('deployment', 0))
         taken_back = words.get(said.values['revokes'], '') if said.kind == 'revocation' else ''
-        is_marked = said.holds and (said.kind != 'annotation' or in_words(said) == 'located')
+        is_marked = said.holds and (
+            said.kind != 'annotation' or describe_statement(said) == 'located'
+        )
         rows.append(
             {
                 'time': in_utc(said.stamp)[11:19],
                 'author': said.author,
-                'words': f'took back: {taken_back}' if taken_back else in_words(said),
+                'words': f'took back: {taken_back}' if taken_back else describe_statement(said),
                 'number': numbers.get(key),
                 'cells': list(said.cells),
                 'count': len(said.cells),
@@ -118,7 +120,7 @@ def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
     return rows
 
 
-def in_words(said: Statement) -> str:
+def describe_statement(said: Statement) -> str:
     """Return what was said, in a few words."""
     if said.kind != 'finding':
         return str(said.values.get('says', said.kind)).lower().replace('_', ' ')
@@ -144,7 +146,7 @@ def contradiction_notes(mission: MissionSummary) -> Iterator[str]:
     for pair, cells in contradictions(mission.said).items():
         said = ' and '.join(
             f'{by_content[each].author or "a person"} ({in_utc(by_content[each].stamp)[11:19]}: '
-            f'{in_words(by_content[each])})'
+            f'{describe_statement(by_content[each])})'
             for each in pair
         )
         size = counted(len(cells), 'cell')

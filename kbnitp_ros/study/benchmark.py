@@ -27,9 +27,9 @@ from kbnitp_ros.study.comparing import compare
 from kbnitp_ros.study.results import (
     bootstrap,
     by,
-    in_words,
     latex_table,
     markdown_table,
+    mean_with_interval,
     Results,
 )
 from kbnitp_ros.study.scenario import Scenario
@@ -134,10 +134,13 @@ def benchmark_table(
                 'planner': f'`{planner}`',
                 'method': f'`{method}`',
                 **named,
-                'value / bound': in_words(bootstrap(ratio)._asdict(), 3),
+                'value / bound': mean_with_interval(bootstrap(ratio)._asdict(), 3),
                 'least': f'{ratio.min():.3f}',
                 'ms a plan': f'{1e3 * np.median(times):.1f}',
-                **{row['measure'].replace('_', ' '): in_words(row) for _, row in own.iterrows()},
+                **{
+                    row['measure'].replace('_', ' '): mean_with_interval(row)
+                    for _, row in own.iterrows()
+                },
                 'ms an update': f'{1e3 * seconds[method]:.2f}',
             }
         )

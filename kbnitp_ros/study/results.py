@@ -234,7 +234,7 @@ class Results:
         keys = [*self.axes, 'strategy']
         means = self.means(rng=rng)
         means['text'] = [
-            in_words(row, DECIMALS.get(row['measure'], 1)) for _, row in means.iterrows()
+            mean_with_interval(row, DECIMALS.get(row['measure'], 1)) for _, row in means.iterrows()
         ]
         rows = []
         for named, own in by(means, keys):
@@ -249,7 +249,7 @@ class Results:
                 self.difference(each, first, rng=rng).assign(strategy=each) for each in others
             ]
             paired = pandas.concat(apart)
-            paired['difference'] = [in_words(row) for _, row in paired.iterrows()]
+            paired['difference'] = [mean_with_interval(row) for _, row in paired.iterrows()]
             table = table.merge(paired[[*keys, 'difference']], 'left', keys).fillna('')
         return table
 
@@ -304,7 +304,7 @@ def after(series: DataFrame, robot: int | None) -> pandas.Series[float]:
     return series[robots if robot is None else robot]
 
 
-def in_words(row: Mapping[str, Any], decimals: int = 1) -> str:
+def mean_with_interval(row: Mapping[str, Any], decimals: int = 1) -> str:
     """Return a mean with its interval, if it has one."""
     mean, *ends = (f'{row[name]:.{decimals}f}' for name in ('mean', 'low', 'high'))
     return mean if ends == ['nan', 'nan'] else f'{mean} [{", ".join(ends)}]'
