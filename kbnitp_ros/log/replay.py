@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
 from pathlib import Path
@@ -228,6 +229,8 @@ class Fold:
         is_next = said.changes > changes and not self._is_compared
         if is_next and not self._take_waiting(self._evidence):
             return False
+        if is_next and not self._is_compared:
+            self._take_missing()
         is_gap = self._is_lost or said.since != self._events
         self._is_lost = said.epoch != self._epoch or (is_gap and not said.is_complete)
         if self._is_lost:
@@ -439,6 +442,27 @@ class Fold:
         self.views.expect(logged.said.grid, logged.message, logged.said)
         self.views.unknown.add(logged.said.stamp)
 
+    def _take_missing(self) -> None:
+        """Expect what goes with a belief that is not on record: the next may have its stamp."""
+        ledger, prior = self._ledger, self._prior
+        if ledger is None or prior is None or self._is_lost or self._evidence[0] != self._epoch:
+            return
+        # The stamp of a belief without evidence is the start of its estimator.
+        if ledger.deployments or ledger.remarks:
+            epoch, changes = self._evidence
+            said = replace(
+                prior,
+                author=self._author,
+                epoch=epoch,
+                changes=changes,
+                stamp=ledger.newest_stamp,
+                newest=ledger.newest,
+                deployments=len(ledger.deployments),
+            )
+            self.views.expect(ledger.grid, ledger.belief, said)
+            self.views.expect_model(ledger, said)
+            self.decisions.compare(ledger, said)
+
     def _leave(self, logged: LoggedMessage, why: str) -> None:
         """Report a belief that cannot be computed."""
         belief = belief_name(logged.said.newest)
@@ -475,6 +499,8 @@ class Fold:
             self._is_forced = True
             self._drain()
         report, ledger = self.report, self._ledger
+        if not self._is_compared:
+            self._take_missing()
         if ledger is not None:
             report.kinds = ledger.estimator.kinds
             if self.views.checked:

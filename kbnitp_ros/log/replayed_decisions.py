@@ -64,9 +64,9 @@ class ReplayedDecisions:
         self.no_go: list[tuple[int, ...]] = [()]
         # Recorded decisions that are not compared yet, by the evidence of their belief.
         self._decisions = defaultdict[tuple[int, int], list[LoggedMessage]](list)
-        # Recorded lanes by stamp, and computed lanes by stamp, belief and no-go cells.
+        # Recorded lanes by stamp; computed lanes by stamp, belief, evidence and no-go cells.
         self._lanes = defaultdict[int, list[LoggedMessage]](list)
-        self._computed_lanes = defaultdict[int, dict[tuple[str, tuple[int, ...]], Fields]](dict)
+        self._computed_lanes = defaultdict[int, dict[tuple[Any, ...], Fields]](dict)
 
     def note(self, logged: LoggedMessage) -> None:
         """Keep a decision or its lane until its belief is computed."""
@@ -86,7 +86,7 @@ class ReplayedDecisions:
         decisions = {no_go: self._decide(ledger, no_go) for no_go in named or {*self.no_go}}
         for no_go, decision in decisions.items():
             lane = decision_fields(ledger.grid, decision, 0, said.stamp, said.mission).path
-            self._computed_lanes[said.stamp][belief, no_go] = lane
+            self._computed_lanes[said.stamp][belief, key, no_go] = lane
         for logged in recorded:
             no_go = tuple(logged.message.no_go)
             if no_go not in named:

@@ -6,13 +6,14 @@ from functools import reduce
 
 from kbnitp_ros.cli.replay import main
 from kbnitp_ros.configuration.known import node_parameters
-from kbnitp_ros.core import Area, Lane
+from kbnitp_ros.core import Area, Lane, Observation, Unknowns
 from kbnitp_ros.log.configuration import parameters_record
 from kbnitp_ros.log.read import PARAMETERS
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.replayed_decisions import RecordedGoal
 from kbnitp_ros.log.write import LogWriter
+from kbnitp_ros.messages.deployments import read_report, report_message
 from kbnitp_ros.messages.operator_actions import Action, operator_action_message, OperatorAction
 from kbnitp_ros.messages.progress import mission_status_message, MissionState, MissionStatus
 from laws import for_each
@@ -131,9 +132,10 @@ def test_the_confidence_is_not_guessed(tmp_path, sent):
     assert replayed(tmp_path, forged, confidences=()).reproduced
 
 
-def test_decisions_on_missing_beliefs_are_not_compared(tmp_path, sent):
-    report = replayed(tmp_path, without(sent, on(sent, '/belief')[2]))
-    assert report.compared['/decision'] == ROBOTS
+def test_decisions_without_standings_on_record_are_not_compared(tmp_path, sent):
+    left = without(without(sent, on(sent, '/belief')[2]), on(sent, '/standings')[2])
+    report = replayed(tmp_path, left)
+    assert report.compared['/decision'] < ROBOTS
     left = [finding for finding in report.not_compared if finding.topic == '/decision']
     assert left
     assert 'is not on record, or differs from' in str(left[0])
@@ -170,6 +172,28 @@ def test_decisions_avoid_the_no_go_cells_that_they_name(tmp_path, named, is_on_r
     assert report.reproduced is is_on_record
     assert report.decision.path.size
     assert not {6, 7} & {*report.decision.path.tolist()}
+
+
+@for_each('place', [-2, -1])
+def test_what_goes_with_a_missing_belief_may_have_the_stamp_of_the_next(tmp_path, place):
+    """A killed estimator or recorder may leave views and decisions without their belief."""
+    whole = Deciding(LANE, unknowns=Unknowns(lethality=(0.0, 1.0)))
+    path = [2, 7, 12, 7, 2]
+    whole.deploy(Observation(path, False))
+    first, second = (whole.send_out(path, agent) for agent in ('scout_1', 'scout_2'))
+    later = report_message(first, Observation(path, False), whole.now + 10**9)
+    whole.publish('scout_1/report', later)
+    whole.assimilate(path, *read_report(later))
+    back = Observation(path, True, [False, True, False, False])
+    whole.assimilate(path, *whole.come_back(second, back))
+    beliefs = on(whole.sent, '/belief')
+    assert beliefs[-1].message.header.stamp == beliefs[-2].message.header.stamp
+    left = [each for each in whole.sent if each is not beliefs[place]]
+    report = replayed(tmp_path, left)
+    assert not report.mismatches
+    for topic in ('/model', '/belief/hazard', '/decision', '/decision/lane'):
+        assert report.compared[topic] == len(beliefs)
+    assert not report.not_compared
 
 
 def end(sent, action):
