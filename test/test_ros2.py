@@ -37,6 +37,7 @@ LEFT_OUT = {
     'ros2 service call /add_finding': 'test/nodes/test_people.py',
     'ros2 service call /annotate': 'test/nodes/test_people.py',
     'ros2 service call /revoke': 'test/nodes/test_people.py',
+    'ros2 service call /take_back': 'test/nodes/test_taken_back.py',
     **{
         f'ros2 service call /{name} ': 'test/nodes/test_operator.py'
         for name in ('approve', 'end_mission', 'give_up', 'no_go', 'pause')

@@ -215,6 +215,7 @@ class Board:
             'deployment': stamp(last.stamp) if last else None,
             'number': state.orders.index(last) + 1 if state and last else 0,
             'out': bool(out),
+            'taken_back': bool(state and {*out} & state.operator.taken_back.keys()),
             'out_since': seconds(since),
             'due': seconds(due),
             'overdue': due is not None and now > due,

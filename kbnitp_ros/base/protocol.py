@@ -4,7 +4,8 @@ The write-ahead protocol of a deployment: who has to have said what before a rob
 
 1. The planner publishes a path, once nothing blocks a deployment (`PlannerState.obstacle`).
 2. The recorder acknowledges it when it is on disk; the first path with a stamp counts.
-3. The agent accepts the path, and publishes its departure.
+3. The agent accepts the path, and publishes its departure; or it refuses the path, as also if the
+   operator has taken it back, and the order is void.
 4. The recorder acknowledges the departure when it is on disk, and the robot moves.
 5. The agent publishes its report, or the planner gives the robot up.
 6. The recorder acknowledges the report when it is on disk.

@@ -6,12 +6,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from itertools import takewhile
 from math import inf
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.messages.deployments import path_message, read_path
-from kbnitp_ros.messages.headers import header, LAST_NAME, read_choice, read_header, shown
+from kbnitp_ros.messages.headers import (
+    header,
+    LAST_NAME,
+    MAX_REASON,
+    read_choice,
+    read_header,
+    shown,
+)
 import numpy as np
 from numpy.typing import NDArray
 import yaml
@@ -35,6 +43,7 @@ class Action(IntEnum):
     GOAL_LOST = 10
     NO_GO = 11
     LIFT = 12
+    TAKE_BACK = 13
 
 
 # Description of each action.
@@ -51,8 +60,9 @@ WORDS = {
     Action.GOAL_LOST: 'the goal no longer held',
     Action.NO_GO: 'the operator closed cells',
     Action.LIFT: 'the operator opened cells',
+    Action.TAKE_BACK: 'the operator took back the order of',
 }
-OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP)
+OF_ROBOTS = (Action.APPROVE, Action.REFUSE, Action.GIVE_UP, Action.TAKE_BACK)
 # Maximum number of cells that a description names.
 MAX_NAMED = 10
 OF_CELLS = (Action.NO_GO, Action.LIFT)
@@ -76,8 +86,9 @@ class OperatorAction:
     settled: tuple[int, ...] = ()
     # Values of parameters of the planner, by name; of REACHED those of the goal.
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    # Cells that are closed or opened, with the reason and who says so.
+    # Cells that are closed or opened.
     cells: tuple[int, ...] = ()
+    # Why cells are closed or opened, or an order is taken back, and who says so.
     reason: str = ''
     author: str = ''
 
@@ -92,6 +103,12 @@ class OperatorAction:
         cells += ' ...' * (len(self.cells) > MAX_NAMED)
         parts = [WORDS[self.action], robots, values, cells, f'({said})' * bool(said)]
         return ' '.join(filter(None, parts)) + (contact if self.steps_survived else '')
+
+    @property
+    def refusal(self) -> str:
+        """Return the reason with which an agent refuses an order that is taken back."""
+        said = f': {self.reason}' if self.reason else ''
+        return f'taken back by {self.author or "the operator"}{said}'[:MAX_REASON]
 
 
 def operator_action_message(grid: Grid, action: OperatorAction) -> msg.OperatorAction:
@@ -180,10 +197,10 @@ def read_parameters(texts: Iterable[str]) -> dict[str, Any]:
     return values
 
 
-# Maximum number of resumed pauses, of refused proposals, and of changed no-go areas, in a mission,
-# so that endless calls fill neither the planner's memory nor the disk.
+# Maximum number of resumed pauses, of refused proposals, of changed no-go areas, and of orders
+# taken back, in a mission, so that endless calls fill neither the planner's memory nor the disk.
 MAX_TIMES = 1000
-REPEATED = (Action.RESUME, Action.REFUSE, *OF_CELLS)
+REPEATED = (Action.RESUME, Action.REFUSE, *OF_CELLS, Action.TAKE_BACK)
 
 Paths = Mapping[DeploymentKey, NDArray[np.intp]]
 
@@ -207,6 +224,8 @@ class OperatorState:
         self.is_ended = False
         # Robots given up, each with the action.
         self.given_up: dict[DeploymentKey, OperatorAction] = {}
+        # Orders taken back, each with the action: void once their agents have refused them.
+        self.taken_back: dict[DeploymentKey, OperatorAction] = {}
         # Values of parameters that the operator set, and those given at the last start.
         self.settings: dict[str, Any] = {}
         self.given: dict[str, Any] = {}
@@ -226,6 +245,8 @@ class OperatorState:
             self.is_goal_lost &= self.is_paused
         elif action.action == Action.GIVE_UP:
             self.given_up |= dict.fromkeys(action.paths, action)
+        elif action.action == Action.TAKE_BACK:
+            self.taken_back |= dict.fromkeys(action.paths, action)
         elif action.action == Action.SET:
             self.settings |= action.parameters
         elif action.action == Action.START:
@@ -257,9 +278,11 @@ class OperatorState:
         """Return whether paths were approved since the last robot left."""
         # Paths are compared without stamps, which differ if a search found the same plan again.
         sent = {key.agent: path.tolist() for key, path in paths.items()}
+        # An order that was taken back is approved anew.
+        actions = reversed(self.actions.values())
         return any(
             each.action == Action.APPROVE
             and each.robots_left == robots_left
             and sent == {key.agent: path.tolist() for key, path in each.paths.items()}
-            for each in self.actions.values()
+            for each in takewhile(lambda each: each.action != Action.TAKE_BACK, actions)
         )

@@ -31,6 +31,7 @@ ORDERS = {
         Order('approve', 'approve', SET_BOOL, 'planner', {'data': True}),
         Order('refuse', 'approve', SET_BOOL, 'planner', {'data': False}),
         Order('give_up', 'give_up', 'kbnitp_msgs/srv/GiveUp', 'planner'),
+        Order('take_back', 'take_back', 'kbnitp_msgs/srv/TakeBack', 'planner'),
         Order('no_go', 'no_go', 'kbnitp_msgs/srv/NoGo', 'planner'),
         Order('end_mission', 'end_mission', TRIGGER, 'planner'),
         Order('add_finding', 'add_finding', 'kbnitp_msgs/srv/AddFinding', 'estimator'),

@@ -73,7 +73,7 @@ OF_MISSION = {
         Topic('progress', PROGRESS, History.LAST, ESTIMATOR),
         *(Topic(f'belief/{name}', GRID, History.LAST, ESTIMATOR) for name in VIEWS),
         Topic('mission', MISSION, History.LAST, PLANNER, ESTIMATOR),
-        Topic('operator', OPERATOR, History.ALL, PLANNER),
+        Topic('operator', OPERATOR, History.ALL, PLANNER, ROBOTS),
         *(Topic(name, kind, History.ALL, ESTIMATOR) for name, kind in REMARKS.items()),
         Topic('operator/recorded', RECORDED, History.ALL, RECORDER, BASE),
         Topic('hold', BOOL, History.LAST, PLANNER, (*PLANNER, *ROBOTS)),

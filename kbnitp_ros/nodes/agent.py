@@ -29,7 +29,14 @@ from kbnitp_ros.messages.headers import check_mission, content_hash, mission_of_
 from kbnitp_ros.messages.health import Health, health_message
 from kbnitp_ros.messages.markers import pose_message, readings_marker
 from kbnitp_ros.messages.states import Readiness
-from kbnitp_ros.nodes.presence import AGAIN, BaseField, HoldSubscription, INSTALLED, StatePublisher
+from kbnitp_ros.nodes.presence import (
+    AGAIN,
+    BaseField,
+    HoldSubscription,
+    INSTALLED,
+    OperatorSubscription,
+    StatePublisher,
+)
 from kbnitp_ros.nodes.recorded_paths import RecordedPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -66,6 +73,7 @@ class Simulation:
         self.node = node
         self.grid = node.grid
         self.base_field = BaseField(node, node.grid)
+        self.operator = OperatorSubscription(node, record.operator)
         values = node.values
         common = make_sensor_model(values)
         robot_types = make_robot_types(values, self.grid)
@@ -212,10 +220,11 @@ class Simulation:
             self._outcomes[key] = made
 
     def _restore(self, key: DeploymentKey, record: RecordedMission) -> None:
-        """Restore a deployment unless it was refused or, with static hazards, has not departed."""
+        """Restore a deployment that departed; with changing hazards, any that may depart."""
         # With `silent_loss` a robot that the planner gave up may still be on its way home.
         is_over = bool(record.said_by_agent.get(key))
-        is_at_home = self.is_static and not (is_over or record.has_departed(key))
+        may_stay = self.is_static or key in record.operator.taken_back
+        is_at_home = may_stay and not (is_over or record.has_departed(key))
         if record.is_refused(key) or is_at_home:
             return
         if self.is_static and is_over:
@@ -308,7 +317,11 @@ class SimulatedAgent(RecordedPaths[SentPath]):
         self._depart_all()
 
     def _depart_all(self) -> None:
-        """Start waiting robots; if departures are held, only those with a recorded departure."""
+        """Refuse orders taken back; start robots, if held only those with a recorded departure."""
+        for key in [key for key in self._at_home if key not in self._departed]:
+            if reason := self._simulation.operator.refusal(key):
+                self._at_home.remove(key)
+                self._publish_status(key, OrderState.REFUSED, reason)
         is_held = bool(self._why_held)
         for key in [key for key in self._at_home if not is_held or key in self._departed]:
             self._depart(key)
@@ -326,9 +339,9 @@ class SimulatedAgent(RecordedPaths[SentPath]):
             self._depart(key)
         self._simulation.take(key)
 
-    def _publish_status(self, key: DeploymentKey, state: OrderState) -> None:
+    def _publish_status(self, key: DeploymentKey, state: OrderState, reason: str = '') -> None:
         """Publish the status of an order; after a restart the message is identical."""
-        self._statuses.publish(status_message(key, state, key.stamp))
+        self._statuses.publish(status_message(key, state, key.stamp, reason))
 
     def _leave(self, key: DeploymentKey, made: Traverse) -> None:
         self._simulation.out.add(self.agent)

@@ -330,13 +330,16 @@ class Dispatch:
         self.log_departures()
 
     def _take_back(self, key: DeploymentKey) -> None:
-        """Forget the path of an order that was refused, and leave its agent alone for a while."""
+        """Forget the path of a refused order; pause an agent that refused by itself."""
         self._rounds.count_path(self._state.paths[key], -1)
+        del self._goals[key]
+        if action := self._state.operator.taken_back.get(key):
+            self._node.get_logger().info(f'{key} is {action.refusal}: its robot stays at the base')
+            return
         pause = FIRST_PAUSE
         if key.agent in self._pauses:
             pause = min(2 * self._pauses[key.agent][0], MAX_PAUSE)
         self._pauses[key.agent] = pause, time.monotonic() + pause
-        del self._goals[key]
         status = self._state.status(key)
         reason = status.reason if status else ''
         self._node.get_logger().warning(

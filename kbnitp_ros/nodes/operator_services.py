@@ -9,7 +9,7 @@ from typing import Any
 
 from kbnitp_msgs.msg import OperatorAction as OperatorActionMessage
 from kbnitp_msgs.msg import Recorded
-from kbnitp_msgs.srv import GiveUp, NoGo
+from kbnitp_msgs.srv import GiveUp, NoGo, TakeBack
 from kbnitp_ros.base.no_go import changed_no_go, open_grid
 from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.configuration import make_goal
@@ -37,6 +37,12 @@ from std_srvs.srv import SetBool, Trigger
 
 # Maximum number of characters of a reason and of its author.
 MAX_TEXT = 200
+
+# What comes of an order that is taken back.
+TAKEN_BACK = (
+    ': it counts as never sent once its agent has refused it; if its robot has left by then, it '
+    'stays out'
+)
 
 # Response of a service: success and message.
 Response = Any
@@ -73,6 +79,7 @@ class Operator:
         node.create_service(SetBool, 'approve', self._on_approve)
         node.create_service(GiveUp, 'give_up', self._on_give_up)
         node.create_service(NoGo, 'no_go', self._on_no_go)
+        node.create_service(TakeBack, 'take_back', self._on_take_back)
         node.create_service(Trigger, 'end_mission', self._on_end)
         if node.values['recorded']:
             node.subscribe(Recorded, 'operator/recorded', self._on_recorded, qos.EVIDENCE)
@@ -171,9 +178,7 @@ class Operator:
         what = Action.LIFT if request.lift else Action.NO_GO
         cells, values = tuple(sorted({*map(int, request.cells)})), self._node.values
         try:
-            for name in ('reason', 'author'):
-                if len(text := getattr(request, name)) > MAX_TEXT:
-                    raise ValueError(f'{name} has {len(text)} characters, at most {MAX_TEXT} fit')
+            said = read_said(request)
             grid, known = self._state.grid, self._state.operator.no_go
             no_go = changed_no_go(grid, known, cells, lift=request.lift)
             open_grid(grid, no_go, make_goal(values, grid), values['max_steps'])
@@ -183,7 +188,6 @@ class Operator:
             crossing = self._crossing(what, cells)
             response.agents = [key.agent for key in crossing]
             return answered(response, True, f'possible{in_words(crossing)}')
-        said = {'reason': request.reason, 'author': request.author}
         return self._decide(response, what, cells=cells, **said)
 
     def _crossing(self, what: Action, cells: Sequence[int]) -> list[DeploymentKey]:
@@ -192,6 +196,29 @@ class Operator:
             return []
         paths = self._state.paths_in_flight
         return [key for key, path in paths.items() if np.isin(path, cells).any()]
+
+    def _on_take_back(self, request: TakeBack.Request, response: Response) -> Response | Future:
+        try:
+            key = self._open_order(request.agent)
+            said = read_said(request)
+        except ValueError as error:
+            return answered(response, False, str(error))
+        return self._decide(response, Action.TAKE_BACK, {key: self._state.paths[key]}, **said)
+
+    def _open_order(self, agent: str) -> DeploymentKey:
+        """Return the order of an agent on which no robot is known to have departed."""
+        state = self._state
+        orders = {key.agent: key for key in sorted(state.in_flight) if not state.is_refused(key)}
+        left = {key for key in orders.values() if state.is_away(key) or state.has_departed(key)}
+        if agent not in orders:
+            names = ', '.join(sorted(orders.keys() - {key.agent for key in left})) or 'none'
+            raise ValueError(f'no order of {shown(agent)} is open (agents with one: {names})')
+        key = orders[agent]
+        if key in left:
+            raise ValueError(f'{key} left: its robot can only be given up or annotated')
+        if action := state.operator.taken_back.get(key):
+            raise ValueError(f'{key} is {action.refusal}: its agent has not refused it so far')
+        return key
 
     def _on_end(self, _: Trigger.Request, response: Response) -> Response | Future:
         return self._decide(response, Action.END)
@@ -269,6 +296,8 @@ class Operator:
             crossing = self._crossing(action.action, action.cells)
             response.agents = [key.agent for key in crossing]
             pending = in_words(crossing)
+        if action.action == Action.TAKE_BACK:
+            pending = TAKEN_BACK
         self._act(action)
         state = self._state
         out = [key for key in state.in_flight if key not in {*state.undeparted, *state.held}]
@@ -282,6 +311,15 @@ def in_words(crossing: Sequence[DeploymentKey]) -> str:
     if not crossing:
         return ''
     return f'; out, on a path or a way home that may cross them: {some(crossing)}'
+
+
+def read_said(request: NoGo.Request | TakeBack.Request) -> dict[str, Any]:
+    """Return the reason and the author of a request."""
+    said = {'reason': request.reason, 'author': request.author}
+    for name, text in said.items():
+        if len(text) > MAX_TEXT:
+            raise ValueError(f'{name} has {len(text)} characters, at most {MAX_TEXT} fit')
+    return said
 
 
 def answered(response: Response, success: bool, message: str) -> Response:

@@ -176,8 +176,13 @@ class PlannerNode(FieldNode):
             self._beliefs.subscribe()
 
     def _on_standings(self) -> None:
-        self._dispatch.follow()
+        self._follow()
         self._deploy()
+
+    def _follow(self) -> None:
+        # A pending action may be the reason for a refusal; nobody leaves before it is on record.
+        if self._operator.awaited is None:
+            self._dispatch.follow()
 
     def _go_on(self) -> None:
         if not self._is_begun and self.now() > 0:
@@ -198,6 +203,7 @@ class PlannerNode(FieldNode):
 
     def _act(self, action: OperatorAction) -> None:
         """Apply an action of the operator."""
+        self._follow()
         if action.action == Action.GIVE_UP:
             for key in action.paths:
                 if key in self._state.in_flight:

@@ -11,17 +11,18 @@ import time
 from typing import Any
 from uuid import uuid4
 
-from kbnitp_msgs.msg import AgentState, RecorderState
+from kbnitp_msgs.msg import AgentState, OperatorAction, RecorderState
 from kbnitp_ros.base.protocol import VERSION
-from kbnitp_ros.core import Grid
+from kbnitp_ros.core import DeploymentKey, Grid
 from kbnitp_ros.log.schema import describe
 from kbnitp_ros.messages.headers import content_hash, from_stamp, to_stamp
+from kbnitp_ros.messages.operator_actions import OperatorState, read_operator_action
 from kbnitp_ros.messages.standings import Standings
 from kbnitp_ros.messages.states import read_state, Readiness, state_message
 from kbnitp_ros.messages.topics import BELIEF, BOOL, PATH, REPORT, STANDINGS, STATUS
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.graph import full_name, PUBLISHED
-from kbnitp_ros.nodes.runtime.node import MissionNode
+from kbnitp_ros.nodes.runtime.node import FieldNode, MissionNode
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Bool
 
@@ -352,6 +353,27 @@ class HoldSubscription:
                     'publish it'
                 )
         return ''
+
+
+class OperatorSubscription:
+    """A subscription to the operator's actions, for the orders that are taken back."""
+
+    def __init__(self, node: FieldNode, state: OperatorState) -> None:
+        self._node = node
+        self._state = state
+        topic = f'{node.above}/operator'
+        node.subscribe(OperatorAction, topic, self._on_action, qos.EVIDENCE)
+
+    def _on_action(self, message: OperatorAction) -> None:
+        try:
+            self._state.apply(read_operator_action(self._node.grid, message))
+        except ValueError as error:
+            self._node.diagnostics.refuse('operator', error)
+
+    def refusal(self, key: DeploymentKey) -> str:
+        """Return the reason to refuse an order; empty if it is not taken back."""
+        action = self._state.taken_back.get(key)
+        return action.refusal if action else ''
 
 
 class StatePublisher:

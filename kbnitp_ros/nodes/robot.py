@@ -23,9 +23,17 @@ from kbnitp_ros.messages.deployments import report_message, status_message
 from kbnitp_ros.messages.headers import content_hash, FRAME, SECOND
 from kbnitp_ros.messages.health import Health, health_message
 from kbnitp_ros.messages.markers import readings_marker
+from kbnitp_ros.messages.operator_actions import OperatorState
 from kbnitp_ros.messages.states import Readiness
 from kbnitp_ros.nodes.driver import addresses, detection_class, Driver, read_detection
-from kbnitp_ros.nodes.presence import AGAIN, BaseField, HoldSubscription, INSTALLED, StatePublisher
+from kbnitp_ros.nodes.presence import (
+    AGAIN,
+    BaseField,
+    HoldSubscription,
+    INSTALLED,
+    OperatorSubscription,
+    StatePublisher,
+)
 from kbnitp_ros.nodes.recorded_paths import PendingPaths
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import FieldNode
@@ -79,6 +87,7 @@ class RobotNode(FieldNode):
         self._states = StatePublisher(self, self.grid, self._agent)
         self._base_field = BaseField(self, self.grid)
         self._hold = HoldSubscription(self)
+        self._operator = OperatorSubscription(self, OperatorState())
         self._pending = PendingPaths(self, self._agent, self._journal, self._refuse)
         self._driver = Driver(
             self,
@@ -378,12 +387,16 @@ class RobotNode(FieldNode):
             return f'taking paths of {self._agent}'
         if not self._keep(partial(self._journal.begin, deployment.mission)):
             return self._no_room
-        for superseded in self._pending.orders.superseded:
-            if not self._refuse(
-                superseded, f'the newer path {self._key(deployment)} came before the robot left'
-            ):
+        newer = f'the newer path {self._key(deployment)} came before the robot left'
+        refusals = [(each, newer) for each in self._pending.orders.superseded]
+        if taken_back := self._operator.refusal(self._key(deployment)):
+            refusals.append((deployment, taken_back))
+        for refused, reason in refusals:
+            if not self._refuse(refused, reason):
                 return self._no_room
-            self._pending.orders.close(superseded)
+            self._pending.orders.close(refused)
+        if taken_back:
+            return f'taking paths of {self._agent}'
         if self._accepted != deployment.stamp:
             self._accepted = deployment.stamp
             self._publish_status(deployment.stamp, OrderState.ACCEPTED, self.now())

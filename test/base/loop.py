@@ -95,6 +95,8 @@ class Loop:
         self.actions = 0
         self.plans = {}
         self.reported = {}
+        # Orders of which the agents heard that they are taken back.
+        self.taken_back = set()
         # Number of robots that each agent has had before.
         self.replaced = dict.fromkeys(AGENTS, 0)
         self.start_recorder()
@@ -109,7 +111,8 @@ class Loop:
     def publish(self, author, topic, message, *, keep=True):
         if keep:
             self.kept.setdefault((author, topic), []).append(message)
-        for reader in ('planner', 'estimator', 'recorder'):
+        agents = ['agents'] if topic == 'operator' else []
+        for reader in ('planner', 'estimator', 'recorder', *agents):
             self.wires.setdefault((author, topic, reader), deque()).append(message)
 
     def join(self, reader):
@@ -253,6 +256,8 @@ class Loop:
         self.base = RecordedMission(GRID, 6, values=self.values)
         for role, logged in self.logged():
             self.base.take(role, logged)
+        # Orders of which this planner says that they are taken back.
+        self.said_back = {*self.base.operator.taken_back}
         self.beliefs = None
         # What the recorder has acknowledged lately.
         self.seen = set()
@@ -262,7 +267,8 @@ class Loop:
             self.publish('planner', f'{key.agent}/path', path)
             self.stamp = max(self.stamp, key.stamp)
         for topic, message in self.log:
-            if topic.endswith('/report') and message.source != Source.AGENT:
+            is_loss = topic.endswith('/report') and message.source != Source.AGENT
+            if is_loss or topic == 'operator':
                 self.publish('planner', topic, message)
         for key, action in self.base.unreported_losses.items():
             self.lose(key, Source.OPERATOR, action.settled)
@@ -399,7 +405,7 @@ class Loop:
     def act(self, what, key=None):
         self.actions += 1
         paths = {} if key is None else {key: self.base.paths[key]}
-        settled = () if key is None else self.base.heard_hashes(key)
+        settled = self.base.heard_hashes(key) if what is Action.GIVE_UP else ()
         action = OperatorAction(self.actions, what, self.base.robots_left, paths, 0, settled)
         self.publish('planner', 'operator', operator_action_message(GRID, action))
 
@@ -408,7 +414,30 @@ class Loop:
         if held:
             self.act(Action.GIVE_UP, self.choose(held))
 
+    def take_back_any(self):
+        at_base = self.base.undeparted
+        if at_base:
+            key = self.choose(at_base)
+            self.act(Action.TAKE_BACK, key)
+            self.said_back.add(key)
+
     # The agents.
+
+    def agents_hears(self, _, message):
+        action = read_operator_action(GRID, message)
+        if action.action is Action.TAKE_BACK:
+            self.taken_back |= action.paths.keys()
+
+    def refuse(self, key):
+        """Let an agent refuse an order that is taken back; return whether it has not departed."""
+        cells, ending = self.plans[key]
+        said = ending[: self.reported.setdefault(key, 0)]
+        if key not in self.taken_back or {*said} - {'accepted'}:
+            return False
+        self.plans[key], self.reported[key] = (cells, ('refused',)), 1
+        _, message = made(key, cells, 'refused', self.replaced[key.agent])
+        self.publish(f'agent {key.agent}', f'{key.agent}/status', message)
+        return True
 
     def is_on_record(self, key):
         """Return whether the path of a robot is on record."""
@@ -424,7 +453,7 @@ class Loop:
         key = self.choose(known)
         cells, ending = self.plans[key]
         said = self.reported.setdefault(key, 0)
-        if said < len(ending):
+        if not self.refuse(key) and said < len(ending):
             self.reported[key] += 1
             role, message = made(key, cells, ending[said], self.replaced[key.agent])
             self.publish(f'agent {key.agent}', f'{key.agent}/{role}', message)
@@ -471,8 +500,10 @@ class Loop:
             self.say()
         elif what < 0.93:
             self.give_up_silent()
-        elif what < 0.945:
+        elif what < 0.94:
             self.give_up_any()
+        elif what < 0.945:
+            self.take_back_any()
         elif what < 0.95:
             self.act(self.choose([Action.PAUSE, Action.RESUME]))
         elif what < 0.985:
@@ -488,7 +519,10 @@ class Loop:
         kept = {key: each for key, each in self.kept.items() if key[0] == name}
         self.leave(name)
         if name.startswith('agent'):
-            # An agent says again what is in its journal.
+            # An agent says again what is in its journal, and hears again what the planner keeps.
+            self.taken_back = {key for key in self.taken_back if key.agent != name[-1]}
+            told = self.kept.get(('planner', 'operator'), ())
+            self.wires['planner', 'operator', 'agents'] = deque(told)
             for (author, topic), messages in kept.items():
                 for message in messages:
                     self.publish(author, topic, message)
@@ -582,6 +616,7 @@ def known(base):
         'sent': base.robots_left,
         'ended': base.ended,
         'operator': (base.operator.is_paused, base.operator.is_ended),
+        'taken back': {*base.operator.taken_back},
     }
 
 
@@ -596,6 +631,16 @@ def run(seed, steps=150):
 def check(loop):
     """Check the laws of a loop in which nothing is on its way any more."""
     loop.settle()
+    while any(loop.is_on_record(key) and loop.refuse(key) for key in loop.plans):
+        loop.settle()
+    # An order that was taken back is void, unless its robot left.
+    for key in loop.said_back & loop.plans.keys() & loop.ledger.paths.keys():
+        said = {*loop.plans[key][1][: loop.reported[key]]}
+        if said <= {'accepted', 'refused'}:
+            assert loop.ledger.standings[key].verdict is Verdict.VOID, key
+            assert key in loop.base.void
+        elif 'departed' in said:
+            assert key not in loop.base.void
     # Nodes that have heard the same agree.
     assert loop.base.evidence == (loop.epoch, loop.ledger.changes)
     assert counted(loop.base, loop.base.standings) == counted(loop.ledger, loop.ledger.standings)

@@ -140,6 +140,11 @@ def take_the_order_of_a_lost_robot(patch):
     patch.setattr(Orders, 'note_departure', lambda *_: None)
 
 
+def ignore_what_is_taken_back(patch):
+    """Let agents hear no action of the operator."""
+    patch.setattr(Loop, 'agents_hears', lambda *_: None)
+
+
 @pytest.mark.slow
 @for_each('plant', [
     forget_what_is_taken_back,
@@ -151,6 +156,7 @@ def take_the_order_of_a_lost_robot(patch):
     judge_what_is_not_on_record,
     read_no_log_again,
     take_the_order_of_a_lost_robot,
+    ignore_what_is_taken_back,
 ])  # fmt: skip
 def test_each_planted_fault_is_found(plant, monkeypatch):
     plant(monkeypatch)

@@ -5,6 +5,9 @@ from kbnitp_ros.base.state import BaseState, MissingError
 from kbnitp_ros.core.inference.record import OrderState
 from kbnitp_ros.messages.deployments import read_status, status_message
 from kbnitp_ros.messages.headers import from_stamp
+from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
+from laws import for_each
+import numpy as np
 import pytest
 from samples import GRID, HOME, key
 
@@ -34,3 +37,26 @@ def test_the_path_that_was_recorded_first_replaces_the_own_one():
     assert state.in_flight[key(1)].is_recorded
     # The first one stays.
     assert not state.take_recorded(key(1), 9)
+
+
+@for_each('author, reason, refusal', [
+    ('Ann', 'no longer needed', 'taken back by Ann: no longer needed'),
+    ('Ann', '', 'taken back by Ann'),
+    ('', 'no longer needed', 'taken back by the operator: no longer needed'),
+    ('', 'x' * 999, 'taken back by the operator: ' + 472 * 'x'),
+])  # fmt: skip
+def test_an_order_that_is_taken_back_is_named_with_its_reason_and_approved_anew(
+    author, reason, refusal
+):
+    operator, paths = OperatorState(), {key(1): np.array(HOME)}
+    again = {key(2): np.array(HOME)}
+    assert operator.apply(OperatorAction(1, Action.APPROVE, 0, paths))
+    assert operator.is_approved(0, again)
+    said = {'author': author, 'reason': reason}
+    assert operator.apply(OperatorAction(2, Action.TAKE_BACK, 1, paths, **said))
+    assert {each: action.refusal for each, action in operator.taken_back.items()} == {
+        key(1): refusal
+    }
+    assert not operator.is_approved(0, again)
+    assert operator.apply(OperatorAction(3, Action.APPROVE, 0, again))
+    assert operator.is_approved(0, again)

@@ -106,14 +106,17 @@ class Acknowledged(Deciding):
         key = self.send_out(path, agent)
         self.hear_path(key, path)
         for state in states:
-            reason = 'no battery' * (state is OrderState.REFUSED)
-            self.publish(f'{agent}/status', status_message(key, state, self.now, reason))
-            if self.ledger.record_status(key, state, self.now):
-                self.publish_standings()
-                self.publish_belief()
-            elif self.ledger.changed:
-                self.publish_standings()
+            self.hear_status(key, state)
         return key
+
+    def hear_status(self, key, state):
+        reason = 'no battery' * (state is OrderState.REFUSED)
+        self.publish(f'{key.agent}/status', status_message(key, state, self.now, reason))
+        if self.ledger.record_status(key, state, self.now):
+            self.publish_standings()
+            self.publish_belief()
+        elif self.ledger.changed:
+            self.publish_standings()
 
     def act(self, action, paths=(), **options):
         action = OperatorAction(self.now, action, 1, dict(paths), **options)
@@ -185,7 +188,9 @@ def whole_mission():
         whole.say('findings', found)
     for said in [*whole.ledger.findings]:
         whole.say('revocations', Revocation(revokes=said))
-    whole.order(tour, OTHER, OrderState.REFUSED)
+    key = whole.order(tour, OTHER)
+    whole.act(Action.TAKE_BACK, {key: tour}, reason='not needed', author='Ann')
+    whole.hear_status(key, OrderState.REFUSED)
     key = whole.order([2, 3, 4, 3, 2], OTHER, *back)
     heard = content_hash(whole.sent[0].message)
     whole.act(Action.GIVE_UP, {key: [2, 3, 4, 3, 2]}, steps_survived=1, settled=(heard,))

@@ -198,9 +198,10 @@ def test_paths_from_each_base_are_refused_by_operators():
 
 
 @for_each('fields, told', [
-    ({'action': 0}, 'action is 0: it must be from 1 to 12'),
+    ({'action': 0}, 'action is 0: it must be from 1 to 13'),
     ({'action': Action.REFUSE}, "agents is '': REFUSE must have agents"),
     ({'agents': ['scout_1']}, 'agents has 1 names for 0 paths'),
+    ({'action': Action.TAKE_BACK}, "agents is '': TAKE_BACK must have agents"),
     ({'settled': [7]}, 'settled names 1 reports, and action is PAUSE: only GIVE_UP settles'),
     ({'parameters': ['robots: 3']}, 'parameters has 1 values, and action is PAUSE'),
     ({'action': Action.SET}, 'parameters has 0 values, and action is SET'),

@@ -5,7 +5,7 @@ from math import inf
 import time
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction, Recorded
-from kbnitp_msgs.srv import GiveUp, NoGo
+from kbnitp_msgs.srv import GiveUp, NoGo, TakeBack
 from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.log.replay import replay
@@ -36,6 +36,7 @@ SERVICES = {
     'approve': SetBool,
     'give_up': GiveUp,
     'no_go': NoGo,
+    'take_back': TakeBack,
     'end_mission': Trigger,
 }
 

@@ -9,7 +9,9 @@ from base import Base, NODES
 from kbnitp_msgs.msg import OperatorAction
 from kbnitp_ros.cli import watch
 from kbnitp_ros.cli.server import Address
+from kbnitp_ros.messages.deployments import OrderState
 from test_control import controlled, HOSTILE, report
+from test_departures import StatedBase
 
 AXE = Path(__file__).parents[1] / 'report/node_modules/axe-core/axe.min.js'
 
@@ -130,7 +132,7 @@ def full_address(client):
 
 
 def test_each_button_of_the_planner_orders_what_it_says(field, browser):
-    base = Base(field, approval=True)
+    base = StatedBase(field, approval=True, return_deadline=1000.0)
     base.proposed()
     with (
         controlled(field, base) as client,
@@ -159,6 +161,19 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.go('Approve')
         base.until_sent(1)
         one.until_says('#counts', '1 sent')
+        one.press('#robots button', 'take back')
+        one.fill('note', 'not needed')
+        one.fill('author', 'Ann')
+        one.foresee()
+        one.until_says('#act-warning', 'A robot that has left by then stays out.')
+        one.go('Take the order of scout_1 back')
+        one.until_says('#robots', 'has an order that is taken back')
+        base.say(OrderState.REFUSED, 'taken back by Ann: not needed')
+        one.until_says('#needs', 'approve scout_1')
+        one.press('#needs button', 'approve')
+        one.go('Approve')
+        base.until_sent(2)
+        base.until_named(base.say(OrderState.DEPARTED))
         # One click, without a dialog.
         one.press('#hold button')
         one.until_says('#hold', 'Resume')
@@ -215,14 +230,16 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
             assert looking.page.locator('.act >> visible=true').count() == 0
         orders = one.orders()
         shut = {'cells': [24], 'author': 'Ann'}
-        assert orders[:8] == [
-            *[('refuse', {}), ('approve', {}), ('hold', {}), ('resume', {})],
+        back = {'agent': 'scout_1', 'reason': 'not needed', 'author': 'Ann'}
+        assert orders[:10] == [
+            *[('refuse', {}), ('approve', {}), ('take_back', back)],
+            *[('approve', {}), ('hold', {}), ('resume', {})],
             ('no_go', {**shut, 'lift': False, 'reason': HOSTILE}),
             ('no_go', {**shut, 'lift': True, 'reason': ''}),
             ('set', {'name': 'loss_cost', 'value': 0.25}),
             ('set', {'name': 'approval', 'value': False}),
         ]
-        assert orders[8:] == [
+        assert orders[10:] == [
             ('give_up', {'agent': 'scout_1', 'steps_survived': 1}),
             *2 * [('end_mission', {})],
         ]

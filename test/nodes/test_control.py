@@ -188,6 +188,8 @@ def test_each_order_of_the_planner_has_its_effect(field):
         ):  # fmt: skip
             status, answer = ask(client.order, 'set', {'name': name, 'value': value})
             assert (status, words in answer['error']) == (400, True), answer
+        _, late = ask(client.order, 'take_back', {'agent': 'scout_1'})
+        assert 'left: its robot can only be given up or annotated' in late['message']
         gone = ask(client.do, 'give_up', {'agent': 'scout_1', 'steps_survived': 1})
         assert 'gave up scout_1' in gone['message']
         until(field, client, lambda board: board['mission']['lost'] == 1, 'loss')
@@ -326,9 +328,9 @@ def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field):
 
 def test_the_table_of_orders_is_all_that_may_be_ordered():
     assert in_words() == (
-        'may order pause, hold, resume, approve, refuse, give_up, no_go, end_mission, '
-        'add_finding, annotate, revoke, and set approval, loss_cost, minimum_survival, robots, '
-        'stop.confidence, stop.gain, stop.losses of the planner'
+        'may order pause, hold, resume, approve, refuse, give_up, take_back, no_go, '
+        'end_mission, add_finding, annotate, revoke, and set approval, loss_cost, '
+        'minimum_survival, robots, stop.confidence, stop.gain, stop.losses of the planner'
     )
 
 

@@ -125,7 +125,7 @@ function needRow(need) {
 function robotRow(robot) {
   const { name, deployment, out } = robot;
   const said = element('p', [element('strong', name), ' ']);
-  if (out) said.append(...(robot.out_since === null ? ['has an order'] : [running('out', 'since', robot.out_since), ', ', running('due in', 'until', robot.due)]));
+  if (out) said.append(...(robot.out_since === null ? [robot.taken_back ? 'has an order that is taken back' : 'has an order'] : [running('out', 'since', robot.out_since), ', ', running('due in', 'until', robot.due)]));
   else {
     const why = robot.waits_for && robot.waits_for !== 'NONE' ? ` for ${words(robot.waits_for)}` : '';
     said.append(robot.state === null ? 'was never heard' : `${words(robot.state)}${why}`);
@@ -137,6 +137,7 @@ function robotRow(robot) {
   ].filter(Boolean);
   if (more.length) said.append(` · ${more.join(' · ')}`);
   const buttons = deployment ? [
+    ...(out && robot.out_since === null && !robot.taken_back ? [orderButton('take back', `take back ${name}`, () => proposeTakeBack(name))] : []),
     ...(out ? [orderButton('lost', `lost ${name}`, () => proposeLoss(name))] : []),
     orderButton('wreck', `wreck ${name}`, () => proposeAnnotation({ agent: name, deployment }, LOCATED)),
     orderButton('recovered', `recovered ${name}`, () => proposeAnnotation({ agent: name, deployment }, RECOVERED)),
@@ -441,6 +442,14 @@ function proposeLoss(agent) {
     title: `Give ${agent} up`, order: 'give_up', fields: [number('steps that it is known to have survived', 'steps_survived', 0, { min: 0, step: 1 })],
     arguments: ({ steps_survived }) => ({ agent, steps_survived }), lines: () => [`${agent} counts as lost`, outLine()],
     warning: 'This cannot be taken back: only a return of the robot replaces the loss.',
+  });
+}
+
+function proposeTakeBack(agent) {
+  propose({
+    title: `Take the order of ${agent} back`, order: 'take_back', isSigned: true, fields: [note()],
+    arguments: ({ note: reason, author }) => ({ agent, reason, author }), lines: () => [`the order of ${agent} counts as never sent once its agent has refused it`],
+    warning: 'A robot that has left by then stays out. Its agent gets the next order, unless departures are on hold.',
   });
 }
 
