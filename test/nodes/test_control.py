@@ -21,7 +21,7 @@ from kbnitp_ros.cli.control import Control, Operator
 from kbnitp_ros.cli.server import Address
 from kbnitp_ros.core import Observation
 from kbnitp_ros.messages.deployments import read_path, report_message
-from kbnitp_ros.messages.orders import in_words, ORDERS
+from kbnitp_ros.messages.orders import describe_orders, ORDERS
 from kbnitp_ros.messages.orders import PARAMETERS as SETTABLE
 import pytest
 from test_policies import FOLDER, in_graph, not_allowed, not_used, read_policy
@@ -327,7 +327,7 @@ def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field):
 
 
 def test_the_table_of_orders_is_all_that_may_be_ordered():
-    assert in_words() == (
+    assert describe_orders() == (
         'may order pause, hold, resume, approve, refuse, give_up, take_back, no_go, '
         'end_mission, add_finding, annotate, revoke, and set approval, loss_cost, '
         'minimum_survival, robots, stop.confidence, stop.gain, stop.losses of the planner'
