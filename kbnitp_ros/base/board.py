@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any
 
+from kbnitp_ros.base.preflight import Check
 from kbnitp_ros.base.said import contradictions, Statement, statements
 from kbnitp_ros.base.state import BaseState
 from kbnitp_ros.core import Decision, DeploymentKey
@@ -23,6 +24,9 @@ from numpy.typing import NDArray
 # Seconds without a sign from which on the age of the last sign is shown: signs come each second.
 SILENT = 3
 
+# Seconds for which a preview is shown that nobody follows by its order.
+PREVIEWED = 300
+
 
 @dataclass
 class Sign:
@@ -32,6 +36,8 @@ class Sign:
     # Time of the first state of the same readiness and reason, nanoseconds of the robot's clock.
     since: int = 0
     health: Health | None = None
+    # Time by the robot's clock after the base's, when its health arrived, seconds.
+    offset: float = 0.0
     # Time of the last sign, seconds of the board's steady clock.
     heard: float = 0.0
 
@@ -61,6 +67,8 @@ class Preview:
     message: str
     # Epoch and events of the evidence of which it was made; None without evidence.
     evidence: tuple[int, int] | None
+    # When it was made, seconds of the board's steady clock.
+    made: float
 
 
 @dataclass
@@ -81,6 +89,10 @@ class Board:
     signs: dict[str, Sign] = field(default_factory=dict)
     proposals: dict[str, Proposal] = field(default_factory=dict)
     previews: dict[str, Preview] = field(default_factory=dict)
+    # Checks of the robots before the first departure; empty after it.
+    checks: Sequence[Check] = ()
+    # What statements of this board changed, as kbnitp_msgs/Effect, by their hashes.
+    effects: dict[int, Any] = field(default_factory=dict)
     # Number of open streams of those who may act, and who may look.
     streams: dict[str, int] = field(default_factory=lambda: {'act': 0, 'look': 0})
     # Statements as they were computed last, and the evidence and actions by then.
@@ -99,9 +111,10 @@ class Board:
             'mission': self._mission(steady),
             'goal': self._goal(),
             'parameters': {**self.parameters},
-            'needs': [*self._needs()],
+            'needs': [*self._needs(steady)],
             'robots': [self._robot(agent, now, steady, longest) for agent in sorted(self.signs)],
-            'said': [statement_facts(each) for each in said],
+            'preflight': [each._asdict() | {'light': each.light.name} for each in self.checks],
+            'said': [statement_facts(each) | self._effect(each) for each in said],
             'contradictions': [
                 {'findings': [*map(str, pair)], 'cells': cells}
                 for pair, cells in contradictions(said).items()
@@ -164,7 +177,13 @@ class Board:
             ],
         }
 
-    def _needs(self) -> Iterator[dict[str, Any]]:
+    def _effect(self, said: Statement) -> dict[str, Any]:
+        """Return what a statement of this board changed."""
+        effect = self.effects.get(said.content)
+        names = ('p_free', 'hazards')
+        return {'effect': effect and {name: getattr(effect, name) for name in names}}
+
+    def _needs(self, steady: float) -> Iterator[dict[str, Any]]:
         """Yield what waits for a person."""
         status, state = self.status, self.state
         for proposal in self.proposals.values():
@@ -180,6 +199,8 @@ class Board:
             yield {'what': 'mission', 'obstacle': status.obstacle.name, 'why': status.reason}
         evidence = (state.evidence.epoch, state.events) if state else None
         for nonce, preview in self.previews.items():
+            if steady > preview.made + PREVIEWED:
+                continue
             yield {
                 'what': 'preview',
                 'nonce': nonce,

@@ -35,21 +35,23 @@ from kbnitp_msgs.msg import (
 )
 from kbnitp_msgs.srv import AddFinding
 from kbnitp_ros.base.board import Board, Preview, Proposal, Sign
+from kbnitp_ros.base.preflight import Check, Heard, Light, robot_checks
 from kbnitp_ros.base.state import BaseState, LackingError, MissingError
 from kbnitp_ros.configuration import find_parameter, value_for
 from kbnitp_ros.configuration.places import said_cells
 from kbnitp_ros.core import DeploymentKey, ORDINARY
 from kbnitp_ros.core.planning.objective import Objective
-from kbnitp_ros.files import nearest
+from kbnitp_ros.files import installed, nearest
 from kbnitp_ros.messages.beliefs import read_belief_maps, Snapshot
 from kbnitp_ros.messages.deployments import hear_report, read_path, read_status
-from kbnitp_ros.messages.headers import content_hash, from_stamp
+from kbnitp_ros.messages.headers import content_hash, from_stamp, SECOND
 from kbnitp_ros.messages.health import read_health
 from kbnitp_ros.messages.operator_actions import read_operator_action
 from kbnitp_ros.messages.orders import CLEARED, Order, ORDERS, PARAMETERS, SET
 from kbnitp_ros.messages.progress import read_decision, read_mission_status
 from kbnitp_ros.messages.remarks import read_remark, Told
 from kbnitp_ros.messages.standings import read_standings
+from kbnitp_ros.messages.states import AgentState as State
 from kbnitp_ros.messages.states import read_state
 from kbnitp_ros.nodes.runtime import qos
 from nav_msgs.msg import Path
@@ -81,6 +83,9 @@ BITS = {
 # Parameters of the planner by which robots are overdue.
 TIMES = 'agents', 'step_period', 'return_deadline'
 
+# Parameters of the planner by which robots are checked.
+CHECKED = 'min_battery', 'preflight_skip'
+
 Answer = tuple[HTTPStatus, dict[str, Any]]
 
 
@@ -110,6 +115,8 @@ class Operator(Node):
         # Parameters of planner and estimator, by role.
         self.values: dict[str, dict[str, Any]] = {'planner': {}, 'estimator': {}}
         self._belief: Snapshot | None = None
+        # The state of the base, whose field the robots must have.
+        self._base: State | None = None
         self._callers: dict[str, Any] = {
             each.service: self.create_client(service_type(each.type_name), each.service)
             for each in ORDERS.values()
@@ -118,6 +125,7 @@ class Operator(Node):
         for kind, topic, profile, take in (
             (BeliefMaps, 'belief', qos.LATCHED, self._on_belief),
             (MissionStatus, 'mission', qos.LATCHED, self._on_mission),
+            (AgentState, 'state', qos.LATCHED, self._on_base),
             (Progress, 'progress', qos.LATCHED, self._on_progress),
         ):
             self._hear(kind, topic, profile, take)
@@ -135,13 +143,17 @@ class Operator(Node):
         callback: Any = read
         return self.create_subscription(kind, topic, callback, qos.unread_kept(profile), raw=True)
 
+    def _on_base(self, message: AgentState, _: int) -> None:
+        self._base = read_state(message, '')
+
     def _on_mission(self, message: MissionStatus, _: int) -> None:
         self.board.status = read_mission_status(message)
         self.board.heard = time.monotonic()
-        self._ask('planner', message.author, (*PARAMETERS, *TIMES))
+        self._ask('planner', message.author, (*PARAMETERS, *TIMES, *CHECKED))
         for agent in self.board.signs:
             # A node that lacks one of the parameters states none.
-            self._ask('planner', message.author, (f'team.{agent}.step_period',))
+            for name in ('step_period', 'min_battery'):
+                self._ask('planner', message.author, (f'team.{agent}.{name}',))
         service = f'{message.author}/set_parameters'
         if service not in self._callers:
             self._callers[service] = self.create_client(SetParameters, service)
@@ -262,14 +274,29 @@ class Operator(Node):
         self.board.signs[agent].heard = time.monotonic()
 
     def _on_health(self, agent: str, message: AgentHealth, _: int) -> None:
-        self.board.signs[agent].health = read_health(message, agent)
-        self.board.signs[agent].heard = time.monotonic()
+        sign, now = self.board.signs[agent], self.get_clock().now().nanoseconds
+        sign.health = health = read_health(message, agent)
+        sign.heard, sign.offset = time.monotonic(), (health.stamp - now) / SECOND
 
     def facts(self) -> str:
         """Return the board in JSON."""
         now = self.get_clock().now().nanoseconds
+        self.board.checks = [] if self.board.status.ordered else [*self._checks()]
         facts = self.board.facts(now, time.monotonic(), self._longest)
         return json.dumps(facts, allow_nan=False)
+
+    def _checks(self) -> Iterator[Check]:
+        """Yield the checks of the robots before the first departure that are judged."""
+        values, version = self.values['planner'], installed().split()[1]
+        skipped = tuple(values.get('preflight_skip', ()))
+        for agent, sign in self.board.signs.items():
+            heard = Heard(sign.state, sign.health, sign.offset)
+            if self._base is None or 'min_battery' not in values:
+                return
+            needed = value_for(values, 'min_battery', agent)
+            for check in robot_checks(agent, heard, self._base, version, needed):
+                if check.light is not Light.INFO and check.name not in skipped:
+                    yield check._replace(name=f'{agent} {check.name}')
 
     def _longest(self, key: DeploymentKey) -> float:
         """Return the seconds after its departure at which a robot is overdue."""
@@ -305,6 +332,8 @@ class Operator(Node):
             if given.order.name == 'add_finding':
                 fields['cells'] = self.count_cells(given.request)
             self._note_preview(given, answer)
+            if answer.success and (content := getattr(answer, 'content', 0)):
+                self.board.effects[content] = answer.effect
         given.answer.set_result((HTTPStatus.OK, fields))
 
     def count_cells(self, request: AddFinding.Request) -> int:
@@ -328,7 +357,8 @@ class Operator(Node):
             return
         effect = getattr(answer, 'effect', None)
         evidence = (from_stamp(effect.epoch), effect.events) if effect else None
-        previews[given.nonce] = Preview(name, given.arguments, answer.message, evidence)
+        made = name, given.arguments, answer.message, evidence, time.monotonic()
+        previews[given.nonce] = Preview(*made)
         while len(previews) > MAX_PREVIEWS:
             del previews[next(iter(previews))]
 

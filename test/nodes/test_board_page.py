@@ -132,6 +132,7 @@ def full_address(client):
 
 
 def test_each_button_of_the_planner_orders_what_it_says(field, browser):
+    numbers = {'minimum_survival': 0.01, 'robots': 9, 'stop.losses': 8}
     base = StatedBase(field, approval=True, return_deadline=1000.0)
     base.proposed()
     with (
@@ -141,6 +142,8 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.ready()
         assert one.page.url == f'{client.url}/'
         one.until_says('#needs', 'approve scout_1 (returns with .')
+        one.until_says('#preflight-title', 'Preflight: 3 of 4')
+        one.until_says('#preflight', 'scout_1 version: not known: install')
         assert one.page.title() == '(1) log'
         assert one.page.evaluate('sounds') == 0
         if AXE.exists():
@@ -174,6 +177,9 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.go('Approve')
         base.until_sent(2)
         base.until_named(base.say(OrderState.DEPARTED))
+        one.until('document.getElementById("preflight-part").hidden')
+        one.press('#mute')
+        assert one.page.locator('#mute').get_attribute('aria-pressed') == 'true'
         # One click, without a dialog.
         one.press('#hold button')
         one.until_says('#hold', 'Resume')
@@ -203,6 +209,11 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.until_says('#act-effect', 'loss_cost: 0 → 0.25')
         one.go('Set loss_cost')
         one.until('board.parameters.loss_cost === 0.25')
+        for name, value in numbers.items():
+            one.page.locator(f'[id="set-{name}"]').fill(str(value))
+            one.page.get_by_label(f'set {name}', exact=True).click()
+            one.go(f'Set {name}')
+            one.until('([name, value]) => board.parameters[name] === value', [name, value])
         one.page.locator('#set-approval').uncheck()
         one.page.get_by_label('set approval').click()
         one.go('Set approval')
@@ -231,15 +242,16 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         orders = one.orders()
         shut = {'cells': [24], 'author': 'Ann'}
         back = {'agent': 'scout_1', 'reason': 'not needed', 'author': 'Ann'}
-        assert orders[:10] == [
+        assert orders[:13] == [
             *[('refuse', {}), ('approve', {}), ('take_back', back)],
             *[('approve', {}), ('hold', {}), ('resume', {})],
             ('no_go', {**shut, 'lift': False, 'reason': HOSTILE}),
             ('no_go', {**shut, 'lift': True, 'reason': ''}),
             ('set', {'name': 'loss_cost', 'value': 0.25}),
+            *[('set', {'name': name, 'value': value}) for name, value in numbers.items()],
             ('set', {'name': 'approval', 'value': False}),
         ]
-        assert orders[10:] == [
+        assert orders[13:] == [
             ('give_up', {'agent': 'scout_1', 'steps_survived': 1}),
             *2 * [('end_mission', {})],
         ]
@@ -296,6 +308,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         )
         one.go('Say it was walked')
         other.until_says('#statements', 'walked (.800) of 4 cells')
+        other.until_says('#statements', ', expected hazards ')
         # Only with the number of cells.
         one.press('#say-cleared')
         one.until_says('#act-confirm', 'type the number of cells, 4,')
@@ -330,12 +343,29 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         one.until(
             'board.said.filter((each) => each.says === "NO_HAZARD" && each.holds).length === 1'
         )
+        one.press('#robots button', 'recovered')
+        one.fill('place', 'no. 1 of scout_1')
+        one.fill('steps', '1, 2')
+        one.foresee()
+        one.go('Say of a robot')
+        one.until(
+            'board.said.filter((each) => each.says === "RECOVERED" && each.holds).length === 1'
+        )
+        one.press('#robots button', 'more')
+        one.fill('place', 'no. 1 of scout_1')
+        one.fill('kind', '4')
+        one.foresee()
+        one.until_says('#act-effect', 'robots lost: 0 → 0')
+        one.go('Say of a robot')
+        one.until(
+            'board.said.filter((each) => each.says === "WITHDRAW" && each.holds).length === 1'
+        )
         said = one.page.evaluate('board.said')
         assert [each['kind'] for each in said] == [
             'annotation',
             *4 * ['finding'],
             'revocation',
-            'annotation',
+            *3 * ['annotation'],
         ]
         assert [each['author'] for each in said] == [
             HOSTILE,
@@ -344,7 +374,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
             HOSTILE,
             HOSTILE,
             'Bob',
-            HOSTILE,
+            *3 * [HOSTILE],
         ]
         assert said[0]['cells'] == [wreck]
         assert said[0]['by_hazard'] is True
@@ -353,7 +383,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         assert (said[3]['hazard'], said[3]['changed'], said[3]['target']) == (False, True, None)
         assert (said[4]['cells'], said[4]['hazard']) == ([20], True)
         assert said[4]['since'] < said[3]['since']
-        assert said[6]['steps'] == [1]
+        assert [each['steps'] for each in said[6:]] == [[1], [1, 2], []]
         for opened in (one, other):
             assert opened.page.locator('#statements img').count() == 0
             assert [text for text in opened.problems if '409' not in text] == []

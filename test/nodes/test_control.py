@@ -253,6 +253,9 @@ def test_what_people_say_counts_and_stands_on_the_board(field):
         assert said[taken['content']]['revoked_by'] == 'Cleo'
         assert [each['holds'] for each in said.values()] == [True, True, False, True]
         assert said[answer['content']]['note'] == HOSTILE
+        assert said[answer['content']]['effect'] == {
+            name: answer['effect'][name] for name in ('p_free', 'hazards')
+        }
         # A preview is shown, and its evidence may change.
         ask(client.do, 'add_finding', {**there, 'preview': True})
         until(field, client, lambda board: board['needs'], 'preview')

@@ -160,10 +160,16 @@ function statement(said) {
   return `${parts.join(', ')}${said.changed ? `, changed at ${clockTime(said.since)}` : ''}${cells}, confidence ${share(said.confidence)}`;
 }
 
+// What a statement changed, if this board sent it.
+function effectInWords({ p_free: free, hazards }) {
+  const [name, [before, after], shown] = free[0] === null ? ['expected hazards', hazards, (each) => each.toFixed(1)] : [board.goal?.kind ?? 'free', free, share];
+  return `, ${name} ${shown(before)} → ${shown(after)}`;
+}
+
 function saidRow(said) {
   const others = board.contradictions.filter(({ findings }) => findings.includes(said.hash)).length;
   const text = `${clockTime(said.time)} ${said.author || 'somebody'}: ${statement(said)}${said.note ? ` (${said.note})` : ''}`;
-  const row = element('li', text, { className: said.holds ? '' : 'over' });
+  const row = element('li', text + (said.effect ? effectInWords(said.effect) : ''), { className: said.holds ? '' : 'over' });
   if (others) row.append(element('strong', ' contradicts another finding'));
   if (said.revoked_by !== null) row.append(` taken back by ${said.revoked_by || 'somebody'} at ${clockTime(said.revoked_at)}`);
   if (said.holds && said.hash && said.kind !== 'revocation') row.append(' ', orderButton('revoke', said.hash, () => proposeRevocation(said)));
@@ -190,6 +196,14 @@ function goalInWords({ kind: what, p_free, confidence, reached, trusted }) {
   return `${what} ${share(p_free)}${wanted}${reached ? ', reached' : ''}${names.length ? `, trusts ${names.join(', ')}` : ''}`;
 }
 
+// The checks of the robots before the first departure: a heading with their number, and those that are red.
+function drawPreflight(checks) {
+  const red = checks.filter(({ light }) => light === 'RED');
+  page('preflight-part').hidden = !checks.length;
+  page('preflight-title').textContent = `Preflight: ${checks.length - red.length} of ${checks.length}`;
+  renewPart('preflight', red, () => red.map(({ name, text }) => element('li', `${name}: ${text}`)));
+}
+
 function drawBoard() {
   const { mission: { state, sent, out, lost, held, hold, age, name, reason }, goal, open } = board;
   page('state').textContent = state.replaceAll('_', ' ');
@@ -205,6 +219,7 @@ function drawBoard() {
   page('needs-title').hidden = !needs.length;
   renewPart('needs', [needs, hold], () => needs.flatMap(needRow));
   const rank = (robot) => (robot.overdue ? 0 : robot.out ? 1 : 2);
+  drawPreflight(board.preflight);
   renewPart('robots', board.robots, () => [...board.robots].sort((one, other) => rank(one) - rank(other)).map(robotRow));
   renewPart('statements', [board.said, board.contradictions], () => (board.said.length ? [...board.said].reverse().map(saidRow) : [element('li', 'nothing so far')]));
   renewPart('parameters', board.parameters, () => Object.entries(board.parameters).map(parameterRow));
