@@ -6,6 +6,7 @@ import time
 
 from kbnitp_msgs.msg import BeliefMaps, DeploymentReport, OperatorAction, Recorded
 from kbnitp_msgs.srv import GiveUp, NoGo, TakeBack
+from kbnitp_ros.cli.replay import lines
 from kbnitp_ros.configuration.starts import awaited_nodes
 from kbnitp_ros.core import Grid, Observation
 from kbnitp_ros.log.replay import replay
@@ -158,6 +159,6 @@ class Base:
         for name, code in self.field.processes.stop(60).items():
             assert code == 0, self.field.said(name)
         report = replay(self.log)
-        assert report.reproduced
+        assert report.reproduced, '\n'.join(lines(report))
         assert bool(report.evidence.refused) == has_refused
         return report
