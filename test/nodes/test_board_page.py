@@ -296,6 +296,8 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         one.foresee()
         # The name is asked for once; other evidence arrives before the order.
         one.until('document.getElementById("act-go").textContent === "Say it was walked"')
+        # It moves the map down.
+        other.until_says('#needs', 'preview of add finding')
         other.mark(23)
         other.press('#say-target')
         other.fill('author', 'Bob')
