@@ -73,12 +73,12 @@ class Simulation:
         self.node = node
         self.grid = node.grid
         self.base_field = BaseField(node, node.grid)
-        self.operator = OperatorSubscription(node, record.operator)
         values = node.values
         common = make_sensor_model(values)
         robot_types = make_robot_types(values, self.grid)
         self._models = {agent: each.model(common) for agent, each in robot_types.items()}
         self.agents = agent_names(values, self.grid)
+        self.operator = OperatorSubscription(node, self.agents, record.operator)
         self._dynamics, self._target_dynamics = true_dynamics(values)
         effects = {self._dynamics.effect, self._target_dynamics.effect}
         self.is_static = effects == {'static'}

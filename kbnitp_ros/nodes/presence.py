@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
 from math import inf
 import time
@@ -358,13 +358,17 @@ class HoldSubscription:
 class OperatorSubscription:
     """A subscription to the operator's actions, for the orders that are taken back."""
 
-    def __init__(self, node: FieldNode, state: OperatorState) -> None:
+    def __init__(self, node: FieldNode, agents: Iterable[str], state: OperatorState) -> None:
         self._node = node
+        self._agents = {*agents}
         self._state = state
         topic = f'{node.above}/operator'
         node.subscribe(OperatorAction, topic, self._on_action, qos.EVIDENCE)
 
     def _on_action(self, message: OperatorAction) -> None:
+        # Paths of other agents may start at bases that this node does not know.
+        if message.action != OperatorAction.TAKE_BACK or not self._agents >= {*message.agents}:
+            return
         try:
             self._state.apply(read_operator_action(self._node.grid, message))
         except ValueError as error:

@@ -87,7 +87,7 @@ class RobotNode(FieldNode):
         self._states = StatePublisher(self, self.grid, self._agent)
         self._base_field = BaseField(self, self.grid)
         self._hold = HoldSubscription(self)
-        self._operator = OperatorSubscription(self, OperatorState())
+        self._operator = OperatorSubscription(self, [self._agent], OperatorState())
         self._pending = PendingPaths(self, self._agent, self._journal, self._refuse)
         self._driver = Driver(
             self,
