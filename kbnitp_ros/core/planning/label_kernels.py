@@ -466,7 +466,8 @@ def search(
         labels, after = after, labels
         for slot in range(labels.kept[0]):
             values[step, slot] = label_value(labels, slot, problem)
-            if writes_completions:
+            # A wider search is given the value of the best path of width 1.
+            if width == 1:
                 least = max(least, values[step, slot] - 1.0)
     return origins, values
 

@@ -73,7 +73,7 @@ def best_paths(
     grid: Grid, objective: Objective, options: SearchOptions, kept: int
 ) -> list[Candidate]:
     """Search for closed paths of high value with `kept` labels; return them best first."""
-    problem = label_problem(grid, objective, options, kept)
+    problem = label_problem(grid, objective, options)
     reach, count = problem.reach, RANKED * kept
     completions = np.empty((reach.start[-1] if kept > 1 else 0, problem.weight.size + 5))
     paths, steps = closed_paths(reach, count, *search(problem, 1, -inf, completions))
@@ -116,17 +116,12 @@ def leaving(reach: Reach, paths: Places, steps: Places) -> tuple[Places, Places]
     return paths, np.append(steps[leaves], np.full(len(short), 2))
 
 
-def label_problem(
-    grid: Grid, objective: Objective, options: SearchOptions, kept: int
-) -> LabelProblem:
+def label_problem(grid: Grid, objective: Objective, options: SearchOptions) -> LabelProblem:
     """Return the label search for an objective."""
     max_steps, chance = options.max_steps, objective.outcomes.probability
     reach = find_reach(grid, max_steps, options.max_distance)
     gains = visit_gains(objective, reach.cells, min(options.max_visits, max_steps))
-    # Only a search that keeps several labels of a cell drops labels by this bound.
-    unread: Floats = np.zeros(max_steps + 1)
-    if kept > 1:
-        unread = unread_after(gains, WEIGHTS.size, max_steps)
+    unread = unread_after(gains, WEIGHTS.size, max_steps)
     return LabelProblem(
         reach,
         scattered(reach.cells.size, 62 - max_steps.bit_length()),

@@ -106,7 +106,7 @@ def test_labels_have_the_values_of_their_paths(seed):
     model = SensorModel(**brute_force.random_sensors(rng))
     options = SearchOptions('relaxed', max_steps=8, max_visits=8)
     objective = Objective.of(belief, model, options)
-    problem = labels.label_problem(grid, objective, options, options.labels)
+    problem = labels.label_problem(grid, objective, options)
     rank = np.argsort(problem.reach.cells)
     products = new_labels(1, 1, problem.gains)
     visits = np.empty(12, dtype=np.int64)
@@ -149,7 +149,7 @@ def small_problem(seed, max_steps, width, **options):
         path = brute_force.random_path(rng, 3, 3, grid.base, 4)
         outcomes = after_deployment(nobody_deployed(belief), model, path)
         objective = replace(objective, outcomes=outcomes)
-    return grid, objective, labels.label_problem(grid, objective, options, options.labels)
+    return grid, objective, labels.label_problem(grid, objective, options)
 
 
 def ranks(problem):
@@ -211,7 +211,7 @@ def test_the_bound_is_reached_where_only_readings_inform():
     model = SensorModel(0.5, malfunction=0.0)
     options = SearchOptions(max_steps=5, max_visits=2, width=8)
     objective = Objective.of(belief, model, options)
-    problem = labels.label_problem(grid, objective, options, options.labels)
+    problem = labels.label_problem(grid, objective, options)
     rank = ranks(problem)
     products, visits = new_labels(1, 1, problem.gains), np.empty(9, dtype=np.int64)
     powers = problem.weight.size
