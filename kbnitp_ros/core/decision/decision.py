@@ -268,7 +268,7 @@ class Decision:
             what, then = ('survival', survival) if of_path else ('the probability', p_free)
             sentences.append(
                 f'trusts the {name.replace("_", " ")} that you set, {value:.3g}: with '
-                f'{other:.2g} {what} is {then:.2f}'
+                f'{other:.2g} {what} is {then:.{2 if then < 0.99 else 4}f}'
             )
         return sentences
 

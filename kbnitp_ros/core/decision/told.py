@@ -11,8 +11,9 @@ from kbnitp_ros.core.decision.hazard_draws import joint_hazards
 from kbnitp_ros.core.field.check import typed, whole_number
 from kbnitp_ros.core.inference.estimator import Estimator
 
-# Factor on a told number, up and down, and the change of a probability that counts.
-FACTOR, MOVED = 1.5, 0.01
+# Factor on a told number, up and down; a change of a probability that counts, and one that never
+# does.
+FACTOR, MOVED, LEAST = 1.5, 0.01, 0.001
 
 
 @typed
@@ -22,7 +23,7 @@ def with_told(decision: Decision, estimator: Estimator, deployments: int) -> Dec
 
     Each told number is multiplied and divided by 1.5, within [0, 1], and all evidence is
     assimilated again. A number is trusted if that changes `p_free` or `survival` of the
-    decision's cells by more than .01.
+    decision's cells by more than .01, or by more than it lacks to 1, and by more than .001.
 
     Parameters
     ----------
@@ -47,13 +48,18 @@ def with_told(decision: Decision, estimator: Estimator, deployments: int) -> Dec
             if decision.path.size:
                 survival = hazards.survival(decision.path, changed.model)
             seen.append(Trusted(value, other, hazards.p_free(decision.cells), survival))
-        moves = [max(moved(each, decision)) for each in seen]
-        if seen and max(moves) > MOVED:
+        moves = [moved(each, decision) for each in seen]
+        if max(moves, default=0.0) > 1.0:
             told[name] = seen[moves.index(max(moves))]
     return replace(decision, told=told)
 
 
-def moved(trusted: Trusted, decision: Decision) -> tuple[float, float]:
-    """Return the changes of `p_free` and `survival` with another number."""
-    survival = 0.0 if isnan(decision.survival) else abs(trusted.survival - decision.survival)
-    return abs(trusted.p_free - decision.p_free), survival
+def moved(trusted: Trusted, decision: Decision) -> float:
+    """Return the larger change of `p_free` and `survival`, in units of what may pass."""
+    pairs = ((trusted.p_free, decision.p_free), (trusted.survival, decision.survival))
+    changes = (
+        abs(other - stated) / max(min(MOVED, 1.0 - stated), LEAST)
+        for other, stated in pairs
+        if not isnan(stated)
+    )
+    return max(changes, default=0.0)

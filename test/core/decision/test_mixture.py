@@ -203,6 +203,13 @@ def test_a_decision_names_the_told_numbers_that_it_trusts():
     assert told.trusts[[*told.told].index('lethality')] == (
         f'trusts the lethality that you set, 0.8: with 0.53 the probability is {p_free:.2f}'
     )
+    # Near 1 a smaller change counts, which doubles the risk or more.
+    sure = decided(goal, GRID, flown(60, true=0.4, believed=0.8), 60, NEAR)
+    assert sure.p_free - 0.01 < sure.told['lethality'].p_free < sure.p_free - 0.001
+    assert sure.trusts == [
+        f'trusts the lethality that you set, 0.8: with 0.53 the probability is '
+        f'{sure.told["lethality"].p_free:.4f}'
+    ]
     learning = flown(40, true=0.4, believed=0.8, unknowns=TWO)
     learnt = with_told(decided(goal, GRID, learning, 40, NEAR), learning, 40)
     assert not {'lethality', 'hazard_density'} & learnt.told.keys()
