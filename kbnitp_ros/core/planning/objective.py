@@ -113,6 +113,7 @@ def possible_readings(model: SensorModel, visits: int, earlier: Most) -> Reading
     )
 
 
+@lru_cache(maxsize=64)
 def positives(camera: Camera, most: int) -> Floats:
     """Return P(k of m readings positive | X = x), indexed [m, k, x] (:eq:`reading-counts`)."""
     m, k = np.ogrid[: most + 1, : most + 1]
@@ -121,8 +122,8 @@ def positives(camera: Camera, most: int) -> Floats:
     read_not, read = SensorModel(0.0, 0.0, 0.0, *camera).log_reading
     log_likelihood = times_log(k[..., None], read)
     log_likelihood = log_likelihood + times_log(np.maximum(m - k, 0)[..., None], read_not)
-    likelihood: Floats = np.exp(orderings[..., None] + log_likelihood)
-    return likelihood * (k <= m)[..., None]
+    likelihood: Floats = np.exp(orderings[..., None] + log_likelihood) * (k <= m)[..., None]
+    return read_only(likelihood)
 
 
 # Maximum number of joint outcomes tracked; each robot doubles their number, and the least probable
@@ -332,15 +333,15 @@ class Objective:
         a, b = np.ogrid[: most_in + 1, : most_by + 1]
         survives = endured * np.exp(times_log(a, log_spared) + times_log(b, log_beside))
         left = (exposed[: most_in + 1, : most_by + 1] * binary_entropy(survives)).sum()
-        brought = 0.0
-        for cell in np.flatnonzero(inside).tolist():
-            likelihood = positives(camera_rates(model), int(inside[cell]))[inside[cell]]
-            target = joint[cell, 0] + kept[cell] * joint[cell, 1]
-            if (total := target.sum()) > 0.0:
-                target = target / total
-                of_readings = surprisal(likelihood @ target).sum()
-                of_readings -= surprisal(likelihood).sum(axis=0) @ target
-                brought += self.interest[found.cells[cell]] * of_readings
+        brought, table = 0.0, positives(camera_rates(model), int(inside.max()))
+        target = joint[:, 0] + kept[:, None] * joint[:, 1]
+        total = target.sum(axis=1)
+        for count in np.unique(inside[inside > 0]).tolist():
+            cells = (inside == count) & (total > 0.0)
+            likelihood, share = table[count], target[cells] / total[cells, None]
+            of_readings = surprisal(share @ likelihood.T).sum(axis=1)
+            of_readings -= share @ surprisal(likelihood).sum(axis=0)
+            brought += self.interest[found.cells[cells]] @ of_readings
         return float(binary_entropy(survival) - left + survival * brought), survival
 
     def after(self, path: ArrayLike) -> JointOutcomes:
