@@ -102,11 +102,9 @@ def foxglove(root: str, agents: Sequence[str]) -> dict[str, Any]:
     """Return the layout of a mission: the maps, what is known, and how the nodes are."""
     maps = {f'3D!{name}': map_panel(name, root, agents) for name in COLOURS}
     below = {f'Plot!{fields[0]}': plot(title, root, fields) for title, fields in PLOTS.items()}
-    below['DiagnosticSummary!nodes'] = {
-        'topicToRender': '/diagnostics',
-        'hardwareIdFilter': 'kbnitp_ros',
-        'foxglovePanelTitle': 'nodes',
-    }
+    below['DiagnosticSummary!nodes'] = panel(
+        'nodes', topicToRender='/diagnostics', hardwareIdFilter='kbnitp_ros'
+    )
     return {
         'configById': maps | below,
         'globalVariables': {},
@@ -135,6 +133,11 @@ def in_a_row(panels: list[str]) -> Any:
     }
 
 
+def panel(title: str, **settings: Any) -> dict[str, Any]:
+    """Return a panel with its title, which the two viewers read from keys of their own."""
+    return {**settings, 'foxglovePanelTitle': title, 'lichtblickPanelTitle': title}
+
+
 def map_panel(name: str, root: str, agents: Sequence[str]) -> dict[str, Any]:
     """Return a panel with one of the grids, and on it paths, readings and poses."""
     topics: dict[str, Any] = {
@@ -151,12 +154,7 @@ def map_panel(name: str, root: str, agents: Sequence[str]) -> dict[str, Any]:
         topics[f'{root}/{agent}/readings'] = {'visible': True}
     if name == 'hazard':
         topics[f'{root}/decision/lane'] = path_line(LANE, 0.2)
-    return {
-        'topics': topics,
-        'followTf': 'map',
-        'followMode': 'follow-none',
-        'foxglovePanelTitle': name,
-    }
+    return panel(name, topics=topics, followTf='map', followMode='follow-none')
 
 
 def colour(number: int) -> str:
@@ -182,7 +180,7 @@ def plot(title: str, root: str, fields: tuple[str, ...]) -> dict[str, Any]:
         }
         for field, style in zip(fields, SERIES)
     ]
-    return {'paths': series, 'showLegend': True, 'foxglovePanelTitle': title}
+    return panel(title, paths=series, showLegend=True)
 
 
 def rviz(root: str, agents: Sequence[str]) -> dict[str, Any]:

@@ -66,6 +66,16 @@ def test_every_topic_is_one_of_the_mission(namespace, agents, tmp_path):
     assert plotted <= types.keys()
 
 
+def test_panels_have_a_title_in_both_viewers(tmp_path):
+    _, layout = written(tmp_path, '--agents', 'scout_1')
+    titles = {name: panel['foxglovePanelTitle'] for name, panel in layout['configById'].items()}
+    assert len({*titles.values()}) == 7
+    # PANEL_TITLE_CONFIG_KEY of Lichtblick, and that of Foxglove.
+    assert titles == {
+        name: panel['lichtblickPanelTitle'] for name, panel in layout['configById'].items()
+    }
+
+
 @for_each('rviz, foxglove, agents', [('mission', 'kbnitp', 1), ('team', 'kbnitp_team', 8)])
 def test_the_shipped_views_are_those_of_the_command(rviz, foxglove, agents, tmp_path):
     written(tmp_path, '--agents', *(f'scout_{number + 1}' for number in range(agents)))
