@@ -43,7 +43,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """Return 'did you mean' with the known names most similar to a name; empty if none is."""
     # Compare without the group first, since lethality differs much from sensor.lethality.
     meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
-    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.6)
     return f'did you mean {" or ".join(meant)}? ' if meant else ''
 
 

@@ -603,8 +603,9 @@ def operating(name: str, namespace: str) -> Iterator[Control]:
                 if time.monotonic() > end:
                     topic = operator.resolve_topic_name('mission')
                     raise ValueError(
-                        f'--control: no planner is heard on {topic}: start the base, or name '
-                        'another --namespace'
+                        f'--control: no planner is heard on {topic}: start the base, name '
+                        'another --namespace, or set ROS_DOMAIN_ID to the number that the base '
+                        'was started with'
                     )
                 time.sleep(SPIN)
             yield control

@@ -19,6 +19,7 @@ from typing import Any
 
 from kbnitp_msgs.msg import MissionStatus as StatusMessage
 from kbnitp_msgs.msg import Progress
+from kbnitp_ros.cli import control
 from kbnitp_ros.cli.layout import write_views
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import assign, node_values, recorded_values, set_parameter
@@ -281,7 +282,7 @@ def observed(domain: int) -> Iterator[tuple[Node, Observed]]:
         try_shutdown()
 
 
-def most_left(received: Observed) -> float:
+def most_left(received: Observed, has_board: bool) -> float:
     """Return the maximum wait for the next change, in seconds."""
     status, progress = received.status, received.progress
     if status is None or status.out:
@@ -289,8 +290,8 @@ def most_left(received: Observed) -> float:
     if status.obstacle.is_end:
         shown = progress.deployments if progress else 0
         return 0.0 if shown >= status.ordered - status.held else LAST_PROGRESS
-    # Nobody calls the planner's services, but the planner may search again by itself.
-    return OPERATOR_WAIT if status.ends_by is Helper.OPERATOR else inf
+    # Without a board nobody calls the planner's services, but it may search again by itself.
+    return OPERATOR_WAIT if status.ends_by is Helper.OPERATOR and not has_board else inf
 
 
 def watch(observer: Node, received: Observed, robots: int, processes: Processes) -> None:
@@ -298,17 +299,18 @@ def watch(observer: Node, received: Observed, robots: int, processes: Processes)
     executor = SingleThreadedExecutor()
     executor.add_node(observer)
     known: tuple[object, ...] = ()
-    since = time.monotonic()
+    since, has_board = time.monotonic(), False
     with tqdm(total=robots, unit='robot', desc='starting', disable=None) as bar:
-        while time.monotonic() <= since + most_left(received):
+        while time.monotonic() <= since + most_left(received, has_board):
             executor.spin_once(timeout_sec=0.2)
             if processes.ended():
                 raise RuntimeError(
                     f'nodes ended during the mission, with these exit codes: {processes.ended()}'
                 )
+            present = observer.get_node_names()
+            has_board = control.NAME in present
             now, status = received.progress, received.status
             if now is None:
-                present = observer.get_node_names()
                 absent = [name for name in NODES if name not in present]
                 bar.set_postfix_str(f'waiting for {", ".join(absent) or "the first belief"}')
                 continue
@@ -317,7 +319,7 @@ def watch(observer: Node, received: Observed, robots: int, processes: Processes)
             bar.set_postfix(entropy=entropy, lost=now.lost, refresh=False)
             bar.update(now.deployments - bar.n)
             stands = (status.obstacle, status.ordered, status.out) if status else ()
-            if known != (known := (now.deployments, *stands)):
+            if known != (known := (now.deployments, has_board, *stands)):
                 since = time.monotonic()
     if received.status is not None and received.status.obstacle is not Obstacle.NONE:
         say(received.status.reason)

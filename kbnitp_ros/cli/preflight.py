@@ -251,7 +251,8 @@ class MissionListener:
         if not planner or 'state' not in self._said:
             topic = self._node.resolve_topic_name('mission')
             raise ValueError(
-                f'no planner is heard on {topic}: start the base, or name another --namespace'
+                f'no planner is heard on {topic}: start the base, name another --namespace, or '
+                'set ROS_DOMAIN_ID to the number that the base was started with'
             )
         base = read_state(self._said['state'], '')
         for agent, heard in self._agents.items():

@@ -53,7 +53,7 @@ def check_known(name: str, nodes: Sequence[str]) -> None:
             raise ValueError(f'parameter {name}: all agents have the same {meant}')
     raise ValueError(
         f'parameter {name} is unknown to {whose}: {nearest(name, known)}'
-        f'{nodes[0]} --help lists them'
+        f'see {" --help, ".join(nodes)} --help'
     )
 
 

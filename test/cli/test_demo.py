@@ -10,7 +10,7 @@ import shlex
 import signal
 import subprocess
 import sys
-from threading import Thread
+from threading import Thread, Timer
 import time
 from types import SimpleNamespace
 
@@ -533,6 +533,28 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
         executor.shutdown()
         spinning.join()
         node.destroy_node()
+
+
+@pytest.mark.slow
+def test_a_demo_waits_for_an_operator_who_has_a_board(monkeypatch):
+    monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        for name, value in environment(domain).items():
+            monkeypatch.setenv(name, value)
+        observer = stack.enter_context(observed(domain))
+        node, board = rclpy.create_node('planner'), rclpy.create_node('operator')
+        mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
+        node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
+        mission.publish(mission_status_message(waits_for(Obstacle.UNAPPROVED)))
+        begun = time.monotonic()
+        resumed = Timer(6 * WAIT, lambda: mission.publish(mission_status_message(DONE)))
+        resumed.start()
+        watch(*observer, 1, Processes(domain))
+        assert time.monotonic() - begun >= 6 * WAIT
+        resumed.join()
+        node.destroy_node()
+        board.destroy_node()
 
 
 @for_each('number', [signal.SIGINT, signal.SIGTERM])

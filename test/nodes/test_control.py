@@ -442,5 +442,5 @@ def test_without_a_base_it_says_so(field, capsys, monkeypatch):
     monkeypatch.setattr(controls, 'START', 1.0)
     base = Base(field)
     field.until(lambda: base.beliefs and base.log.exists(), 'belief')
-    with pytest.raises(ValueError, match='no planner is heard on /other/mission'):
+    with pytest.raises(ValueError, match='no planner is heard on /other/mission.* ROS_DOMAIN_ID'):
         watch.controlling(base.log, '/other').__enter__()

@@ -266,7 +266,7 @@ def test_values_equal_those_of_ros(tmp_path, config, namespace):
         ('planner', f'{name}:=3', 'the planner: did you mean robots?')
         for name in ('robts', 'robtos', 'robotss', 'tobots', 'xrobots', 'robot')
     ),
-    ('recorder', 'recorder:xyz:=1', 'xyz is unknown to the recorder: recorder --help lists'),
+    ('recorder', 'recorder:xyz:=1', 'xyz is unknown to the recorder: see recorder --help'),
     ('planner', 'planer:robots:=3', "this node is not 'planer': did you mean planner?"),
     ('planner', 'recorder:robots:=3', 'robots is unknown to the recorder: it is a'),
 ])  # fmt: skip

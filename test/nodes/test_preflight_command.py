@@ -35,7 +35,8 @@ def test_a_base_that_is_not_heard_is_named(field):
     code, told = preflight(field, 0.5)
     assert code == 2
     assert told == (
-        'preflight: no planner is heard on /mission: start the base, or name another --namespace\n'
+        'preflight: no planner is heard on /mission: start the base, name another '
+        '--namespace, or set ROS_DOMAIN_ID to the number that the base was started with\n'
     )
 
 

@@ -75,7 +75,7 @@ class Finding(Value):
         cells = as_array('cells', self.cells, 'cells')
         if cells.ndim != 1 or not cells.size:
             raise ValueError(
-                f'cells is {in_short(self.cells)}: it must list at least one cell, as [12, 13]'
+                f'cells is {in_short(cells.tolist())}: it must list at least one cell, as [12, 13]'
             )
         if cells.dtype.kind not in 'iu':
             raise TypeError(
