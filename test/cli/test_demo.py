@@ -547,6 +547,10 @@ def test_a_demo_waits_for_an_operator_who_has_a_board(monkeypatch):
         mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
         node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
         mission.publish(mission_status_message(waits_for(Obstacle.UNAPPROVED)))
+        deadline = time.monotonic() + 60.0
+        while 'operator' not in observer[0].get_node_names():
+            assert time.monotonic() < deadline, 'no board'
+            time.sleep(0.05)
         begun = time.monotonic()
         resumed = Timer(6 * WAIT, lambda: mission.publish(mission_status_message(DONE)))
         resumed.start()
