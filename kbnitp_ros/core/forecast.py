@@ -13,7 +13,7 @@ from kbnitp_ros.core.decision.decision import Decision
 from kbnitp_ros.core.decision.goals import Goal
 from kbnitp_ros.core.decision.rounds import Stop
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import generator, in_short, typed, whole_number
+from kbnitp_ros.core.field.check import Floats, generator, in_short, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_observations, Observation
 from kbnitp_ros.core.field.sensor import SensorModel
@@ -23,9 +23,6 @@ from kbnitp_ros.core.mission import decided, Mission, Truth
 from kbnitp_ros.core.planning.options import SearchOptions
 from kbnitp_ros.core.planning.plans import Team
 import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
 
 # Quantiles of a quantity over missions.
 LEVELS = (0.05, 0.25, 0.5, 0.75, 0.95)

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 from math import exp, expm1, inf, log, log1p
 
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.compiled import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 

@@ -9,8 +9,8 @@ from math import nan
 from types import MappingProxyType
 from typing import NamedTuple
 
-from kbnitp_ros.core.decision.hazard_draws import cells_on, Floats, Hazards, Path
-from kbnitp_ros.core.field.check import number, read_only, typed, whole_number
+from kbnitp_ros.core.decision.hazard_draws import cells_on, Hazards, Path
+from kbnitp_ros.core.field.check import Floats, number, read_only, typed, whole_number
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
 import numpy as np

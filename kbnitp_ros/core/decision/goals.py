@@ -29,13 +29,12 @@ from kbnitp_ros.core.decision.decision import (
 )
 from kbnitp_ros.core.decision.hazard_draws import (
     cells_on,
-    Floats,
     HazardDraws,
     Hazards,
     Path,
 )
 from kbnitp_ros.core.field.belief import Belief, binary_entropy
-from kbnitp_ros.core.field.check import whole_number, whole_numbers
+from kbnitp_ros.core.field.check import Floats, whole_number, whole_numbers
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.planning.objective import camera_rates, Objective, positives

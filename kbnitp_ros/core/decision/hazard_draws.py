@@ -13,6 +13,7 @@ from kbnitp_ros.core.field.belief import Belief
 from kbnitp_ros.core.field.check import (
     as_array,
     as_floats,
+    Floats,
     in_short,
     number,
     on_field,
@@ -50,7 +51,6 @@ MAX_MEMORY = 1 << 30
 # Part of the key of random generators, with the estimator's seed and the number of deployments.
 OWN_KEY = 0x44524157
 
-Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Path = NDArray[np.intp]
 

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 TOLERANCE = 1e-12
 
 # Maximum number of cells named in an error.
-SHOWN = 8
+MAX_NAMED = 8
 
 
 def tolerance(given: np.dtype[Any]) -> float:
@@ -149,9 +149,9 @@ class Belief(Value):
         least = -max(tolerance(np.asarray(each).dtype) for each in (hazard, target, kappa))
         bad = np.flatnonzero((target_only < least) | (neither < least))
         if bad.size:
-            i, *others = bad[:SHOWN].tolist()
+            i, *others = bad[:MAX_NAMED].tolist()
             likewise = f'; likewise at cells {", ".join(map(str, others))}' if others else ''
-            more = f' and {bad.size - SHOWN} more' if bad.size > SHOWN else ''
+            more = f' and {bad.size - MAX_NAMED} more' if bad.size > MAX_NAMED else ''
             raise ValueError(
                 f'maps have no joint distribution at cell {i}: with hazard {z[i]} and kappa '
                 f'{k[i]} its target must lie in [{both[i]:.6g}, {both[i] + 1.0 - z[i]:.6g}], '

@@ -15,8 +15,11 @@ from typing import Any, get_args, get_type_hints, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
 # Longer arrays are printed with their first and last values only.
-SHOWN = 24
+MAX_PRINTED = 24
 
 
 class Value:
@@ -26,7 +29,7 @@ class Value:
         return type(other) is type(self) and bits(compared(self)) == bits(compared(other))
 
     def __repr__(self) -> str:
-        with np.printoptions(threshold=SHOWN, edgeitems=3, precision=6):
+        with np.printoptions(threshold=MAX_PRINTED, edgeitems=3, precision=6):
             shown = ', '.join(f'{name}={value!r}' for name, value in compared(self).items())
         return ' '.join(f'{type(self).__name__}({shown})'.split())
 

@@ -42,7 +42,7 @@ ROUNDING = 1e-9
 STEPS = np.divmod(np.arange(9), 3) - np.ones((2, 1), dtype=int)
 
 # Maximum number of blocked cells shown by `str`.
-SHOWN = 8
+MAX_BLOCKED_SHOWN = 8
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ class Grid:
     def __str__(self) -> str:
         """Return the call that makes this grid, with the first few of its blocked cells."""
         blocked = sorted(self.blocked)
-        first = ', '.join(map(str, blocked[:SHOWN]))
-        more = f', ... {len(blocked)} in all' if len(blocked) > SHOWN else ''
+        first = ', '.join(map(str, blocked[:MAX_BLOCKED_SHOWN]))
+        more = f', ... {len(blocked)} in all' if len(blocked) > MAX_BLOCKED_SHOWN else ''
         rest = (
             f'width={self.width}, height={self.height}, base={self.base}, '
             f'resolution={self.resolution}, origin={self.origin}, yaw={self.yaw}, '

@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import NamedTuple, overload, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import shallow_copy
+from kbnitp_ros.core.field.check import Floats, shallow_copy
 from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
@@ -35,7 +35,6 @@ from kbnitp_ros.core.inference.filter import (
     condition,
     Effects,
     Evidence,
-    Floats,
     hazard_change,
     IMPOSSIBLE,
     NUMBERS,

@@ -6,11 +6,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.sensor import ORDINARY, SensorModel
 from kbnitp_ros.core.field.unknowns import Learnt
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
 from kbnitp_ros.core.inference.filter import ratio
-from kbnitp_ros.core.inference.hypotheses import CERTAIN, Floats, Hypotheses, Places, Tally
+from kbnitp_ros.core.inference.hypotheses import CERTAIN, Hypotheses, Tally
 from kbnitp_ros.core.inference.prior_maps import expit
 import numpy as np
 from numpy.typing import NDArray

@@ -9,7 +9,14 @@ from functools import partial
 from typing import Any, cast
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import generator, in_short, shallow_copy, typed, whole_number
+from kbnitp_ros.core.field.check import (
+    Floats,
+    generator,
+    in_short,
+    shallow_copy,
+    typed,
+    whole_number,
+)
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
@@ -25,7 +32,7 @@ from kbnitp_ros.core.field.unknowns import (
 )
 from kbnitp_ros.core.field.world import World
 from kbnitp_ros.core.inference.bank import prior_density, Series
-from kbnitp_ros.core.inference.filter import Floats, ratio
+from kbnitp_ros.core.inference.filter import ratio
 from kbnitp_ros.core.inference.methods import (
     CALLED,
     check_able,

@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import Floats
 from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Exposures, Observation, Visits
 from kbnitp_ros.core.field.sensor import ORDINARY, RobotType, SensorModel, times_log
@@ -27,8 +28,6 @@ from kbnitp_ros.core.field.unknowns import (
 )
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-Floats = NDArray[np.float64]
 
 # Numbers of a sensor model that can be unknown.
 RATES = ('lethality', 'malfunction', 'true_positive', 'false_positive', 'reach')

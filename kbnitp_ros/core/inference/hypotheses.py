@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.clustering import Clustering
 from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
@@ -19,9 +20,6 @@ from kbnitp_ros.core.inference.filter import RATES, safe_log
 from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
 import numpy as np
 from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 # Log odds in place of infinity: above any evidence, small enough to round off no evidence.
 CERTAIN = 1e6

@@ -14,12 +14,13 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import Floats
 from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import ANY_RATE, Beta, Dynamics, Unknowns
 from kbnitp_ros.core.inference.bank import Bank, log_sum, Series
-from kbnitp_ros.core.inference.filter import Evidence, Floats, READING_SHIFTS
+from kbnitp_ros.core.inference.filter import Evidence, READING_SHIFTS
 from kbnitp_ros.core.inference.prior_maps import prior_maps
 import numpy as np
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from kbnitp_ros.core.field.check import Floats
 from kbnitp_ros.core.inference.filter import (
     condition,
     Effects,
     Evidence,
-    Floats,
     ratio,
 )
 import numpy as np

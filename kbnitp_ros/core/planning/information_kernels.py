@@ -6,14 +6,13 @@ from __future__ import annotations
 from math import exp, expm1, inf, isnan, log, log1p, nan
 from typing import NamedTuple
 
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.compiled import compiled, inlined
 from kbnitp_ros.core.planning.label_kernels import (
-    Floats,
     Gains,
     LabelProblem,
     Labels,
     new_labels,
-    Places,
     surprisal,
     visit,
 )

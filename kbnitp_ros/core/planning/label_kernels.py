@@ -21,12 +21,10 @@ from __future__ import annotations
 from math import floor, inf, log
 from typing import NamedTuple
 
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.compiled import compiled, inlined
 import numpy as np
 from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 
 class Reach(NamedTuple):

@@ -6,13 +6,12 @@ from __future__ import annotations
 from functools import lru_cache
 from math import inf
 
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.planning.information_kernels import exact_values, write_gains
 from kbnitp_ros.core.planning.label_kernels import (
-    Floats,
     Gains,
     LabelProblem,
-    Places,
     Reach,
     search,
     trace_closed,

@@ -10,7 +10,7 @@ from math import lgamma, prod
 from typing import Any, NamedTuple
 
 from kbnitp_ros.core.field.belief import Belief, binary_entropy, surprisal
-from kbnitp_ros.core.field.check import read_only, typed
+from kbnitp_ros.core.field.check import Floats, Places, read_only, typed
 from kbnitp_ros.core.field.observation import as_path, Exposures, Visits
 from kbnitp_ros.core.field.sensor import (
     log_predicted_survival,
@@ -28,7 +28,6 @@ from kbnitp_ros.core.planning.information_kernels import (
     predict_visits,
     Readings,
 )
-from kbnitp_ros.core.planning.label_kernels import Floats, Places
 from kbnitp_ros.core.planning.options import SearchOptions
 import numpy as np
 from numpy.typing import ArrayLike

@@ -16,14 +16,16 @@ from math import ceil
 from kbnitp_ros.core.field.check import (
     as_array,
     cell_numbers,
+    Floats,
     generator,
     in_short,
+    Places,
     typed_fields,
     Value,
 )
 from kbnitp_ros.core.field.grid import Grid, longest
 from kbnitp_ros.core.field.sensor import RobotType
-from kbnitp_ros.core.planning.label_kernels import Floats, Places, Reach
+from kbnitp_ros.core.planning.label_kernels import Reach
 from kbnitp_ros.core.planning.labels import best_paths, find_reach
 from kbnitp_ros.core.planning.objective import (
     Candidate,

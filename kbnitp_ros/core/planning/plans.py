@@ -15,6 +15,7 @@ from kbnitp_ros.core.field.check import (
     in_short,
     listed,
     number,
+    Places,
     probability,
     read_only,
     typed,
@@ -24,7 +25,6 @@ from kbnitp_ros.core.field.check import (
 from kbnitp_ros.core.field.grid import Grid
 from kbnitp_ros.core.field.observation import as_path
 from kbnitp_ros.core.field.sensor import of_each, RobotType, SensorModel
-from kbnitp_ros.core.planning.label_kernels import Places
 from kbnitp_ros.core.planning.objective import (
     after_deployment,
     camera_rates,

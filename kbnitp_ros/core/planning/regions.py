@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
+from kbnitp_ros.core.field.check import Floats, Places
 from kbnitp_ros.core.field.grid import Grid
-from kbnitp_ros.core.planning.label_kernels import Floats, Places
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

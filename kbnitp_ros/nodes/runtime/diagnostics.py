@@ -23,7 +23,7 @@ LAST_REFUSAL = 'last_refusal'
 # Maximum number of refusals published per period, and of characters of each. Further refusals are
 # only counted, so that a flood of messages does not become a flood of diagnostics.
 SHOWN_AT_ONCE = 10
-SHOWN = 1000
+MAX_REFUSAL = 1000
 
 # Seconds that a failing node waits for a subscriber of its last message, and for its delivery.
 LAST_WORDS = 2.0
@@ -59,7 +59,7 @@ class Diagnostics:
         self.refused += 1
         self._refused_lately += 1
         text = f'{what} refused: {why}'
-        self._last_refusal = text if len(text) <= SHOWN else f'{text[:SHOWN]}...'
+        self._last_refusal = text if len(text) <= MAX_REFUSAL else f'{text[:MAX_REFUSAL]}...'
         if self._refused_lately <= SHOWN_AT_ONCE:
             self._node.get_logger().warning(self._last_refusal)
             self.publish()
