@@ -95,10 +95,11 @@ def message_class(type_name: str) -> type:
 
 
 # Seconds until the first request to a node, which must have discovered this node by then; until
-# the next request if no answer arrives; and until the node is given up.
+# the next request if no answer arrives; until the node is given up; and until it is asked anew.
 ASK_FIRST = 0.5
 ASK_AGAIN = 1.0
 GIVE_UP = 5.0
+REST = 10.0
 
 # Callbacks: for the full name and parameters of a node; for the subject and reason of a refusal.
 Take = Callable[[str, dict[str, Any]], None]
@@ -118,6 +119,8 @@ class ParameterWatch:
         self._due: set[str] = set()
         self._inquiries: dict[str, Inquiry] = {}
         self._over: set[str] = set()
+        # Nodes that were given up, each with the time from which it is asked anew.
+        self._resting: dict[str, float] = {}
         self._nameless_since = 0.0
         node.create_subscription(
             ParameterEvent, '/parameter_events', self._on_event, qos_profile_parameter_events
@@ -131,6 +134,11 @@ class ParameterWatch:
         )
         self._due |= (present - self.present).keys()
         self.present = present
+        now = time.monotonic()
+        for name in [name for name, until in self._resting.items() if now > until]:
+            del self._resting[name]
+            if name in present:
+                self._due.add(name)
         # A node with an open request stays due until the request is over.
         for name in self._due - self._inquiries.keys():
             self._due.remove(name)
@@ -146,6 +154,9 @@ class ParameterWatch:
             if inquiry.over:
                 self._inquiries.pop(name).destroy()
                 self._over.add(name)
+                if not inquiry.is_answered:
+                    # On a busy machine nodes may discover each other late.
+                    self._resting[name] = now + REST
 
     def is_over(self, name: str) -> bool:
         """Return whether a node has answered, was given up, or is foreign: no more requests."""
@@ -184,7 +195,7 @@ class Inquiry:
 
     def __init__(self, node: MissionNode, name: str, take: Take, refuse: Refuse) -> None:
         # Whether the request has an answer, or has been given up.
-        self.over = False
+        self.over = self.is_answered = False
         self._node = node
         self._name = name
         self._take = take
@@ -217,7 +228,7 @@ class Inquiry:
     def _on_values(self, names: Sequence[str], answer: Future) -> None:
         if self.over:
             return
-        self.over = True
+        self.over = self.is_answered = True
         try:
             values = [parameter_value_to_python(value) for value in answer.result().values]
         except (ValueError, RuntimeError) as error:

@@ -13,13 +13,15 @@ import time
 
 from ament_index_python.packages import get_package_share_directory
 from kbnitp_ros.cli.processes import environment, free_domain
-from kbnitp_ros.nodes.recorded_topics import Inquiry
+from kbnitp_ros.nodes import recorded_topics
+from kbnitp_ros.nodes.recorded_topics import Inquiry, ParameterWatch
 from kbnitp_ros.nodes.runtime.graph import discovery_warning, PROFILES, udp_only
 from kbnitp_ros.nodes.runtime.node import MissionNode, spin_once
 from kbnitp_ros.nodes.runtime.qos import EVIDENCE
 import pytest
 from rcl_interfaces.srv import ListParameters
 import rclpy
+from rclpy.parameter_service import ParameterService
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import Int32
@@ -125,6 +127,30 @@ def test_an_answer_after_an_inquiry_is_ignored(here):
         node.call_next(lambda call_back=call_back: call_back(late))
     until(lambda: called)
     assert [who for who, _ in taken] == [name]
+
+
+def test_parameters_are_taken_from_a_node_that_answers_late(here, monkeypatch):
+    """A busy machine may discover the services of a node long after its name."""
+    node, until = here
+    monkeypatch.setattr(recorded_topics, 'GIVE_UP', 1.0)
+    monkeypatch.setattr(recorded_topics, 'REST', 0.2)
+    slow = rclpy.create_node('slow', start_parameter_services=False)
+    slow.declare_parameter('robots', 7)
+    node.executor.add_node(slow)
+    taken = {}
+    watch = ParameterWatch(node, '/', lambda name, values: taken.update({name: values}), fail)
+
+    def looked():
+        watch.look()
+        return watch.is_over('/slow')
+
+    until(looked)
+    assert '/slow' not in taken
+    services = ParameterService(slow)
+    until(lambda: looked() and '/slow' in taken)
+    assert taken['/slow']['robots'] == 7
+    del services
+    slow.destroy_node()
 
 
 @pytest.mark.processes
