@@ -144,7 +144,7 @@ def lines(report: ReplayReport) -> Iterator[str]:
     yield from first_few('repeated', report.repeated)
     if missing := report.beliefs.missing:
         yield (
-            f'{counted(len(missing), "belief")} not on record, the first after '
+            f'not on record: {counted(len(missing), "belief")}, the first after '
             f'{counted(missing[0][1], "change")} of the evidence'
         )
     for key in report.not_yet_held:
