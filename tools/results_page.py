@@ -17,7 +17,7 @@ import re
 import sys
 from typing import NamedTuple
 
-from kbnitp_ros.study.results import after, bootstrap, in_words, markdown_table, Results
+from kbnitp_ros.study.results import after, bootstrap, markdown_table, mean_with_interval, Results
 from kbnitp_ros.study.scenario_file import full_name, read_study
 import numpy as np
 import pandas
@@ -136,7 +136,7 @@ class Paper:
             is_apart = interval.low > 0.0 or interval.high < 0.0
             sides.add(claim.sign * int(np.sign(interval.mean)) if is_apart else 0)
             decimals = 2 if claim.measure == FALSE else 1
-            words.append(f'{NAMES[other]}: {in_words(interval._asdict(), decimals)}')
+            words.append(f'{NAMES[other]}: {mean_with_interval(interval._asdict(), decimals)}')
         return sides.pop() if len(sides) == 1 else 0, '<br>'.join(words)
 
     def verdict(self, claim: Claim, chosen: dict[str, object], worlds: int) -> str:
@@ -206,7 +206,7 @@ class Paper:
                 if {**row, **CHOSEN} == row:
                     head = f'{measure.replace("_", " ")}, {a_cell(row[VISITS])}'
                     own = rows.setdefault(row['lethality'], {'lethality': row['lethality']})
-                    own[head] = in_words(row)
+                    own[head] = mean_with_interval(row)
         caption = f'`{EXACT}` minus `{KAPPA}` after 100 robots, in the same worlds.'
         return markdown_table(caption, DataFrame(rows.values()))
 
