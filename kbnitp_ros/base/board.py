@@ -178,7 +178,7 @@ class Board:
         }
 
     def _effect(self, said: Statement) -> dict[str, Any]:
-        """Return what a statement of this board changed."""
+        """Return the effect of a statement of this board."""
         effect = self.effects.get(said.content)
         names = ('p_free', 'hazards')
         return {'effect': effect and {name: getattr(effect, name) for name in names}}

@@ -47,7 +47,7 @@ from kbnitp_ros.messages.deployments import hear_report, read_path, read_status
 from kbnitp_ros.messages.headers import content_hash, from_stamp, SECOND
 from kbnitp_ros.messages.health import read_health
 from kbnitp_ros.messages.operator_actions import read_operator_action
-from kbnitp_ros.messages.orders import CLEARED, Order, ORDERS, PARAMETERS, SET
+from kbnitp_ros.messages.orders import CLEARED, NAME, Order, ORDERS, PARAMETERS, SET
 from kbnitp_ros.messages.progress import read_decision, read_mission_status
 from kbnitp_ros.messages.remarks import read_remark, Told
 from kbnitp_ros.messages.standings import read_standings
@@ -64,9 +64,6 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
-
-# Name of the node, and of its enclave.
-NAME = 'operator'
 
 # Seconds between two looks at the board for its streams, between two spins, until a silent stream
 # says that it is there, and to wait for a planner or a service and for the answer to an order.
@@ -115,8 +112,9 @@ class Operator(Node):
         # Parameters of planner and estimator, by role.
         self.values: dict[str, dict[str, Any]] = {'planner': {}, 'estimator': {}}
         self._belief: Snapshot | None = None
-        # The state of the base, whose field the robots must have.
+        # The state and version of the base: the robots must have its field and its version.
         self._base: State | None = None
+        self._version = installed().split()[1]
         self._callers: dict[str, Any] = {
             each.service: self.create_client(service_type(each.type_name), each.service)
             for each in ORDERS.values()
@@ -287,14 +285,14 @@ class Operator(Node):
 
     def _checks(self) -> Iterator[Check]:
         """Yield the checks of the robots before the first departure that are judged."""
-        values, version = self.values['planner'], installed().split()[1]
-        skipped = tuple(values.get('preflight_skip', ()))
+        values = self.values['planner']
+        if self._base is None or 'min_battery' not in values:
+            return
+        skipped = values.get('preflight_skip', ())
         for agent, sign in self.board.signs.items():
             heard = Heard(sign.state, sign.health, sign.offset)
-            if self._base is None or 'min_battery' not in values:
-                return
             needed = value_for(values, 'min_battery', agent)
-            for check in robot_checks(agent, heard, self._base, version, needed):
+            for check in robot_checks(agent, heard, self._base, self._version, needed):
                 if check.light is not Light.INFO and check.name not in skipped:
                     yield check._replace(name=f'{agent} {check.name}')
 

@@ -19,7 +19,6 @@ from typing import Any
 
 from kbnitp_msgs.msg import MissionStatus as StatusMessage
 from kbnitp_msgs.msg import Progress
-from kbnitp_ros.cli import control
 from kbnitp_ros.cli.layout import write_views
 from kbnitp_ros.cli.output import complain, confirmed, end_on_signals, say
 from kbnitp_ros.cli.parameters import assign, node_values, recorded_values, set_parameter
@@ -49,6 +48,7 @@ from kbnitp_ros.log.files import check_is_new, log_parts, LogError, LogLock, NAM
 from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.replayed import Grade
 from kbnitp_ros.log.roles import MissionLog
+from kbnitp_ros.messages import orders
 from kbnitp_ros.messages.progress import Helper, MissionStatus, Obstacle, read_mission_status
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.nodes.runtime.node import DEPLOYMENTS
@@ -308,7 +308,7 @@ def watch(observer: Node, received: Observed, robots: int, processes: Processes)
                     f'nodes ended during the mission, with these exit codes: {processes.ended()}'
                 )
             present = observer.get_node_names()
-            has_board = control.NAME in present
+            has_board = orders.NAME in present
             now, status = received.progress, received.status
             if now is None:
                 absent = [name for name in NODES if name not in present]

@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+# Name of the node by which people give orders, and of its enclave.
+NAME = 'operator'
+
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The demo: a whole mission in four processes, and the files it leaves."""
 
-from contextlib import ExitStack, suppress
+from contextlib import contextmanager, ExitStack, suppress
 from functools import partial
 import os
 from pathlib import Path
@@ -489,6 +489,23 @@ def waits_for(obstacle, ends_by=Helper.OPERATOR, state=MissionState.RUNNING, **s
     return status(state=state, obstacle=obstacle, ends_by=ends_by, **said)
 
 
+@contextmanager
+def shown(monkeypatch):
+    """Yield a domain, its observer, a node in place of the planner, and its publisher."""
+    monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        # The demo sets these for its process.
+        for name, value in environment(domain).items():
+            monkeypatch.setenv(name, value)
+        observer = stack.enter_context(observed(domain))
+        node = rclpy.create_node('planner')
+        mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
+        node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
+        yield domain, observer, node, mission
+        node.destroy_node()
+
+
 @pytest.mark.slow
 @for_each('sent, until', [
     ([waits_for(Obstacle.SEARCHING, Helper.NOBODY), DONE], PERIOD),
@@ -505,16 +522,7 @@ def waits_for(obstacle, ends_by=Helper.OPERATOR, state=MissionState.RUNNING, **s
      + [DONE], 6 * PERIOD),
 ], every=2)  # fmt: skip
 def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypatch, sent, until):
-    monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
-    with ExitStack() as stack:
-        domain = stack.enter_context(free_domain())
-        # The demo sets these for its process.
-        for name, value in environment(domain).items():
-            monkeypatch.setenv(name, value)
-        observer = stack.enter_context(observed(domain))
-        node = rclpy.create_node('planner')
-        mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
-        node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
+    with shown(monkeypatch) as (domain, observer, node, mission):
         left = iter(sent)
 
         def tell():
@@ -532,20 +540,12 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
         assert until - 0.25 < time.monotonic() - begun < until + 5.0
         executor.shutdown()
         spinning.join()
-        node.destroy_node()
 
 
 @pytest.mark.slow
 def test_a_demo_waits_for_an_operator_who_has_a_board(monkeypatch):
-    monkeypatch.setattr(demo_mission_module, 'OPERATOR_WAIT', WAIT)
-    with ExitStack() as stack:
-        domain = stack.enter_context(free_domain())
-        for name, value in environment(domain).items():
-            monkeypatch.setenv(name, value)
-        observer = stack.enter_context(observed(domain))
-        node, board = rclpy.create_node('planner'), rclpy.create_node('operator')
-        mission = node.create_publisher(MissionStatus, 'mission', qos.LATCHED)
-        node.create_publisher(Progress, 'progress', qos.LATCHED).publish(Progress(deployments=1))
+    with shown(monkeypatch) as (domain, observer, _, mission):
+        board = rclpy.create_node('operator')
         mission.publish(mission_status_message(waits_for(Obstacle.UNAPPROVED)))
         deadline = time.monotonic() + 60.0
         while 'operator' not in observer[0].get_node_names():
@@ -557,7 +557,6 @@ def test_a_demo_waits_for_an_operator_who_has_a_board(monkeypatch):
         watch(*observer, 1, Processes(domain))
         assert time.monotonic() - begun >= 6 * WAIT
         resumed.join()
-        node.destroy_node()
         board.destroy_node()
 
 

@@ -100,7 +100,7 @@ class DepartingMission(Mission):
         return told
 
     def _misjudged(self, logged):
-        """Return what the reports in the log say otherwise than the robots' journals."""
+        """Return contradictions between the reports in the log and the robots' journals."""
         told, found = self.journals(), []
         departed = {key for key, each in told.items() if 'departed' in each}
         for key, reports in logged.reports.items():

@@ -117,6 +117,19 @@ class Tab:
         self.foresee()
         self.until('!document.getElementById("act").open')
 
+    def annotate(self, button, says, effect='', **values):
+        """Say something of the first deployment of scout_1; `effect`: words of its preview."""
+        self.press('#robots button', button)
+        for name, value in {'place': 'no. 1 of scout_1', **values}.items():
+            self.fill(name, value)
+        self.foresee()
+        self.until_says('#act-effect', effect)
+        self.go('Say of a robot')
+        self.until(
+            'says => board.said.filter((each) => each.says === says && each.holds).length === 1',
+            says,
+        )
+
 
 @contextmanager
 def tab(field, browser, address, **options):
@@ -336,32 +349,9 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         other.press('#statements button', 'revoke')
         other.go('Revoke')
         one.until_says('#statements', 'taken back by Bob')
-        one.press('#robots button', 'more')
-        one.fill('place', 'no. 1 of scout_1')
-        one.fill('kind', '2')
-        one.fill('steps', '1')
-        one.foresee()
-        one.go('Say of a robot')
-        one.until(
-            'board.said.filter((each) => each.says === "NO_HAZARD" && each.holds).length === 1'
-        )
-        one.press('#robots button', 'recovered')
-        one.fill('place', 'no. 1 of scout_1')
-        one.fill('steps', '1, 2')
-        one.foresee()
-        one.go('Say of a robot')
-        one.until(
-            'board.said.filter((each) => each.says === "RECOVERED" && each.holds).length === 1'
-        )
-        one.press('#robots button', 'more')
-        one.fill('place', 'no. 1 of scout_1')
-        one.fill('kind', '4')
-        one.foresee()
-        one.until_says('#act-effect', 'robots lost: 0 → 0')
-        one.go('Say of a robot')
-        one.until(
-            'board.said.filter((each) => each.says === "WITHDRAW" && each.holds).length === 1'
-        )
+        one.annotate('more', 'NO_HAZARD', kind='2', steps='1')
+        one.annotate('recovered', 'RECOVERED', steps='1, 2')
+        one.annotate('more', 'WITHDRAW', 'robots lost: 0 → 0', kind='4')
         said = one.page.evaluate('board.said')
         assert [each['kind'] for each in said] == [
             'annotation',

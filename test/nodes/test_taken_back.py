@@ -31,7 +31,7 @@ def taken_back(deployment, cells=HOME, grid=GRID):
 
 
 def states(statuses):
-    """Return all that was said of each order, by its number or stamp."""
+    """Return the states and reasons of each order, by its stamp."""
     said = {}
     for status in statuses:
         order = said.setdefault(from_stamp(status.deployment), [])
