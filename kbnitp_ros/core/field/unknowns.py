@@ -412,8 +412,8 @@ def targets_after(
     """Return the joints after targets of each cell changed so often (:eq:`target-change`)."""
     there = np.asarray(appear + vanish)
     share = np.divide(appear, there, out=np.zeros_like(there), where=there > 0.0)
-    kept = (1.0 - there) ** np.arange(ticks.max(initial=0) + 1)[:, None]
-    kept = kept[ticks][:, None, None]
+    numbers, place = np.unique(ticks, return_inverse=True)
+    kept = ((1.0 - there) ** numbers[:, None])[place.ravel()][:, None, None]
     of_hazard = joint.sum(axis=2, keepdims=True)
     after: NDArray[np.float64] = kept * joint
     after += (1.0 - kept) * of_hazard * np.stack(np.broadcast_arrays(1.0 - share, share))

@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import NamedTuple, overload, TypeVar
 
 from kbnitp_ros.core.field.belief import Belief
-from kbnitp_ros.core.field.check import Floats, shallow_copy
+from kbnitp_ros.core.field.check import Floats, Places, shallow_copy
 from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
@@ -113,16 +113,16 @@ class Series(Sequence[T]):
 
 
 class ParticleGroup(NamedTuple):
-    """Particles that are folded together, and what follows from their numbers."""
+    """Neighbouring particles that are folded together, and what follows from their numbers."""
 
-    # Their places.
-    particles: NDArray[np.intp]
+    particles: slice
     # Whether their hazards may reach.
     reaches: bool
-    # The change of hazards between deployments.
-    change: Callable[[Floats], Floats]
-    # Rates at which targets appear and vanish; None if targets are still.
-    rates: tuple[Floats, Floats] | None
+    # The change of hazards between deployments; None if there is none.
+    change: Callable[[Floats], Floats] | None
+    # Those of the group whose targets change, and the rates at which targets appear and vanish.
+    changing: slice
+    rates: tuple[Floats, Floats]
     # Effects of a step by robot type.
     effects: dict[RobotType, Effects]
 
@@ -134,6 +134,9 @@ Condition = Callable[[Floats, Evidence, Effects], tuple[Floats, Floats]]
 class Filters:
     """
     The filters of one kind of hazards, one for each guess of the unknown numbers.
+
+    Joints have a row for each cell that evidence was of, and one for all other cells of an equal
+    prior. Particles are in the order of those that are folded together.
 
     Iterated batch importance sampling (Chopin 2002): a particle is a guess with the filter's
     joints of all cells, weighted by the evidence of each deployment. When few particles have most
@@ -158,10 +161,15 @@ class Filters:
         self.names, self._priors = tuple(priors), tuple(priors.values())
         self._zero = np.array([prior.zero for prior in self._priors])
         self._log_odds = np.log1p(-self._zero) - np.log(np.where(self._zero, self._zero, 1.0))
-        # Cells whose targets may change, and the last deployment that each cell was updated by.
-        self._may_change = (belief.target > 0.0) & (targets.effect != 'static')
-        self._updated = np.zeros(belief.cells, np.intp)
-        self._maps = prior_maps(belief, model, self.names)
+        # The row of each cell, and the class of each row: cells of equal priors are one class, of
+        # which the first cells and the numbers of cells are kept.
+        are_apart = dynamics.effect not in ('static', 'used_up')
+        self._first, self._row, self._sizes = self._classes(belief, are_apart)
+        self._class: Places = np.arange(self._first.size)
+        # Classes whose targets may change, and the last deployment that updated each row.
+        self._may_change = (belief.target[self._first] > 0.0) & (targets.effect != 'static')
+        self._updated: Places = np.zeros(self._first.size, np.intp)
+        self._set_prior(belief, model)
         self.has_duds = 'duds' in priors or model.duds > 0.0
         reaches = 'reach' in priors or model.reach > 0.0
         self._around = belief.neighbors_in_reach() if reaches else None
@@ -179,7 +187,7 @@ class Filters:
             )
         self._count = (count or min(enough, MAX_MEMORY // of_each)) if priors else 1
         # The numbers of each particle, shape (particles, numbers).
-        self.numbers = stratified(self._priors, self._count, np.random.default_rng([seed, 0]))
+        self.numbers = self._first_numbers(self._count, np.random.default_rng([seed, 0]))
         # Cache of the groups of the latest numbers.
         self._groups = self.numbers, self._grouped(self.numbers)
         self._joints = self._first_joints(self.numbers)
@@ -192,8 +200,10 @@ class Filters:
         is_finding = isinstance(evidence, Finding)
         if self._around is not None and not isinstance(evidence, Finding):
             evidence = evidence.with_reach(self._around)
+        self._give_rows(getattr(evidence, 'in_reach', None) or evidence)
         latest = [evidence], self._deployments, is_predicted, self._updated
-        joints, log_chances = self._fold(self._joints, self.numbers, *latest)
+        joints = self._joints.copy()
+        log_chances = self._fold(joints, self.numbers, *latest)
         predicted = log_chances[:, 0]
         if self.names:
             rng = np.random.default_rng([self._seed, len(self._evidence) + 1])
@@ -208,7 +218,7 @@ class Filters:
         self._log_likelihood = self._log_likelihood + log_chances[0]
         self._updated = self._updated.copy()
         self._deployments += not is_finding
-        self._updated[evidence.cells] = self._last
+        self._updated[self._row[evidence.cells]] = self._last
         if self.names:
             self._log_weights = self._log_weights + log_chances[0]
             self.__dict__.pop('weights', None)
@@ -219,16 +229,14 @@ class Filters:
 
     def _drawn_anew(
         self,
-        latest: tuple[list[Evidence | Finding], int, bool, NDArray[np.intp]],
+        latest: tuple[list[Evidence | Finding], int, bool, Places],
         rng: np.random.Generator,
     ) -> tuple[Floats, Floats]:
         """Draw more particles from the prior, since none allows the evidence; fold it again."""
-        self.numbers = stratified(self._priors, MORE * self._count, rng)
-        before, (self._log_likelihood, *_) = self._fold(
-            self._first_joints(self.numbers), self.numbers, self._evidence
-        )
+        self.numbers = self._first_numbers(MORE * self._count, rng)
+        joints, self._log_likelihood = self._refold(self.numbers, self._evidence)
         self._log_weights = self._log_likelihood
-        return self._fold(before, self.numbers, *latest)
+        return joints, self._fold(joints, self.numbers, *latest)
 
     @property
     def _last(self) -> int:
@@ -244,31 +252,31 @@ class Filters:
 
     def joint(self) -> tuple[Floats, Floats | None]:
         """Return the weighted mean of the joints at the last deployment, and of duds in them."""
-        joint = self._live_joint()
+        joint = self._live_joint()[self._row]
         if not self.has_duds:
             return joint, None
-        duds: Floats = (self._joints[:, 0] * self._joints[:, 2]) @ self.weights
-        joint = joint.copy()
+        duds: Floats = ((self._joints[:, 0] * self._joints[:, 2]) @ self.weights)[self._row]
         joint[:, 0] = (joint[:, 0] - duds).clip(min=0.0)
         joint[:, 1] += duds
         return joint, duds
 
     def _live_joint(self) -> Floats:
-        """Return the weighted mean of the joints of live hazards at the last deployment."""
-        joints = self._joints[:, :2]
-        if self._may_change.any() and self._evidence:
-            joints = joints.copy()
-            now = np.flatnonzero(self._may_change)
-            ticks = self._last - self._updated[now]
-            for group in self._groups_of_particles(self.numbers):
-                if group.rates is not None:
-                    some = joints[..., group.particles]
-                    some[now] = targets_after(some[now], ticks, *group.rates)
-                    joints[..., group.particles] = some
-        if self._count == 1:
-            return joints[..., 0]
-        joint: Floats = joints @ self.weights
-        joint /= joint.sum(axis=(1, 2), keepdims=True)
+        """Return the weighted mean of each row's joints of live hazards at the last deployment."""
+        joints, weights = self._joints[:, :2], self.weights
+        groups = self._groups_of_particles(self.numbers)
+        may_change = np.flatnonzero(self._may_change[self._class])
+        joint: Floats = joints @ weights if self._count > 1 else joints[..., 0].copy()
+        if may_change.size and self._evidence:
+            still, ticks = weights.copy(), self._last - self._updated[may_change]
+            for group in groups:
+                still[group.particles][group.changing] = 0.0
+            joint[may_change] = (joints @ still)[may_change]
+            for group in groups:
+                own = joints[..., group.particles][..., group.changing][may_change]
+                shares = weights[group.particles][group.changing]
+                joint[may_change] += targets_after(own, ticks, *group.rates) @ shares
+        if self._count > 1:
+            joint /= joint.sum(axis=(1, 2), keepdims=True)
         return joint
 
     def mean(self, name: str) -> float:
@@ -287,8 +295,7 @@ class Filters:
         means = means[shares > 0.0] / shares[shares > 0.0, None]
         mean = self._live_joint()[:, 1].sum(axis=1)
         spread = means.var(axis=0, ddof=1) if len(means) > 1 else np.zeros_like(mean)
-        chance = mean * (1.0 - mean)
-        return float((spread[chance > 0.0] / (2.0 * GROUPS * chance[chance > 0.0])).sum())
+        return float(ratio(spread, 2.0 * GROUPS * mean * (1.0 - mean))[self._row].sum())
 
     def hazard(self) -> Floats:
         """Return P(hazard) of each cell by particle, shape (particles, cells)."""
@@ -296,23 +303,21 @@ class Filters:
         hazard: Floats = self._joints[:, 1].sum(axis=1)
         if self.has_duds:
             hazard = hazard + (self._joints[:, 0] * self._joints[:, 2]).sum(axis=1)
-        return hazard.clip(max=1.0).T
+        return hazard.clip(max=1.0)[self._row].T
 
     def live(self) -> Floats:
         """Return P(live hazard) of each cell by particle, shape (particles, cells)."""
-        live: Floats = self._joints[:, 1].sum(axis=1).clip(max=1.0).T
+        live: Floats = self._joints[:, 1].sum(axis=1).clip(max=1.0)[self._row].T
         return live
 
-    def models(self, particles: NDArray[np.intp]) -> list[SensorModel]:
+    def models(self, particles: Places) -> list[SensorModel]:
         """Return the sensor models of some particles."""
         return [
             replace(self._known, **{k: v for k, v in zip(self.names, numbers) if k in NUMBERS})
             for numbers in self.numbers[particles].tolist()
         ]
 
-    def draws(
-        self, count: int, rng: np.random.Generator
-    ) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    def draws(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.bool_], Places]:
         """Draw particles, and then hazards of each cell; return both."""
         particles = rng.choice(len(self.numbers), count, p=self.weights)
         hazard = self.hazard()[particles]
@@ -327,16 +332,13 @@ class Filters:
     ) -> Filters:
         """Return the filters of the same particles with another prior, model and robot types."""
         other = shallow_copy(self)
-        other._prior, other._known = belief, model
-        other._maps = prior_maps(belief, model, self.names)
+        other._set_prior(belief, model)
         other._groups = self.numbers, other._grouped(self.numbers)
         evidence = [
             each if isinstance(each, Finding) else each.with_type(own(each.robot_type))
             for each in self._evidence
         ]
-        other._joints, (log_likelihood, *_) = other._fold(
-            other._first_joints(self.numbers), self.numbers, evidence
-        )
+        other._joints, log_likelihood = other._refold(self.numbers, evidence)
         if log_likelihood.max() == -np.inf:
             raise ValueError(IMPOSSIBLE)
         gain = log_likelihood - self._log_likelihood
@@ -346,11 +348,50 @@ class Filters:
         other.__dict__.pop('weights', None)
         return other
 
+    @staticmethod
+    def _classes(belief: Belief, are_apart: bool) -> tuple[Places, Places, Places]:
+        """Return the first cell of each class of cells, the class of each cell, and the sizes."""
+        cells = np.arange(belief.cells)
+        if are_apart:
+            return cells, cells, np.ones_like(cells)
+        joints = belief.joint.reshape(belief.cells, 4)
+        _, *found = np.unique(
+            joints, axis=0, return_index=True, return_inverse=True, return_counts=True
+        )
+        first, of_cell, sizes = found
+        return first, of_cell.ravel(), sizes
+
+    def _set_prior(self, belief: Belief, model: SensorModel) -> None:
+        """Set the prior and the known numbers."""
+        self._prior, self._known = belief, model
+        self._maps = {
+            name: (values[self._first], undecided[self._first])
+            for name, (values, undecided) in prior_maps(belief, model, self.names).items()
+        }
+
+    def _give_rows(self, evidence: Evidence | Finding) -> None:
+        """Give each cell of evidence a row of its own."""
+        rows = self._row[evidence.cells]
+        is_shared = rows < self._sizes.size
+        is_shared[is_shared] = self._sizes[rows[is_shared]] > 1
+        if not is_shared.any():
+            return
+        self._row, shared = self._row.copy(), rows[is_shared]
+        self._row[evidence.cells[is_shared]] = len(self._class) + np.arange(shared.size)
+        self._class = np.concatenate([self._class, shared])
+        self._updated = np.concatenate([self._updated, self._updated[shared]])
+        self._joints = np.concatenate([self._joints, self._joints[shared]])
+
+    def _first_numbers(self, count: int, rng: np.random.Generator) -> Floats:
+        """Draw the numbers of particles, shape (count, numbers), in their order."""
+        numbers = stratified(self._priors, count, rng)
+        return numbers[self._order(numbers)]
+
     def _first_joints(self, numbers: Floats) -> Floats:
         """
-        Return the prior of each particle on live hazards, shape (cells, 2, 2, particles).
+        Return the prior of each particle on live hazards, shape (classes, 2, 2, particles).
 
-        If some may be duds, of shape (cells, 3, 2, particles) with P(dud | no live hazard, X) in
+        If some may be duds, of shape (classes, 3, 2, particles) with P(dud | no live hazard, X) in
         the third row (:eq:`duds`), which only findings change.
         """
         joints = self._whole_joints(numbers)
@@ -364,17 +405,24 @@ class Filters:
         return joints
 
     def _whole_joints(self, numbers: Floats) -> Floats:
-        """Return the prior of each particle on all hazards, shape (cells, 2, 2, particles)."""
+        """Return the prior of each particle on all hazards, shape (classes, 2, 2, particles)."""
         if not set(MAPS) & set(self.names):
-            return np.repeat(self._prior.joint[..., None], len(numbers), axis=-1)
+            return np.repeat(self._prior.joint[self._first, ..., None], len(numbers), axis=-1)
         learnt = dict(zip(self.names, numbers.T))
         hazard, kappa, background = (
-            with_average(*self._maps[name], learnt[name])
+            with_average(*self._maps[name], learnt[name], self._sizes)
             if name in learnt
             else self._maps[name][0][:, None]
             for name in MAPS
         )
         return make_joint(*np.broadcast_arrays(hazard, kappa, background))
+
+    def _refold(
+        self, numbers: Floats, evidence: Sequence[Evidence | Finding]
+    ) -> tuple[Floats, Floats]:
+        """Fold evidence into the prior; return joints, and the log likelihood of each particle."""
+        joints = self._first_joints(numbers)[self._class]
+        return joints, self._fold(joints, numbers, evidence)[0]
 
     def _fold(
         self,
@@ -383,71 +431,56 @@ class Filters:
         events: Sequence[Evidence | Finding],
         start: int = 0,
         is_predicted: bool = False,
-        updated: NDArray[np.intp] | None = None,
-    ) -> tuple[Floats, Floats]:
-        """Fold evidence into joints; return joints, and logs of chances and predictions."""
-        groups = self._groups_of_particles(numbers)
-        joints, log_chances = np.array(joints), np.zeros((1, len(numbers)))
-        cells, rows, pair = np.arange(len(joints)), np.arange(joints.shape[1]), np.arange(2)
-        if self._dynamics.effect in ('static', 'used_up') and events:
-            # Others keep their joints; copies of large fields take time.
-            seen = [getattr(each, 'in_reach', None) or each for each in events]
-            cells = np.unique(np.concatenate([each.cells for each in seen]))
-        rest = cells, events, start, is_predicted, updated
-        for group in groups:
+        updated: Places | None = None,
+    ) -> Floats:
+        """Fold evidence into joints in place; return logs of its chances and predictions."""
+        log_chances = []
+        rest = events, start, is_predicted, updated
+        for group in self._groups_of_particles(numbers):
             some = group.particles
-            where = np.ix_(cells, rows, pair, some) if len(groups) > 1 else cells
-            own = numbers[some] if len(groups) > 1 else numbers
-            joints[where], of_group = self._fold_group(joints[where], own, group, *rest)
-            if len(of_group) > len(log_chances):
-                log_chances = np.zeros((len(of_group), len(numbers)))
-            log_chances[:, some] = of_group
-        return joints, log_chances
+            log_chances.append(self._fold_group(joints[..., some], numbers[some], group, *rest))
+        return np.concatenate(log_chances, axis=1)
 
     def _fold_group(
         self,
         joints: Floats,
         numbers: Floats,
         group: ParticleGroup,
-        known: NDArray[np.intp],
         events: Sequence[Evidence | Finding],
         number: int,
         is_predicted: bool,
-        updated: NDArray[np.intp] | None,
-    ) -> tuple[Floats, Floats]:
-        """Fold evidence after `number` deployments into joints of the cells `known`."""
+        updated: Places | None,
+    ) -> Floats:
+        """Fold evidence after `number` deployments into joints; return logs of its chances."""
         log_chances: Floats = np.zeros((1, len(numbers)))
-        updated = np.zeros(self._prior.cells, np.intp) if updated is None else updated.copy()
+        updated = np.zeros(len(joints), np.intp) if updated is None else updated.copy()
         # Outcomes change joints of live hazards, and findings the shares of duds as well.
-        live, share = joints[:, :2], joints[:, 2:]
+        live = joints[:, :2]
         for event in events:
             # A finding takes no time: it is of the field at the last deployment.
             is_finding = isinstance(event, Finding)
             now = max(number - 1, 0) if is_finding else number
-            if number and not is_finding:
-                live = group.change(live)
-            if group.rates is not None:
-                changed = event.cells[self._may_change[event.cells]]
-                ticks, place = now - updated[changed], known.searchsorted(changed)
-                live[place] = targets_after(live[place], ticks, *group.rates)
+            if number and not is_finding and group.change is not None:
+                live[:] = group.change(live)
+            rows = self._row[event.cells]
+            changed = rows[self._may_change[self._class[rows]]]
+            if changed.size and group.rates[0].size:
+                own, ticks = live[..., group.changing], now - updated[changed]
+                own[changed] = targets_after(own[changed], ticks, *group.rates)
                 updated[changed] = now
             if isinstance(event, Finding):
-                place = known.searchsorted(event.cells)
-                states = np.concatenate([live[place], share[place]], axis=1)
-                states, log_chance = take_finding(states, event)
-                live[place], share[place] = states[:, :2], states[:, 2:]
+                joints[rows], log_chance = take_finding(joints[rows], event)
             else:
-                log_chance = self._take_outcome(live, numbers, group, known, event, is_predicted)
+                log_chance = self._take_outcome(live, numbers, group, event, is_predicted)
                 number += 1
             log_chances = log_chances + log_chance
-        return np.concatenate([live, share], axis=1) if self.has_duds else live, log_chances
+        return log_chances
 
     def _take_outcome(
         self,
         live: Floats,
         numbers: Floats,
         group: ParticleGroup,
-        known: NDArray[np.intp],
         evidence: Evidence,
         is_predicted: bool,
     ) -> Floats:
@@ -456,42 +489,52 @@ class Filters:
         if group.reaches:
             assert evidence.in_reach is not None
             seen = evidence.in_reach
-        robot_type, cells = seen.robot_type, known.searchsorted(seen.cells)
+        robot_type, rows = seen.robot_type, self._row[seen.cells]
         if robot_type not in group.effects:
             group.effects[robot_type] = self._step_effects(robot_type, numbers)
-        joint, effects = live[cells], group.effects[robot_type]
+        joint, effects = live[rows], group.effects[robot_type]
         how = self._on_loss if seen.is_lost else condition
-        live[cells], log_chance = how(joint, seen, effects)
+        live[rows], log_chance = how(joint, seen, effects)
         if not is_predicted:
-            return log_chance
-        foreseen = predict_outcome(joint, seen, effects)
-        return np.concatenate([log_chance[None], foreseen])
+            return log_chance[None]
+        return np.concatenate([log_chance[None], predict_outcome(joint, seen, effects)])
 
     def _groups_of_particles(self, numbers: Floats) -> list[ParticleGroup]:
-        """Return the particles by what their hazards and targets do, from the cache if known."""
+        """Return the groups of particles that are in `_order`, from the cache if known."""
         if self._groups[0] is not numbers:
             self._groups = numbers, self._grouped(numbers)
         return self._groups[1]
 
-    def _grouped(self, numbers: Floats) -> list[ParticleGroup]:
-        """Group particles: those with reach and those whose targets change cost more."""
+    def _kinds(self, numbers: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return whether hazards of each particle reach, and whether its targets change."""
         learnt = dict(zip(self.names, numbers.T))
         reaches = np.full(len(numbers), self._around is not None)
         if 'reach' in learnt:
             reaches = learnt['reach'] > 0.0
-        may_change = np.full(len(numbers), bool(self._may_change.any()))
+        changes = np.full(len(numbers), bool(self._may_change.any()))
         if TARGET_VANISH in learnt and self._targets.kind == 'learn':
-            may_change = learnt[TARGET_VANISH] > 0.0
-        kinds = np.where(reaches, 2, 0) + may_change
+            changes &= learnt[TARGET_VANISH] > 0.0
+        return reaches, changes
+
+    def _order(self, numbers: Floats) -> Places:
+        """Return the order of particles in which those that are folded together are neighbours."""
+        reaches, changes = self._kinds(numbers)
+        return np.argsort(2 * reaches + changes, kind='stable')
+
+    def _grouped(self, numbers: Floats) -> list[ParticleGroup]:
+        """Group particles by whether hazards reach, which costs more."""
         groups = []
-        for kind in np.unique(kinds).tolist():
-            some = np.flatnonzero(kinds == kind)
-            own = numbers if some.size == len(numbers) else numbers[some]
-            rates = self._target_rates(own) if kind % 2 else None
-            groups.append(ParticleGroup(some, kind >= 2, self._change(own), rates, {}))
+        reaches, changes = self._kinds(numbers)
+        for reaching in np.unique(reaches).tolist():
+            places = np.flatnonzero(reaches == reaching)
+            some = slice(places[0], places[-1] + 1)
+            own, still = numbers[some], np.count_nonzero(~changes[some])
+            changing = slice(still, len(own))
+            rates = self._target_rates(own[changing]) if still < len(own) else (np.zeros(0),) * 2
+            groups.append(ParticleGroup(some, reaching, self._change(own), changing, rates, {}))
         return groups
 
-    def _change(self, numbers: Floats) -> Callable[[Floats], Floats]:
+    def _change(self, numbers: Floats) -> Callable[[Floats], Floats] | None:
         """Return the change of hazards between deployments."""
         learnt = dict(zip(self.names, numbers.T))
         rates = {name: learnt[name] for name in self._dynamics.unknown_rates}
@@ -508,7 +551,8 @@ class Filters:
             return np.full(len(numbers), known.appear), np.full(len(numbers), known.vanish)
         if known.appear:
             return np.full(len(numbers), known.appear), vanish
-        density = self._first_joints(numbers)[self._may_change, :2, 1].sum(axis=1).mean(axis=0)
+        target = self._first_joints(numbers)[self._may_change, :2, 1].sum(axis=1)
+        density = np.average(target, axis=0, weights=self._sizes[self._may_change])
         rates: Floats = appearance(vanish, density)
         return rates, vanish
 
@@ -541,9 +585,10 @@ class Filters:
         for _ in range(MOVES):
             proposed, is_then = self._propose(logits, is_there, scale, rng)
             numbers = np.where(is_then, expit_within(proposed, self._priors), 0.0)
-            folded, (log_proposed, *_) = self._fold(
-                self._first_joints(numbers), numbers, self._evidence
-            )
+            order = self._order(numbers)
+            back = order.argsort()
+            folded, log_proposed = self._refold(numbers[order], self._evidence)
+            log_proposed = log_proposed[back]
             log_ratio = log_proposed - log_likelihood
             # A number that becomes or is no longer 0 is drawn by its prior: its density cancels.
             gain = log_density(proposed, self._priors) - log_density(logits, self._priors)
@@ -553,10 +598,11 @@ class Filters:
             logits = np.where(is_moved[:, None], proposed, logits)
             is_there = np.where(is_moved[:, None], is_then, is_there)
             log_likelihood = np.where(is_moved, log_proposed, log_likelihood)
-            joints = np.where(is_moved, folded, joints)
-        self.numbers = np.where(is_there, expit_within(logits, self._priors), 0.0)
-        self._joints = joints
-        self._log_likelihood, self._log_weights = log_likelihood, np.zeros(self._count)
+            joints[..., is_moved] = folded[..., back[is_moved]]
+        numbers = np.where(is_there, expit_within(logits, self._priors), 0.0)
+        order = self._order(numbers)
+        self.numbers, self._joints = numbers[order], joints[..., order]
+        self._log_likelihood, self._log_weights = log_likelihood[order], np.zeros(self._count)
 
     def _propose(
         self,
@@ -780,7 +826,7 @@ class Bank:
 
     def _draw(
         self, count: int, rng: np.random.Generator
-    ) -> tuple[list[tuple[Filters, NDArray[np.bool_], NDArray[np.intp]]], NDArray[np.intp]]:
+    ) -> tuple[list[tuple[Filters, NDArray[np.bool_], Places]], Places]:
         """Draw hazards and particles of each kind; return them, and an order of all draws."""
         filters = [*self._filters.values()]
         if len(filters) == 1:

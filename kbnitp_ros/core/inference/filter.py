@@ -78,15 +78,10 @@ def check_cells(belief: Belief, observation: Observation) -> None:
         )
 
 
-def unchanged(joint: Floats) -> Floats:
-    """Return the joints of hazards that stay as they are."""
-    return joint
-
-
 def hazard_change(
     prior: Belief, dynamics: Dynamics, rates: Mapping[str, Rates] = MappingProxyType({})
-) -> Callable[[Floats], Floats]:
-    """Return the function that updates joints for hazard changes between deployments."""
+) -> Callable[[Floats], Floats] | None:
+    """Return the update of joints for hazard changes between deployments; None if all stay."""
     possible = prior.hazard > 0.0
     appear, vanish, move = (
         rates.get(name, getattr(dynamics, name)) for name in ('appear', 'vanish', 'move')
@@ -101,7 +96,7 @@ def hazard_change(
             )
         neighbors = neighbors_to_move_to(prior.grid, possible)
         return partial(joint_after_moves, neighbors=neighbors, move=move)
-    return unchanged
+    return None
 
 
 @dataclass(frozen=True, eq=False)

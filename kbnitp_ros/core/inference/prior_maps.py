@@ -52,28 +52,41 @@ def make_joint(
     return np.stack(joint, axis=1).reshape(-1, 2, 2, *hazard.shape[1:])
 
 
-def offsets(log_odds: NDArray[np.float64], averages: NDArray[np.float64]) -> NDArray[np.float64]:
+def offsets(
+    log_odds: NDArray[np.float64],
+    averages: NDArray[np.float64],
+    sizes: NDArray[np.intp] | None = None,
+) -> NDArray[np.float64]:
     """Return the offset of log odds that gives each average probability (:eq:`prior-offset`)."""
     low, high = np.full_like(averages, -FURTHEST), np.full_like(averages, FURTHEST)
     for _ in range(HALVINGS):
         middle = (low + high) / 2.0
-        below = expit(log_odds[:, None] + middle).mean(axis=0) < averages
+        mean = np.average(expit(log_odds[:, None] + middle), axis=0, weights=sizes)
+        below = mean < averages
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     offset: NDArray[np.float64] = (low + high) / 2.0
     return offset
 
 
 def with_average(
-    probability: NDArray[np.float64], undecided: NDArray[np.bool_], averages: NDArray[np.float64]
+    probability: NDArray[np.float64],
+    undecided: NDArray[np.bool_],
+    averages: NDArray[np.float64],
+    sizes: NDArray[np.intp] | None = None,
 ) -> NDArray[np.float64]:
-    """Shift a map to each of some averages, (cells, averages) (:eq:`prior-offset`)."""
+    """
+    Shift a map to each of some averages, (cells, averages) (:eq:`prior-offset`).
+
+    With `sizes`, each value is of so many cells.
+    """
     shifted = np.repeat(probability[:, None], averages.size, axis=1)
     open_to = probability[undecided]
     if np.ptp(open_to) == 0.0:
         shifted[undecided] = averages
     else:
         odds = np.log(open_to) - np.log1p(-open_to)
-        shifted[undecided] = expit(odds[:, None] + offsets(odds, averages))
+        weights = None if sizes is None else sizes[undecided]
+        shifted[undecided] = expit(odds[:, None] + offsets(odds, averages, weights))
     return shifted
 
 

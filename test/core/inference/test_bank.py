@@ -9,6 +9,7 @@ from kbnitp_ros.core import (
     Beta,
     Dynamics,
     Estimator,
+    Finding,
     Grid,
     Observation,
     ORDINARY,
@@ -70,6 +71,14 @@ def particle_sensors(numbers):
     return SensorModel(*numbers, 0.1, 0.9, 0.1)
 
 
+def folded(bank, numbers, evidence):
+    """Return the joints of all cells after evidence for some numbers, and its log likelihood."""
+    for outcome in evidence:
+        bank._give_rows(outcome)
+    joints, log_likelihood = bank._refold(numbers, evidence)
+    return joints[bank._row], log_likelihood
+
+
 @for_each(
     'seed, kind, method', [(s, k, m) for s in range(300) for k in KINDS for m in METHODS], every=12
 )
@@ -79,7 +88,7 @@ def test_each_filter_is_that_of_the_one_pass_method(seed, kind, method):
     bank = Filters(prior, model, TWO, 0, new_dynamics(kind))
     numbers = bank.numbers[:3]
     evidence = [Evidence.of(*outcome) for outcome in outcomes]
-    joints, _ = bank._fold(bank._first_joints(numbers), numbers, evidence)
+    joints, _ = folded(bank, numbers, evidence)
     for place, own in enumerate(numbers):
         estimator = Estimator(belief, particle_sensors(own), method, dynamics=new_dynamics(kind))
         for observation, robot_type in outcomes:
@@ -93,7 +102,7 @@ def test_an_outcome_has_the_probability_of_all_states(seed, kind):
     bank = Filters(belief, model, TWO, 0, new_dynamics(kind))
     (observation, robot_type), numbers = outcomes[0], bank.numbers[:3]
     evidence = [Evidence.of(observation, robot_type)]
-    _, (log_chance, *_) = bank._fold(bank._first_joints(numbers), numbers, evidence)
+    _, log_chance = folded(bank, numbers, evidence)
     lost_at = observation.lost_at
     if lost_at is None:
         lost_at = np.arange(observation.steps) >= observation.steps_survived
@@ -261,3 +270,35 @@ def test_the_impossible_is_refused_and_changes_nothing():
     with pytest.raises(ValueError, match='impossible'):
         estimator.assimilate(Observation([0, 1, 0], False))
     assert estimator.belief.joint.tobytes() == before
+
+
+@for_each('seed, beyond', [(s, b) for s in range(12) for b in ('reach', 'duds')], every=4)
+def test_cells_of_equal_priors_share_a_row(monkeypatch, seed, beyond):
+    """They are filtered as if each had a row of its own from the start."""
+    rng = np.random.default_rng([seed, 9])
+    grid = Grid(5, 4)
+    hazard = np.where(np.arange(20) % 3, 0.2, 0.1)
+    prior = Belief.prior(grid, hazard if seed % 2 else 0.2, 0.3, 0.8)
+    unknowns = Unknowns((0.0, 1.0), hazard_density=Beta(2, 6), **{beyond: Beta(low=0.0, high=0.6)})
+    targets = Dynamics('learn') if beyond == 'reach' else Dynamics()
+    arguments = prior, SensorModel(0.6, 0.01), unknowns, seed, Dynamics()
+    shared = Filters(*arguments, count=64, targets=targets)
+    classes = Filters._classes
+    monkeypatch.setattr(Filters, '_classes', staticmethod(lambda field, _: classes(field, True)))
+    apart = Filters(*arguments, count=64, targets=targets)
+    assert len(shared._joints) < len(apart._joints) == grid.cells
+    for _ in range(8):
+        path = brute_force.random_path(rng, 5, 4, 0, 6)
+        is_back = rng.random() < 0.7
+        outcome = Observation(path, is_back, rng.integers(-1, 2, 6) if is_back else None)
+        finding = Finding(rng.choice(np.arange(1, 20), 2, replace=False), hazard=False)
+        for evidence in (Evidence.of(outcome), finding):
+            predicted = shared.take(evidence), apart.take(evidence)
+            np.testing.assert_allclose(*predicted, rtol=0, atol=1e-9)
+        for name in ('numbers', 'weights'):
+            np.testing.assert_allclose(getattr(shared, name), getattr(apart, name), atol=1e-9)
+        for ours, theirs in zip(shared.joint(), apart.joint()):
+            if ours is not None:
+                np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(shared.hazard(), apart.hazard(), rtol=0, atol=1e-9)
+        assert shared.sampling_error() == pytest.approx(apart.sampling_error(), abs=1e-9)

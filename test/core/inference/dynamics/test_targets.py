@@ -102,9 +102,7 @@ def test_a_refold_has_the_same_filters(monkeypatch):
     evidence = [Evidence.of(outcome, ORDINARY) for outcome in outcomes]
     for counted in evidence:
         bank.take(counted)
-    joints, (log_likelihood, *_) = bank._fold(
-        bank._first_joints(bank.numbers), bank.numbers, evidence
-    )
+    joints, log_likelihood = bank._refold(bank.numbers, evidence)
     np.testing.assert_allclose(bank._joints, joints, rtol=0, atol=1e-12)
     np.testing.assert_allclose(bank._log_likelihood, log_likelihood, rtol=0, atol=1e-10)
 
