@@ -107,6 +107,22 @@ DRIVERS: dict[str, tuple[Any, str]] = {
     'follow_path': (FollowPath, 'controller_server'),
 }
 
+# Names of the error codes in results, which Nav2 numbers across its actions.
+ERRORS = {
+    code: name
+    for action, _ in DRIVERS.values()
+    for name, code in vars(action.Result).items()
+    if isinstance(code, int) and code
+}
+
+
+def describe_error(result: Any) -> str:
+    """Return the error code of a result with its name, and its message; empty without both."""
+    # The servers of Jazzy state the code, and hardly ever a message.
+    code = f'error {result.error_code} {ERRORS.get(result.error_code, "")}'.strip()
+    message = shown(result.error_msg) if result.error_msg else ''
+    return ', '.join(filter(None, [code if result.error_code else '', message]))
+
 
 def goal_along(
     action: Any, points: NDArray[np.float64], stamp: int, yaws: Sequence[float] = ()
@@ -337,16 +353,16 @@ class Driver:
 
     def _on_result(self, number: int, result: Future) -> None:
         ended = result.result()
-        error = shown(ended.result.error_msg) if ended.result.error_msg else 'no message'
-        why = f'error code {ended.result.error_code}, {error}'
+        error = describe_error(ended.result)
+        why = f': {error}' if error else ''
         missed = [each.index for each in getattr(ended.result, 'missed_waypoints', ())]
         if ended.status != GoalStatus.STATUS_SUCCEEDED:
             how = ENDINGS.get(ended.status, f'ended with status {ended.status}')
             if number == self._number:
                 self.was_cancelled = ended.status == GoalStatus.STATUS_CANCELED
-            self._end(number, f'the goal of {self.name} was {how}: {why}')
+            self._end(number, f'the goal of {self.name} was {how}{why}')
         elif ended.result.error_code:
-            self._end(number, f'the goal of {self.name} failed: {why}')
+            self._end(number, f'the goal of {self.name} failed{why}')
         elif missed:
             self._end(number, f'waypoints {missed} of the goal of {self.name} were missed')
         else:

@@ -224,11 +224,11 @@ class Robot:
     def _take(self, kind, handle):
         """Drive to a goal from now on; it replaces the one before, as in Nav2."""
         if self._goal is not None:
-            self._end('abort', 'preempted by another goal')
+            self._end('abort')
         self._goal = Goal(handle, kind, self._take_wrong(), self._config['placed'])
         self._goals.publish(self._goal.last)
 
-    def _end(self, how, why=''):
+    def _end(self, how, error=0):
         """End a goal: for rclpy its execution happens only now, in one step."""
         goal, self._goal = self._goal, None
 
@@ -236,7 +236,8 @@ class Robot:
             result = goal.kind.Result()
             if how == 'abort':
                 handle.abort()
-                result.error_code, result.error_msg = 101, why
+                # Nav2 of Jazzy fills in no message.
+                result.error_code = error
             elif how == 'cancel':
                 handle.canceled()
             else:
@@ -260,7 +261,7 @@ class Robot:
             elif goal.wrong == 'lie':
                 self._end('succeed')
             elif goal.wrong == 'abort' and time.monotonic() > goal.begun + 0.25:
-                self._end('abort', 'the controller has had enough')
+                self._end('abort', FollowPath.Result.NO_VALID_CONTROL)
             else:
                 linear, turn = self._steer(goal, x, y, yaw)
         self._world.step(np.array([[linear], [turn]]))

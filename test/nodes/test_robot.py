@@ -222,6 +222,9 @@ def test_a_failure_is_tried_again_and_the_walk_is_reported_as_it_was(field, driv
             report = fleet.wait_for_report(reports, key)
             fleet.see_that_it_is_true(report, since)
             assert moves([0, *(cell for cell, _ in report.readings)]) == orders, how
+            if how == 'abort':
+                said = 'was aborted: error 106 NO_VALID_CONTROL; trying again'
+                assert said in field.said('/scout_1/robot')
 
 
 WAY_ROUND = [0, 1, 2, 3, 16, 15, 14, 13, 0]
@@ -258,7 +261,7 @@ def test_a_stuck_robot_goes_home_and_reports_its_walk(field):
     fleet.see_that_it_is_true(report, since)
     assert is_out_and_back(report)
     said = field.said('/scout_1/robot')
-    assert 'was cancelled: error code 0, no message; going home' in said
+    assert 'the goal of /scout_1/follow_waypoints was cancelled; going home' in said
 
 
 def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
