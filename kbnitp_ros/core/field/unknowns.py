@@ -413,10 +413,11 @@ def targets_after(
     there = np.asarray(appear + vanish)
     share = np.divide(appear, there, out=np.zeros_like(there), where=there > 0.0)
     numbers, place = np.unique(ticks, return_inverse=True)
-    kept = ((1.0 - there) ** numbers[:, None])[place.ravel()][:, None, None]
-    of_hazard = joint.sum(axis=2, keepdims=True)
-    after: NDArray[np.float64] = kept * joint
-    after += (1.0 - kept) * of_hazard * np.stack(np.broadcast_arrays(1.0 - share, share))
+    kept = ((1.0 - there) ** numbers[:, None])[place.ravel()][:, None]
+    changed = (1.0 - kept) * (joint[:, :, 0] + joint[:, :, 1])
+    after: NDArray[np.float64] = kept[:, None] * joint
+    after[:, :, 0] += changed * (1.0 - share)
+    after[:, :, 1] += changed * share
     return after
 
 
