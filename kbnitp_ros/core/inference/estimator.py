@@ -31,7 +31,6 @@ from kbnitp_ros.core.field.unknowns import (
     Unknowns,
 )
 from kbnitp_ros.core.field.world import World
-from kbnitp_ros.core.inference.bank import prior_density, Series
 from kbnitp_ros.core.inference.filter import ratio
 from kbnitp_ros.core.inference.methods import (
     CALLED,
@@ -43,6 +42,7 @@ from kbnitp_ros.core.inference.methods import (
 )
 from kbnitp_ros.core.inference.model_check import Alternatives, Checker, ModelCheck
 from kbnitp_ros.core.inference.one_pass import OnePass
+from kbnitp_ros.core.inference.particles import prior_density, Series
 from kbnitp_ros.core.inference.prior_maps import told_numbers, with_number
 from kbnitp_ros.core.inference.sampler import Sampler
 from kbnitp_ros.plugins import entry_name, PluginError

@@ -19,8 +19,9 @@ from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import RobotType, SensorModel
 from kbnitp_ros.core.field.unknowns import ANY_RATE, Beta, Dynamics, Unknowns
-from kbnitp_ros.core.inference.bank import Bank, log_sum, Series
+from kbnitp_ros.core.inference.bank import Bank
 from kbnitp_ros.core.inference.filter import Evidence, READING_SHIFTS
+from kbnitp_ros.core.inference.particles import log_sum, Series
 from kbnitp_ros.core.inference.prior_maps import prior_maps
 import numpy as np
 
@@ -64,7 +65,15 @@ RIVALS = (
 SHIFTED = ('more returns', 'fewer returns', 'more positive readings', 'fewer positive readings')
 
 # Weights of the alternatives in the average ratio, higher for more harmful errors; 1 for others.
-WEIGHTS = {'used_up': 5, 'malfunction': 4, 'lethality': 3, 'static': 3, 'changing': 2, 'moving': 2}
+WEIGHTS = {
+    'used_up': 5,
+    'reach': 5,
+    'malfunction': 4,
+    'lethality': 3,
+    'static': 3,
+    'changing': 2,
+    'moving': 2,
+}
 
 
 @dataclass(frozen=True)

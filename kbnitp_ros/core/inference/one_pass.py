@@ -14,7 +14,7 @@ from kbnitp_ros.core.field.finding import Finding
 from kbnitp_ros.core.field.observation import Observation
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN, Dynamics, Learnt, STATIC, Unknowns
-from kbnitp_ros.core.inference.bank import Bank, Condition
+from kbnitp_ros.core.inference.bank import Bank
 from kbnitp_ros.core.inference.filter import (
     check_cells,
     condition,
@@ -25,6 +25,7 @@ from kbnitp_ros.core.inference.filter import (
     ratio,
     take_finding,
 )
+from kbnitp_ros.core.inference.particles import Condition
 from kbnitp_ros.core.inference.published import condition_published
 import numpy as np
 

@@ -30,7 +30,7 @@ from kbnitp_ros.core.decision import hazard_draws
 from kbnitp_ros.core.decision.hazard_draws import highest_confidence, joint_hazards
 from kbnitp_ros.core.decision.told import with_told
 from kbnitp_ros.core.field.unknowns import ALL_KNOWN
-from kbnitp_ros.core.inference import bank
+from kbnitp_ros.core.inference import particles
 from kbnitp_ros.core.mission import decided
 from laws import for_each
 import numpy as np
@@ -156,7 +156,7 @@ def own_type(lethality):
 @for_each('name, factor', product(('malfunction', 'kappa', 'false_positive'), (1.5, 2 / 3)))
 def test_a_retold_bank_has_the_filters_of_the_other_number(monkeypatch, name, factor):
     """Without resampling it is the bank that was told the other number from the start."""
-    monkeypatch.setattr(bank.Filters, '_resample', lambda *_: None)
+    monkeypatch.setattr(particles.Filters, '_resample', lambda *_: None)
     seen = [
         (Observation([0, 1, 2, 1, 0], True, [1, 0, -1, 1]), RobotType()),
         (Observation([0, 5, 6, 5, 0], False), own_type(0.9)),

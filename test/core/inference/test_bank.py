@@ -21,9 +21,8 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.field.unknowns import joint_after_change
-from kbnitp_ros.core.inference import bank
-from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
+from kbnitp_ros.core.inference.particles import COPIES, Filters
 from laws import for_each
 import numpy as np
 import pytest
@@ -238,10 +237,10 @@ def test_large_fields_have_fewer_particles_and_larger_ones_are_refused(
     belief = Belief.prior(Grid(9, 9), 0.3, 0.3, 0.8)
 
     def particles(most):
-        monkeypatch.setattr(bank, 'MAX_MEMORY', most)
+        monkeypatch.setattr('kbnitp_ros.core.inference.particles.MAX_MEMORY', most)
         return len(Filters(belief, SensorModel(0.5), unknowns, 1, Dynamics()).numbers)
 
-    of_each = 32 * belief.cells * bank.COPIES
+    of_each = 32 * belief.cells * COPIES
     assert particles(1 << 40) > particles(of_each * (fewest + 7)) == fewest + 7
     assert particles(of_each * fewest) == fewest
     with pytest.raises(ValueError, match='learning numbers on 81 cells takes about .* GB'):

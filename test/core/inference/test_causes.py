@@ -15,8 +15,8 @@ from kbnitp_ros.core import (
     Unknowns,
     update,
 )
-from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence, hazards_used_up
+from kbnitp_ros.core.inference.particles import Filters
 from laws import for_each
 import numpy as np
 import pytest

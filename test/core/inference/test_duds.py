@@ -28,8 +28,8 @@ from kbnitp_ros.core import (
     World,
 )
 from kbnitp_ros.core.decision.hazard_draws import joint_hazards
-from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
+from kbnitp_ros.core.inference.particles import Filters
 from laws import for_each
 import numpy as np
 import pytest

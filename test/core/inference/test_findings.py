@@ -19,8 +19,8 @@ from kbnitp_ros.core import (
     Unknowns,
     update,
 )
-from kbnitp_ros.core.inference.bank import Filters, log_sum
 from kbnitp_ros.core.inference.filter import Evidence
+from kbnitp_ros.core.inference.particles import Filters, log_sum
 from laws import for_each
 import numpy as np
 import pytest

@@ -23,9 +23,9 @@ from kbnitp_ros.core import (
     Unknowns,
     World,
 )
-from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
 from kbnitp_ros.core.inference.model_check import ModelCheck
+from kbnitp_ros.core.inference.particles import Filters
 from laws import for_each
 import numpy as np
 import pytest

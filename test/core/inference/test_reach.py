@@ -31,8 +31,8 @@ from kbnitp_ros.core import (
     update,
     World,
 )
-from kbnitp_ros.core.inference.bank import Filters
 from kbnitp_ros.core.inference.filter import Evidence
+from kbnitp_ros.core.inference.particles import Filters
 from laws import for_each
 import numpy as np
 import pytest
