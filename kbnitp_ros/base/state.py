@@ -420,6 +420,18 @@ class BaseState(MissionRecord):
         return {key: outcome for key, outcome in found if outcome is not None}
 
     @property
+    def gone_agents(self) -> set[str]:
+        """Return the agents whose last robot is out, or lost as the operator said."""
+        last = (sent[-1] for sent in self._by_agent.values())
+        back = (Verdict.RETURN, Verdict.UNMOVED)
+        verdicts = {key: self.standings.get(key, OPEN).verdict for key in last}
+        return {
+            key.agent
+            for key, verdict in verdicts.items()
+            if key in self.in_flight or (key in self.operator.given_up and verdict not in back)
+        }
+
+    @property
     def still_agents(self) -> list[str]:
         """Return the agents whose last robots came back without a step."""
         still = []

@@ -74,6 +74,9 @@ class Operator:
             agent: node.create_publisher(Path, f'{agent}/proposal', qos.LATCHED)
             for agent in agents
         }
+        # Those of an earlier planner, which was killed, do not wait any more.
+        for publisher in self._proposals.values():
+            publisher.publish(Path(header=header(node.now())))
         self._holds = Repeated(node, Bool, HOLD, qos.LATCHED)
         node.create_service(SetBool, 'pause', self._on_pause)
         node.create_service(SetBool, 'approve', self._on_approve)

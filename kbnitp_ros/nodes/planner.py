@@ -244,16 +244,18 @@ class PlannerNode(FieldNode):
         """Describe the missing subscribers; None once all have subscribed."""
         if self._has_subscribers:
             return None
-        missing = self.missing_listeners(self._dispatch.paths.values())
+        gone = self._state.gone_agents
+        paths = {name: each for name, each in self._dispatch.paths.items() if name not in gone}
+        missing = self.missing_listeners(paths.values())
         # Subscribers alone do not prove that an agent has a node: with changing hazards, nodes of
         # simulated agents subscribe to the paths of all agents.
-        absent = self._peers.absent if 'agent' in self.values['await_nodes'] else []
-        if missing is None and absent:
+        absent = [each for each in self._peers.absent if each not in gone]
+        if missing is None and absent and 'agent' in self.values['await_nodes']:
             missing = f'a node of agent {some(absent)} (parameter await_nodes)'
         if missing is None and 'agent' in self.values['await_nodes']:
             # Otherwise the first robots would leave without the agents whose states come later.
-            states = self._dispatch.states.unstated
-            if unstated := [each for each in states if each not in self._peers.outdated]:
+            states, others = self._dispatch.states.unstated, {*self._peers.outdated, *gone}
+            if unstated := [each for each in states if each not in others]:
                 missing = f'the field of agent {some(unstated)} (parameter await_nodes)'
         self._has_subscribers = missing is None
         return missing

@@ -2,7 +2,7 @@
 """Messages of one deployment may arrive before its path."""
 
 from kbnitp_ros.base.state import BaseState, MissingError
-from kbnitp_ros.core.inference.record import OrderState
+from kbnitp_ros.core.inference.record import OrderState, Standing, Verdict
 from kbnitp_ros.messages.deployments import read_status, status_message
 from kbnitp_ros.messages.headers import from_stamp
 from kbnitp_ros.messages.operator_actions import Action, OperatorAction, OperatorState
@@ -37,6 +37,23 @@ def test_the_path_that_was_recorded_first_replaces_the_own_one():
     assert state.in_flight[key(1)].is_recorded
     # The first one stays.
     assert not state.take_recorded(key(1), 9)
+
+
+def test_agents_of_robots_that_are_out_or_were_given_up_are_gone():
+    state = BaseState(GRID, 6, values=VALUES)
+    back, given_up, lost, out = (key(1, f'scout_{number}') for number in range(1, 5))
+    for deployment in (back, given_up, lost, out):
+        state.take_path(deployment, HOME)
+    action = OperatorAction(1, Action.GIVE_UP, 4, dict.fromkeys((back, given_up), np.array(HOME)))
+    state.take_action(action)
+    verdicts = {back: Verdict.RETURN, given_up: Verdict.LOSS, lost: Verdict.LOSS}
+    for deployment, verdict in verdicts.items():
+        state.stand(deployment, Standing(verdict))
+    assert state.gone_agents == {given_up.agent, out.agent}
+    # Another robot takes its place.
+    state.take_path(key(2, given_up.agent), HOME)
+    state.stand(key(2, given_up.agent), Standing(Verdict.RETURN))
+    assert state.gone_agents == {out.agent}
 
 
 @for_each('author, reason, refusal', [
