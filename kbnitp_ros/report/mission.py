@@ -178,7 +178,8 @@ def read_summary(
 ) -> MissionSummary:
     """Return the mission of a log; `namespace` selects one of several."""
     log = MissionLog(path, namespace)
-    return recorded_mission(log, read_history(log, progress))
+    mission = recorded_mission(log, read_history(log, progress))
+    return replace(mission, notes=[*end_notes(log.path, mission.in_flight), *mission.notes])
 
 
 def recorded_mission(log: MissionLog, history: History) -> MissionSummary:
@@ -187,7 +188,7 @@ def recorded_mission(log: MissionLog, history: History) -> MissionSummary:
     grid = evidence.grid
     if not evidence.paths and evidence.refused:
         raise LogError(f'{path}: nothing to report; refused: {evidence.refused[0]}')
-    keys = evidence.orders
+    keys = [key for key in evidence.orders if key not in evidence.void]
     moments, notes = recorded_moments(log, history, keys)
     in_flight = sum(not evidence.is_at_base(key) for key in evidence.without_report)
     metadata = history.bookmark.metadata
@@ -202,7 +203,7 @@ def recorded_mission(log: MissionLog, history: History) -> MissionSummary:
         world=history.world,
         run=metadata.get(RUN, {}),
         parameters=parameters,
-        notes=[*notes, *log_notes(path, history, in_flight), *filter(None, [unseen, differing])],
+        notes=[*notes, *log_notes(history), *filter(None, [unseen, differing])],
         corrupt=history.corrupt,
         in_flight=in_flight,
         decision=history.decision,
@@ -307,16 +308,20 @@ def moment_after(moments: Sequence[Moment], time: int | None) -> int | None:
     return next((place for place, each in enumerate(moments) if each.time >= time), None)
 
 
-def log_notes(log: str | Path, history: History, in_flight: int) -> Iterator[str]:
-    """Yield remarks on a log."""
-    evidence = history.evidence
-    if history.corrupt:
-        yield f'The log was read up to its first error: {history.corrupt[0]}'
+def end_notes(log: Path, in_flight: int) -> Iterator[str]:
+    """Yield remarks on the end of a log that does not grow any more."""
     if not is_finished(log):
         yield 'The log is unfinished: it was still being written, or its end is missing.'
     if in_flight:
         were = 'was' if in_flight == 1 else 'were'
         yield f'{counted(in_flight, "robot")} {were} in flight when the log ended.'
+
+
+def log_notes(history: History) -> Iterator[str]:
+    """Yield remarks on a log."""
+    evidence = history.evidence
+    if history.corrupt:
+        yield f'The log was read up to its first error: {history.corrupt[0]}'
     if evidence.without_path:
         yield f'No path is on record for {counted(len(evidence.without_path), "deployment")}.'
     for key, why in evidence.held.items():
