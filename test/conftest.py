@@ -46,6 +46,7 @@ def pytest_addoption(parser):
     parser.addoption(
         '--case', help='run this case of laws alone, as its failure names it, or those of a value'
     )
+    parser.addoption('--pictures', help='folder to take pictures of docs/ to')
 
 
 def pytest_configure(config):

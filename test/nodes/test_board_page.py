@@ -22,6 +22,9 @@ COUNTED = """
     AudioContext.prototype.createOscillator = function () { sounds += 1; return make.call(this); };
 """
 
+# The button that gives an order.
+GO = 'document.getElementById("act-go")'
+
 # A click on the middle of a cell of the map.
 AT = """each => {
     const map = maps.get('map'), { box } = map, at = map.place(box.clientWidth, box.clientHeight);
@@ -109,12 +112,16 @@ class Tab:
             field.fill(value)
 
     def foresee(self):
+        self.press('#act button', 'Preview')
+
+    def order(self, title):
+        """Press the button that gives the order, once its preview has come."""
+        self.until(f'title => {GO}.textContent === title && !{GO}.disabled', title)
         self.page.locator('#act-go').click()
 
     def go(self, title):
-        """Give the order of the dialog, once its preview has come."""
-        self.until('title => document.getElementById("act-go").textContent === title', title)
-        self.foresee()
+        """Give the order of the dialog."""
+        self.order(title)
         self.until('!document.getElementById("act").open')
 
     def annotate(self, button, says, effect='', **values):
@@ -243,7 +250,7 @@ def test_each_button_of_the_planner_orders_what_it_says(field, browser):
         one.until_says('#act-confirm', 'type the name of the mission, log,')
         typed = one.page.locator('#act-confirm input')
         typed.fill('other')
-        one.foresee()
+        one.order('End the mission')
         one.until_says('#act-said', 'it must be the name of the mission')
         typed.fill('log')
         one.go('End the mission')
@@ -294,7 +301,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         one.foresee()
         one.until_says('#act-effect', 'robots lost: 1 → 1')
         one.go('Say of a robot')
-        other.until_says('#statements', 'scout_1: located of 1 cell')
+        other.until_says('#statements', 'no. 1 of scout_1: lost in step 2, by a hazard')
         other.until('maps.get("map").box.data.some(({ name, x }) => name === "wreck" && x.length)')
         # A rectangle of cells by a drag.
         one.press('#unmark')
@@ -308,7 +315,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         one.fill('walked', '0.8')
         one.foresee()
         # The name is asked for once; other evidence arrives before the order.
-        one.until('document.getElementById("act-go").textContent === "Say it was walked"')
+        one.until(f'!{GO}.disabled')
         # It moves the map down.
         other.until_says('#needs', 'preview of add finding')
         other.mark(23)
@@ -317,7 +324,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         other.foresee()
         other.go('Say there is a target')
         one.until('board.said.length === 2')
-        one.foresee()
+        one.order('Say it was walked')
         one.until_says(
             '#act-said', 'The evidence has changed since the preview. Nothing was ordered'
         )
@@ -328,9 +335,9 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
         one.press('#say-cleared')
         one.until_says('#act-confirm', 'type the number of cells, 4,')
         one.page.locator('#act-confirm input').fill('3')
-        one.foresee()
+        one.order('Say a hazard was cleared')
         one.until_says('#act-said', 'it must be the number of cells, 4')
-        one.until('document.getElementById("act-go").textContent === "Say a hazard was cleared"')
+        one.until(f'!{GO}.disabled')
         one.page.locator('#act-confirm input').fill('4')
         one.go('Say a hazard was cleared')
         one.until('board.said.length === 4')

@@ -79,17 +79,20 @@ class Day:
             battery.publish(BatteryState(percentage=self.charge[agent]))
 
     def start_base(self):
+        for name in NODES:
+            self.start_node(name, file=str(self.log))
+
+    def start_node(self, name, **own):
+        """Start a node of the base."""
         parameters = {
             **FIELD, 'agents': list(AGENTS), 'robots': 20, 'recorded': True, 'approval': True,
             'goal.kind': 'lane', 'goal.cells': [87], 'stop.confidence': 0.0,
             'separation': 0.4, 'rolling': True, 'min_battery': 0.3, 'max_steps': 20,
             'silent_loss': True, 'return_deadline': 1000.0, 'step_period': 1.0,
             'prior.hazard': 0.1, 'sensor.malfunction': 0.01, 'learn.numbers': ['lethality'],
-            'file': str(self.log),
+            'await_nodes': awaited_nodes(name, is_recorded=True), **own,
         }  # fmt: skip
-        for name in NODES:
-            awaited = {'await_nodes': awaited_nodes(name, is_recorded=True)}
-            self.field.start(name, {**parameters, **awaited}, MISSION)
+        self.field.start(name, parameters, MISSION)
 
     def start_robot(self, agent, **own):
         self.fleet.start(
@@ -148,7 +151,7 @@ class Day:
                 self.field.until(is_sent_or_replaced, f'robot of {agent}')
         return [self.sent(agent)[-1] for agent in agents]
 
-    def until_out(self, agent):
+    def until_away(self, agent):
         """Wait until a robot has left the cell of its base."""
         since = len(self.fleet.truth()[agent])
         self.field.until(lambda: {*self.fleet.walked(agent, since)} - {0}, f'{agent} out')
@@ -192,7 +195,7 @@ def test_a_day_in_the_field(field):
     see_that_preflight_becomes_green(day)
     # A robot whose battery is flat stops in the field, and another one takes its place.
     (first, _), *_ = day.send(*AGENTS)
-    day.until_out('scout_1')
+    day.until_away('scout_1')
     day.lose('scout_1')
     day.until_judged(first, Verdict.LOSS)
     day.annotate(first, Annotation.NO_HAZARD, steps=[1], author='Ann', note='battery flat')
@@ -207,7 +210,7 @@ def test_a_day_in_the_field(field):
     foreseen = day.say('add_finding', finding=walked).effect
     assert foreseen.p_free[1] > foreseen.p_free[0]
     (wrecked, path), (other, _) = day.send('scout_2', 'scout_3')
-    day.until_out('scout_2')
+    day.until_away('scout_2')
     day.lose('scout_2')
     day.until_judged(wrecked, Verdict.LOSS)
     wreck = int(path[4])

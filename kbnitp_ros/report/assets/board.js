@@ -17,6 +17,12 @@ const KINDS = {
 };
 const [LOCATED, NO_HAZARD, RECOVERED] = [1, 2, 3];
 
+// What waits for the operator, where its buttons say the rest.
+const WAITS = { PAUSED: 'departures are on hold', GOAL_LOST: 'the goal was reached, and no longer holds: no robot leaves' };
+
+// Why the planner keeps a robot at its base.
+const KEPT = { BATTERY: 'kept until its battery suffices', READY: 'kept until its agent says that it is ready', SEPARATION: 'kept until the others have gone' };
+
 // The board as it was sent last, and the cells that are marked.
 let board = null;
 const markedCells = new Set();
@@ -35,6 +41,9 @@ const own = new Set();
 const put = new Map();
 
 const share = (number) => (number === null ? 'unknown' : number.toFixed(3).replace(/^0/, ''));
+// Deployments by their numbers: 'scout_1 at 1795957717.760562219' is 'no. 3 of scout_1'.
+const numbered = (text) => text.replace(/([^\s;,:]+) at ([0-9]+)[.]([0-9]{9})/g, (all, agent, sec, nanosec) => (
+  deploymentsKnown().find((each) => each.agent === agent && sameDeployment(each.deployment, { sec: Number(sec), nanosec: Number(nanosec) }))?.name ?? all));
 const words = (name) => name.toLowerCase().replaceAll('_', ' ');
 const clockTime = (seconds) => new Date(1000 * seconds - ahead).toTimeString().slice(0, 8);
 const counted = (number, name) => `${number} ${name}${number === 1 ? '' : 's'}`;
@@ -108,7 +117,7 @@ function needRow(need) {
       orderButton('approve', 'approve', () => proposePlans('approve')), orderButton('refuse', 'refuse', () => proposePlans('refuse')),
     );
   }
-  if (what === 'held') return say(`${agent} is held: ${need.why}`, orderButton('decide', key, () => proposeAnnotation({ agent, deployment }, NO_HAZARD)));
+  if (what === 'held') return say(`${agent} is held: ${numbered(need.why)}`, orderButton('decide', key, () => proposeAnnotation({ agent, deployment }, NO_HAZARD)));
   if (what === 'overdue') {
     return say(
       [`${agent} is `, running('due in', 'until', need.due)], orderButton('lost', `lost ${key}`, () => proposeLoss(agent)),
@@ -117,9 +126,9 @@ function needRow(need) {
   }
   if (what === 'mission') {
     const resume = board.mission.hold ? [orderButton('resume', `resume ${key}`, proposeResume)] : [];
-    return say(need.why || words(need.obstacle), ...resume, orderButton('end', `end ${key}`, proposeEnd));
+    return say(WAITS[need.obstacle] ?? numbered(need.why), ...resume, orderButton('end', `end ${key}`, proposeEnd));
   }
-  return say(`${need.stale ? 'stale preview' : 'preview'} of ${words(need.order)}: ${need.message}`);
+  return say(`${need.stale ? 'stale preview' : 'preview'} of ${words(need.order)}: ${numbered(need.message)}`);
 }
 
 function robotRow(robot) {
@@ -127,9 +136,9 @@ function robotRow(robot) {
   const said = element('p', [element('strong', name), ' ']);
   if (out) said.append(...(robot.out_since === null ? [robot.taken_back ? 'has an order that is taken back' : 'has an order'] : [running('out', 'since', robot.out_since), ', ', running('due in', 'until', robot.due)]));
   else {
-    const why = robot.waits_for && robot.waits_for !== 'NONE' ? ` for ${words(robot.waits_for)}` : '';
-    said.append(robot.state === null ? 'was never heard' : `${words(robot.state)}${why}`);
+    said.append(robot.state === null ? 'was never heard' : robot.state === 'OUT' ? 'not back' : words(robot.state));
     if (robot.since !== null) said.append(' ', running('for', 'since', robot.since));
+    if (robot.waits_for && robot.at_base) said.append(`, ${KEPT[robot.waits_for]}`);
   }
   const more = [
     robot.reason, robot.at_base === false && !out && 'away from its base', robot.battery !== null && `battery ${Math.round(100 * robot.battery)} %`,
@@ -146,23 +155,34 @@ function robotRow(robot) {
   return element('li', [said, element('p', buttons.flatMap((each) => [each, ' ']))], { className: robot.overdue ? 'overdue' : '' });
 }
 
+// A statement of a deployment in words, by its kind.
+const ANNOTATED = {
+  LOCATED: ({ steps, by_hazard }) => `lost ${steps.length ? `in ${stepsInWords(steps)}` : 'anywhere'}${by_hazard === null ? '' : by_hazard ? ', by a hazard' : ', not by a hazard'}`,
+  NO_HAZARD: ({ steps }) => `no hazard, survived ${counted(steps[0] ?? 0, 'step')}`,
+  RECOVERED: ({ steps }) => `carried home, entered ${stepsInWords(steps)}`,
+  WITHDRAW: () => 'says nothing', BEFORE: () => 'lost before the change', AFTER: () => 'lost after the change',
+};
+const stepsInWords = (steps) => `step${steps.length === 1 ? '' : 's'} ${steps.join(', ')}`;
+const deploymentNamed = (given) => deploymentsKnown(given).find((each) => each.agent === given.agent && sameDeployment(each.deployment, given.deployment)).name;
+
 // A statement in words.
 function statement(said) {
   const cells = said.cells.length ? ` of ${counted(said.cells.length, 'cell')}` : '';
   if (said.kind === 'no_go') return `no-go${cells}`;
   if (said.kind === 'lift') return `open again${cells}`;
   if (said.kind === 'revocation') return 'takes a statement back';
-  if (said.kind === 'annotation') return `${said.agent}: ${words(said.says)}${cells}`;
+  if (said.kind === 'annotation') return `${deploymentNamed(said)}: ${ANNOTATED[said.says](said)}`;
   const parts = [
     said.walked && `walked (${share(said.walked)})`, said.hazard !== null && (said.hazard ? 'a hazard' : 'no hazard'),
     said.target !== null && (said.target ? 'a target' : 'no target'),
   ].filter(Boolean);
-  return `${parts.join(', ')}${said.changed ? `, changed at ${clockTime(said.since)}` : ''}${cells}, confidence ${share(said.confidence)}`;
+  const confidence = said.hazard === null && said.target === null ? '' : `, confidence ${share(said.confidence)}`;
+  return `${parts.join(', ')}${said.changed ? `, changed at ${clockTime(said.since)}` : ''}${cells}${confidence}`;
 }
 
 // What a statement changed, if this board sent it.
 function effectInWords({ p_free: free, hazards }) {
-  const [name, [before, after], shown] = free[0] === null ? ['expected hazards', hazards, (each) => each.toFixed(1)] : [board.goal?.kind ?? 'free', free, share];
+  const [name, [before, after], shown] = free[0] === null ? ['expected hazards', hazards, (each) => each.toFixed(1)] : [`${board.goal?.kind ?? 'goal'} free`, free, share];
   return `, ${name} ${shown(before)} → ${shown(after)}`;
 }
 
@@ -193,7 +213,7 @@ function parameterRow([name, value]) {
 function goalInWords({ kind: what, p_free, confidence, reached, trusted }) {
   const names = trusted.map((each) => words(each.name));
   const wanted = confidence ? ` of ${share(confidence)}` : '';
-  return `${what} ${share(p_free)}${wanted}${reached ? ', reached' : ''}${names.length ? `, trusts ${names.join(', ')}` : ''}`;
+  return `${what} free with ${share(p_free)}${wanted}${reached ? ', reached' : ''}${names.length ? `, trusts ${names.join(', ')}` : ''}`;
 }
 
 // The checks of the robots before the first departure: a heading with their number, and those that are red.
@@ -205,13 +225,14 @@ function drawPreflight(checks) {
 }
 
 function drawBoard() {
-  const { mission: { state, sent, out, lost, held, hold, age, name, reason }, goal, open } = board;
+  const { mission: { state, sent, out, lost, held, hold, age, name, ends_by, reason }, goal, open } = board;
   page('state').textContent = state.replaceAll('_', ' ');
   page('counts').textContent = `${sent} sent, ${out} out, ${lost} lost${held ? `, ${held} held` : ''}`;
   page('goal').textContent = goal ? goalInWords(goal) : '';
   page('heard').textContent = age ? `planner silent for ${span(age)}` : 'live';
   page('heard').className = age ? 'alarm' : '';
-  page('reason').textContent = reason;
+  // Whatever the operator ends is below.
+  page('reason').textContent = ends_by === 'OPERATOR' ? '' : numbered(reason);
   const others = open.act + open.look - 1;
   page('open').textContent = others > 0 ? `${counted(others, 'other page')} open` : '';
   renewPart('hold', hold, () => [hold ? orderButton('Resume', 'hold', proposeResume) : orderButton('HOLD: robots out are not stopped', 'hold', stopAll)]);
@@ -318,7 +339,7 @@ function anew() {
   page('act-effect').replaceChildren();
   page('act-confirm').hidden = true;
   page('act-confirm').querySelector('input').required = false;
-  page('act-go').textContent = 'Preview';
+  Object.assign(page('act-go'), { textContent: act.title, disabled: true });
   say('');
 }
 
@@ -363,7 +384,7 @@ function showPreview(preview) {
   Object.assign(typed, { required: asked !== undefined, value: '' });
   const name = typeof asked === 'number' ? 'number of cells' : 'name of the mission';
   page('act-confirm').querySelector('span').textContent = `type the ${name}, ${asked}, to go on`;
-  page('act-go').textContent = act.title;
+  page('act-go').disabled = false;
   (asked === undefined ? page('act-go') : typed).focus();
 }
 
@@ -371,10 +392,11 @@ function effectLines({ message, effect, agents }) {
   const change = (name, [before, after], digits) => (before === null ? [] : [`${name}: ${digits(before)} → ${digits(after)}`]);
   const plain = (each) => String(Number(each.toFixed(2)));
   const named = (name, list) => (list.length ? [`${name}: ${list.join(', ')}`] : []);
-  return [message, ...(effect ? [
+  return [...(effect ? [
     ...change('the goal is free of hazards with', effect.p_free, share), ...change('hazards expected', effect.hazards, plain), ...change('robots lost', effect.lost, plain),
-    ...named('would be held', effect.held), ...named('out since before the change', effect.out), `takes ${effect.seconds.toFixed(1)} s`,
-  ] : []), ...named('out, and not called back', agents ?? outNow())];
+    ...named('would be held', effect.held.map(numbered)), ...named('out since before the change', effect.out.map(numbered)),
+    ...(effect.seconds < 1 ? [] : [`takes ${effect.seconds.toFixed(0)} s`]),
+  ] : [numbered(message)]), ...named('out, and not called back', agents ?? outNow())];
 }
 
 const outNow = () => board.robots.filter((each) => each.out).map((each) => each.name);
@@ -385,21 +407,23 @@ async function give() {
   const mine = act;
   const { given, effect, lines } = mine.preview;
   if (mine.lines && JSON.stringify(mine.lines()) !== JSON.stringify(lines)) {
+    anew();
     foresee();
-    say('This has changed since: look again. Nothing was ordered.');
+    if (mine.preview) say('This has changed since: look again. Nothing was ordered.');
     return;
   }
   const asked = mine.confirm?.(mine.preview);
   const typed = page('act-confirm').querySelector('input').value;
   const confirm = asked === undefined ? {} : { confirm: typeof asked === 'number' ? Number(typed) : typed };
   page('act-go').disabled = true;
+  say('');
   const evidence = effect ? { epoch: effect.epoch, events: effect.events } : {};
   const answer = await send({ order: mine.order, arguments: { ...given, ...evidence }, ...confirm }, () => say('No answer so far: asking again.'), () => act === mine);
   page('act-go').disabled = false;
   if (!answer || act !== mine) return;
   if (answer.success) {
     page('act').close();
-    page('done').textContent = `${mine.title}: ${answer.message || 'done'}`;
+    page('done').textContent = `${mine.title}: ${numbered(answer.message) || 'done'}`;
     return;
   }
   if (!effect) {
@@ -446,7 +470,11 @@ function proposeResume() {
 
 function proposePlans(name) {
   propose({
-    title: name === 'approve' ? 'Approve' : 'Refuse', order: name, arguments: () => ({}),
+    title: name === 'approve' ? 'Approve' : 'Refuse', order: name,
+    arguments: () => {
+      if (!proposals().length) throw new Error('Nothing waits for approval any more.');
+      return {};
+    },
     lines: () => proposals().map((each) => `${each.agent}: ${counted(each.cells.length - 1, 'step')}, returns with ${share(each.returns)}`),
     warning: name === 'approve' ? 'All robots of the round leave. They cannot be called back.' : 'Another round is proposed.',
   });
@@ -455,7 +483,7 @@ function proposePlans(name) {
 function proposeLoss(agent) {
   propose({
     title: `Give ${agent} up`, order: 'give_up', fields: [number('steps that it is known to have survived', 'steps_survived', 0, { min: 0, step: 1 })],
-    arguments: ({ steps_survived }) => ({ agent, steps_survived }), lines: () => [`${agent} counts as lost`, outLine()],
+    arguments: ({ steps_survived }) => ({ agent, steps_survived }), lines: () => [`${agent} counts as lost`],
     warning: 'This cannot be taken back: only a return of the robot replaces the loss.',
   });
 }
@@ -676,6 +704,8 @@ page('act-cancel').addEventListener('click', () => page('act').close());
 page('act').addEventListener('close', () => { act = null; });
 page('act-form').addEventListener('submit', (event) => {
   event.preventDefault();
-  if (act.preview) give();
+  // Enter in the field of the confirmation submits by the first button.
+  const isConfirmed = page('act-confirm').contains(document.activeElement);
+  if (act.preview && (event.submitter === page('act-go') || isConfirmed)) give();
   else foresee();
 });
