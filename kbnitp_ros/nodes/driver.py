@@ -124,23 +124,23 @@ def describe_error(result: Any) -> str:
     return ', '.join(filter(None, [code if result.error_code else '', message]))
 
 
-def goal_along(
-    action: Any, points: NDArray[np.float64], stamp: int, yaws: Sequence[float] = ()
-) -> Any:
+# Nav2 would place a goal by the transform at its stamp, and not see later corrections of the map.
+NO_STAMP = 0
+
+
+def goal_along(action: Any, points: NDArray[np.float64], yaws: Sequence[float] = ()) -> Any:
     """Return the goal along points (n, 2), the robot's first; `yaws`: that of the last, if any."""
     if action is not FollowPath:
-        return action.Goal(poses=poses_along(points, stamp, yaws)[1:])
+        return action.Goal(poses=poses_along(points, yaws)[1:])
     stretches = [
         np.linspace(start, end, max(1, ceil(hypot(*(end - start)) / SPACING)), endpoint=False)
         for start, end in pairwise(points)
     ]
     dense = np.concatenate([*stretches, points[-1:]])
-    return action.Goal(path=Path(header=header(stamp), poses=poses_along(dense, stamp, yaws)))
+    return action.Goal(path=Path(header=header(NO_STAMP), poses=poses_along(dense, yaws)))
 
 
-def poses_along(
-    points: NDArray[np.float64], stamp: int, yaws: Sequence[float] = ()
-) -> list[PoseStamped]:
+def poses_along(points: NDArray[np.float64], yaws: Sequence[float] = ()) -> list[PoseStamped]:
     """Return a pose at each point, heading from the point before it; `yaws`: the last one's."""
     moves = np.diff(points, axis=0)
     directions = np.arctan2(moves[:, 1], moves[:, 0]).tolist()
@@ -148,7 +148,7 @@ def poses_along(
         directions[-1:] = yaws
     return [
         PoseStamped(
-            header=header(stamp),
+            header=header(NO_STAMP),
             pose=Pose(
                 position=Point(x=x, y=y),
                 orientation=Quaternion(**vars(orientation_fields(yaw))),
@@ -158,10 +158,13 @@ def poses_along(
     ]
 
 
-# Parameters of Nav2 with its maximum speed, in m/s, by node.
-SPEEDS = {
+# Parameters of Nav2 with the distance from a goal at which it counts as reached, in metres.
+TOLERANCES = ('goal_checker.xy_goal_tolerance', 'general_goal_checker.xy_goal_tolerance')
+
+# Parameters of Nav2 with its maximum speed, in m/s, and those, by node.
+LIMITS = {
     'controller_server': (
-        'FollowPath.desired_linear_vel', 'FollowPath.max_vel_x', 'FollowPath.vx_max',
+        'FollowPath.desired_linear_vel', 'FollowPath.max_vel_x', 'FollowPath.vx_max', *TOLERANCES,
     ),
     'velocity_smoother': ('max_velocity',),
 }  # fmt: skip
@@ -200,15 +203,16 @@ class Driver:
         self._states = node.create_client(GetState, f'{self._server}/get_state')
         self._state: State | None = None
         self._asked_at = 0.0
-        # The largest speed that a node of Nav2 has as a parameter, in m/s; 0 while it is unknown.
-        self.max_speed = 0.0
+        # The largest speed and goal tolerance that nodes of Nav2 have as parameters, in m/s and m;
+        # 0 while it is unknown.
+        self.max_speed = self.goal_tolerance = 0.0
         nodes = self.name.rpartition('/')[0]
-        self._speeds = {
+        self._limits = {
             node.create_client(GetParameters, f'{nodes}/{each}/get_parameters'): names
-            for each, names in SPEEDS.items()
+            for each, names in LIMITS.items()
         }
-        # Unanswered requests for a speed, with their times.
-        self._speed_requests: dict[Future, float] = {}
+        # Unanswered requests for a limit, with their times.
+        self._limit_requests: dict[Future, float] = {}
         # Whether the server accepted the last goal that probed it; None before its answer.
         self._takes_goals: bool | None = None
         self._tried_at = 0.0
@@ -224,13 +228,13 @@ class Driver:
             return ''
         return f'the action server {self.name} (parameters driver and nav_namespace)'
 
-    def not_ready(self, place: tuple[float, float], stamp: int) -> str:
+    def not_ready(self, place: tuple[float, float]) -> str:
         """Describe the condition of Nav2 that blocks the first goal; empty if there is none."""
         # An action server of Nav2 exists before it is active, and rejects goals until then.
         if awaited := self.awaited:
             return awaited
-        if any(time.monotonic() < asked + PERIOD for asked in self._speed_requests.values()):
-            return 'Nav2 to state its maximum speed'
+        if any(time.monotonic() < asked + PERIOD for asked in self._limit_requests.values()):
+            return 'Nav2 to state its maximum speed and goal tolerance'
         if self._states.service_is_ready():
             return self._not_active()
         # A server without a lifecycle is probed by a goal at the robot's own place.
@@ -239,7 +243,7 @@ class Driver:
             return ''
         if time.monotonic() > self._tried_at + PERIOD:
             self._tried_at = time.monotonic()
-            goal = self._goal_along(np.array([place, place]), stamp)
+            goal = self._goal_along(np.array([place, place]))
             self._client.send_goal_async(goal).add_done_callback(
                 self._node.guarded(self._on_tried)
             )
@@ -255,20 +259,23 @@ class Driver:
         is_inactive = self._states.service_is_ready() and bool(self._not_active())
         return is_inactive and self._state is not None
 
-    def _ask_speed(self) -> None:
-        """Ask the nodes of Nav2 for their maximum speed; each is asked once, name by name."""
-        for client in [each for each in self._speeds if each.service_is_ready()]:
+    def _ask_limits(self) -> None:
+        """Ask the nodes of Nav2 for their limits; each is asked once, name by name."""
+        for client in [each for each in self._limits if each.service_is_ready()]:
             # Nav2 answers nothing if it lacks one of the names.
-            for name in self._speeds.pop(client):
+            for name in self._limits.pop(client):
                 request = client.call_async(GetParameters.Request(names=[name]))
-                self._speed_requests[request] = time.monotonic()
-                request.add_done_callback(self._node.guarded(self._on_speed))
+                self._limit_requests[request] = time.monotonic()
+                request.add_done_callback(self._node.guarded(partial(self._on_limit, name)))
 
-    def _on_speed(self, answer: Future) -> None:
-        self._speed_requests.pop(answer, None)
+    def _on_limit(self, name: str, answer: Future) -> None:
+        self._limit_requests.pop(answer, None)
         for value in answer.result().values:
-            speeds = [value.double_value, *value.double_array_value[:1]]
-            self.max_speed = max(self.max_speed, *speeds)
+            limits = [value.double_value, *value.double_array_value[:1]]
+            if name in TOLERANCES:
+                self.goal_tolerance = max(self.goal_tolerance, *limits)
+            else:
+                self.max_speed = max(self.max_speed, *limits)
 
     def _not_active(self) -> str:
         """Describe the lifecycle state of the action server's node; empty if it is active."""
@@ -295,7 +302,7 @@ class Driver:
         if handle.accepted:
             handle.cancel_goal_async()
 
-    def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
+    def drive(self, start: tuple[float, float], leg: Sequence[int]) -> None:
         """Send the robot from its position x, y along a leg that starts in its cell."""
         points = np.concatenate([[start], self._grid.centers(leg[1:] or leg)])
         yaws: Sequence[float] = ()
@@ -305,7 +312,7 @@ class Driver:
         number = self._number
         self.is_busy, self.failure, self.was_cancelled, self._handle = True, '', False, None
         self._fed_back_at = time.monotonic()
-        goal = self._goal_along(points, stamp, yaws)
+        goal = self._goal_along(points, yaws)
 
         def on_feedback(_: object) -> None:
             if number == self._number:
@@ -316,7 +323,7 @@ class Driver:
 
     def look(self) -> None:
         """End the drive if the action server is gone or silent; to be called repeatedly."""
-        self._ask_speed()
+        self._ask_limits()
         if not self.is_busy:
             return
         if not self._client.server_is_ready():

@@ -457,6 +457,12 @@ class RobotNode(FieldNode):
             return
         self._logged = speed, has_odometry
         log, cell = self.get_logger(), self.grid.resolution
+        wanted = min(self.values['arrival_tolerance'], cell / 2)
+        if (tolerance := self._driver.goal_tolerance) > wanted + NEGLIGIBLE:
+            log.warning(
+                f'xy_goal_tolerance of Nav2 is {tolerance:g} m: set it to at most {wanted:g} m '
+                '(half a cell and arrival_tolerance), or goals end where the robot has not arrived'
+            )
         if not speed:
             speed = USUAL_SPEED * cell
             log.warning(
@@ -507,7 +513,7 @@ class RobotNode(FieldNode):
         if awaited := self._why_away():
             return awaited
         assert self._place is not None
-        return self._driver.not_ready((self._place.x, self._place.y), self.now())
+        return self._driver.not_ready((self._place.x, self._place.y))
 
     def _go_on(self, trip: Trip) -> str:
         """Take the next action of the deployment; return the robot's state."""

@@ -43,7 +43,7 @@ class Drive(Protocol):
     def awaited(self) -> str:
         """Describe the missing action server; empty if it is there."""
 
-    def drive(self, start: tuple[float, float], leg: Sequence[int], stamp: int) -> None:
+    def drive(self, start: tuple[float, float], leg: Sequence[int]) -> None:
         """Send the robot from its position along a leg."""
 
     def cancel(self) -> None:
@@ -211,7 +211,7 @@ class Trip:
         if awaited := self._driver.awaited:
             return waiting_for(awaited)
         start = place.x, place.y
-        self._driver.drive(start, itinerary.next_leg(self.deployment.cells), now)
+        self._driver.drive(start, itinerary.next_leg(self.deployment.cells))
         self._is_driving = self.has_driven = True
         return f'driving {goal}'
 
@@ -259,14 +259,17 @@ class Trip:
             cell = self._walk.cell_at(place.x, place.y)
         except ValueError as error:
             raise ValueError(f'{name} reports that the goal is reached, but {error}') from error
-        is_there = cell == itinerary.destination
-        if itinerary.heads_home:
-            is_there &= self._is_at_base(place)
-        if not is_there:
+        if cell != itinerary.destination:
             raise ValueError(
                 f'{name} reports cell {itinerary.destination} as reached, but the robot is in '
-                f'cell {cell}, at ({place.x:.2f}, {place.y:.2f}): set the goal tolerance of Nav2 '
-                'below half the side of a cell, and at most to the parameter arrival_tolerance'
+                f'cell {cell}, at ({place.x:.2f}, {place.y:.2f}): set xy_goal_tolerance of Nav2 '
+                'below half the side of a cell'
+            )
+        if itinerary.heads_home and not self._is_at_base(place):
+            raise ValueError(
+                f'{name} reports home as reached, but the robot is '
+                f'{distance_home(self._home, place):.2f} m away from it: set xy_goal_tolerance of '
+                'Nav2 at most to the parameter arrival_tolerance'
             )
         self._enter(self._walk.settle(place.x, place.y), now)
 

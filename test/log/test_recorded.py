@@ -2,9 +2,10 @@
 """
 Recorded logs that every later version must replay.
 
-`recorded_logs.py` made them, and test_day.py the log of `day`. A change to the results of a method
-needs a new version of it; the kbnitp_ros that has the earlier one is named. `recorded_by_1_9.npz`
-has the evidence of the logs that 1.9 could read, with the joint after it.
+`recorded_logs.py` made them, test_day.py the log of `day`, and two robots that Nav2 drove that of
+`nav2` (docs/field.md). A change to the results of a method needs a new version of it; the
+kbnitp_ros that has the earlier one is named. `recorded_by_1_9.npz` has the evidence of the logs
+that 1.9 could read, with the joint after it.
 """
 
 from collections import Counter
@@ -42,7 +43,8 @@ import pytest
 from recorded_logs import KINDS
 
 RECORDED = Path(__file__).with_name('recorded')
-NAMES = sorted({path.name.partition('.')[0] for path in RECORDED.glob('*.mcap.gz')} - {'day'})
+REAL = {'day', 'nav2'}
+NAMES = sorted({path.name.partition('.')[0] for path in RECORDED.glob('*.mcap.gz')} - REAL)
 # Instructions that numpy uses beyond the baseline.
 EXTENSIONS = np.show_config(mode='dicts')['SIMD Extensions'].get('found')
 
@@ -159,6 +161,24 @@ def test_a_day_in_the_field_is_reproduced_with_all_that_people_said(tmp_path):
     verdicts = Counter(each.verdict for each in report.evidence.standings.values())
     assert verdicts == {Verdict.RETURN: 5, Verdict.LOSS: 2, Verdict.WITHDRAWN: 1}
     assert report.compared['/mission/decision'] > 8
+
+
+def test_a_mission_with_nav2_is_reproduced(tmp_path):
+    """One of two robots was lost and replaced, and the others kept to their paths."""
+    path = log('nav2', tmp_path)
+    report = replay(path, asked=asked_on_record(MissionLog(path)))
+    assert report.grade != Grade.DIFFERENT, report.mismatches
+    assert report.not_compared == report.repeated == report.evidence.refused == []
+    assert report.passed_over == report.not_yet_held == []
+    verdicts = Counter(each.verdict for each in report.evidence.standings.values())
+    assert verdicts == {Verdict.RETURN: 3, Verdict.LOSS: 1}
+    history = read_history(path)
+    resumed = read_resumed(MissionLog(path), history.evidence.grid, 24)
+    for key, observation in zip(resumed.orders, history.observations, strict=True):
+        assert observation.path.tolist() == resumed.paths[key].tolist()
+        # They vouch for all their steps.
+        assert observation.entered is None
+    assert history.decision.p_free > 0.95
 
 
 @for_each('name', NAMES)

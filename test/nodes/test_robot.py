@@ -24,6 +24,8 @@ from launches import interrupt, launched, node_pids
 from nav_msgs.msg import Path
 import numpy as np
 import pytest
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import NavSatFix, NavSatStatus
 from std_msgs.msg import Bool
 
@@ -271,6 +273,38 @@ def test_a_robot_goes_home_while_its_time_budget_lasts_for_the_way_back(field):
     fleet.see_that_it_is_true(report)
     assert is_out_and_back(report)
     assert '(parameter time_budget) is needed for the way back' in field.said('/scout_1/robot')
+
+
+def test_a_robot_asks_nav2_for_its_speed_and_warns_of_its_goal_tolerance(field):
+    limits = {'FollowPath.desired_linear_vel': 0.8, 'general_goal_checker.xy_goal_tolerance': 0.45}
+
+    def tell(request, response):
+        # Nav2 answers nothing if it lacks one of the names.
+        if limits.keys() >= {*request.names}:
+            response.values = [
+                ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=limits[name])
+                for name in request.names
+            ]
+        return response
+
+    field.node.create_service(GetParameters, '/scout_1/controller_server/get_parameters', tell)
+    fleet, reports = Fleet.simulated(field)
+    fleet.start(arrival_tolerance=0.4)
+    fleet.wait_for_report(reports, fleet.send(1, [0, 1, 0]))
+    said = field.said('/scout_1/robot')
+    assert 'at 0.8 m/s the robot vouches for its steps' in said
+    assert 'xy_goal_tolerance of Nav2 is 0.45 m: set it to at most 0.4 m' in said
+
+
+def test_a_robot_that_nav2_leaves_beside_its_home_is_not_home(field):
+    fleet, reports = Fleet.simulated(field)
+    # Nav2 ends goals farther away.
+    fleet.start(arrival_tolerance=0.1)
+    fleet.send(1, [0, 1, 0])
+    said = 'reports home as reached, but the robot is 0.1'
+    field.until(lambda: said in field.said('/scout_1/robot'), said)
+    field.until(lambda: 'driving home' in fleet.state(), 'another try')
+    assert not reports
 
 
 DRIVERS = ['follow_waypoints', 'navigate_through_poses', 'follow_path']

@@ -3,6 +3,7 @@
 
 from collections import deque
 from contextlib import closing
+from math import cos, sin
 import os
 from pathlib import Path
 import resource
@@ -18,7 +19,7 @@ from kbnitp_msgs.msg import AgentStatus, BeliefMaps
 from kbnitp_ros.core import Grid
 from kbnitp_ros.messages.deployments import path_message
 from kbnitp_ros.messages.headers import from_stamp, to_stamp
-from kbnitp_ros.nodes.driver import detection_class, read_detection
+from kbnitp_ros.nodes.driver import detection_class, DRIVERS, goal_along, read_detection
 from kbnitp_ros.nodes.runtime import qos
 from kbnitp_ros.robot.journal import Journal, JournaledDeployment, Step
 from laws import for_each
@@ -349,6 +350,21 @@ def array(*objects, sec=0):
     )
     message.header.stamp.sec = sec
     return message
+
+
+@for_each('name', DRIVERS)
+def test_goals_have_no_stamp_so_that_nav2_follows_corrections_of_the_map(name):
+    """Nav2's controller places a goal with a stamp by the transform of that time."""
+    action, _ = DRIVERS[name]
+    goal = goal_along(action, np.array([[0.4, 0.5], [1.5, 0.5], [2.5, 1.5]]), [1.0])
+    is_path = name == 'follow_path'
+    poses = goal.path.poses if is_path else goal.poses
+    headers = [each.header for each in [*poses, *([goal.path] if is_path else [])]]
+    assert {from_stamp(header.stamp) for header in headers} == {0}
+    assert {header.frame_id for header in headers} == {'map'}
+    last = poses[-1].pose
+    assert (last.position.x, last.position.y) == (2.5, 1.5)
+    assert (last.orientation.z, last.orientation.w) == pytest.approx((sin(0.5), cos(0.5)))
 
 
 @for_each('wanted, objects, seen', [

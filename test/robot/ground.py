@@ -96,7 +96,7 @@ class Nav2:
         # Points of another client.
         self.others: list[complex] = []
 
-    def drive(self, start: tuple[float, float], leg: Any, stamp: int) -> None:
+    def drive(self, start: tuple[float, float], leg: Any) -> None:
         row, col = np.divmod(np.asarray(leg[1:] or leg), self._robot.grid.width)
         self.points = [complex(x, y) for x, y in zip(col + 0.5, row + 0.5)]
         self.is_busy, self.failure, self.was_cancelled = True, '', False
