@@ -8,15 +8,17 @@ kbnitp_ros that has the earlier one is named. `recorded_by_1_9.npz` has the evid
 that 1.9 could read, with the joint after it.
 """
 
-from collections import Counter
+from collections import ChainMap, Counter
 import gzip
 import json
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
 from kbnitp_ros.cli.parameters import asked_on_record
+from kbnitp_ros.configuration.given import check_sections, values_for
 from kbnitp_ros.core import (
     Belief,
     Beta,
@@ -33,6 +35,7 @@ from kbnitp_ros.core import (
     Verdict,
 )
 from kbnitp_ros.log.history import read_history
+from kbnitp_ros.log.read import read_parameters
 from kbnitp_ros.log.record import read_resumed
 from kbnitp_ros.log.replay import replay
 from kbnitp_ros.log.replayed import Grade
@@ -41,7 +44,9 @@ from laws import for_each
 import numpy as np
 import pytest
 from recorded_logs import KINDS
+import yaml
 
+ROOT = Path(__file__).parents[2]
 RECORDED = Path(__file__).with_name('recorded')
 REAL = {'day', 'nav2'}
 NAMES = sorted({path.name.partition('.')[0] for path in RECORDED.glob('*.mcap.gz')} - REAL)
@@ -179,6 +184,29 @@ def test_a_mission_with_nav2_is_reproduced(tmp_path):
         # They vouch for all their steps.
         assert observation.entered is None
     assert history.decision.p_free > 0.95
+
+
+def test_parameters_of_nav2_fit_the_mission_and_are_those_of_the_page(tmp_path):
+    nav2 = yaml.safe_load(ROOT.joinpath('config', 'nav2.yaml').read_text())
+    controller = nav2['controller_server']['ros__parameters']
+    tolerance = controller['general_goal_checker']['xy_goal_tolerance']
+    parameters = read_parameters(log('nav2', tmp_path))
+    robot = parameters['/mission/scout_1/robot']
+    assert tolerance <= min(robot['arrival_tolerance'], robot['grid.resolution'] / 2)
+    assert controller['FollowPath']['lookahead_dist'] <= robot['grid.resolution'] / 2
+    costmap = nav2['local_costmap']['local_costmap']['ros__parameters']
+    assert costmap['robot_radius'] == robot['robot_radius']
+    for kind in ('controller', 'goal_checker', 'progress_checker'):
+        assert len(controller[f'{kind}_plugins']) == 1
+    page = ROOT.joinpath('docs', 'field.md').read_text()
+    rows = re.findall(r'^\| `(\w+)\.(\w+)` \| ([\d.]+) \|', page, re.MULTILINE)
+    assert len(rows) > 3
+    assert [controller[plugin][name] for plugin, name, _ in rows] == [float(row[2]) for row in rows]
+    # The parameters of the mission on the page are those on record.
+    (shown,) = re.findall(r'```yaml\n(/\*\*:.*?)```', page, re.DOTALL)
+    given = values_for(check_sections(yaml.safe_load(shown), {}), '/mission/planner')
+    recorded = dict(ChainMap(*parameters.values()))
+    assert {name: recorded[name] for name in given} == given
 
 
 @for_each('name', NAMES)
