@@ -329,6 +329,9 @@ class Operator(Node):
             fields = json_fields(answer)
             if given.order.name == 'add_finding':
                 fields['cells'] = self.count_cells(given.request)
+            if not answer.success:
+                # Nothing was foreseen: its effect is zeros.
+                fields.pop('effect', None)
             self._note_preview(given, answer)
             if answer.success and (content := getattr(answer, 'content', 0)):
                 self.board.effects[content] = answer.effect
@@ -455,6 +458,10 @@ class Control:
         elif given.order.name == 'add_finding' and clears(given.request):
             wanted = self._operator.count_cells(given.request)
             what = f'the number of cells, {wanted}'
+        elif given.order.service == 'approve' and given.confirm is not None:
+            proposals = {**self._operator.board.proposals}
+            wanted = {agent: each.path.tolist() for agent, each in proposals.items()}
+            what = 'the paths that wait for approval by now'
         else:
             return ''
         is_same = type(given.confirm) is type(wanted) and given.confirm == wanted

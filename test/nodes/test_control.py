@@ -157,7 +157,17 @@ def test_each_order_of_the_planner_has_its_effect(field):
         field.until(
             lambda: base.proposals['scout_1'][-1].poses and base.proposed() != first, 'new'
         )
-        ask(client.do, 'approve')
+        # The paths that were shown wait no more.
+        status, refused = ask(client.order, 'approve', confirm={'scout_1': first})
+        assert status == 409
+        assert 'the paths that wait for approval by now' in refused['error']
+        until(
+            field,
+            client,
+            lambda board: [each['cells'] for each in board['needs']] == [base.proposed()],
+            'new proposal',
+        )
+        ask(client.do, 'approve', confirm={'scout_1': base.proposed()})
         base.until_sent(1)
         until(field, client, lambda board: board['mission']['sent'] == 1, 'robot sent')
         for order, value in (
@@ -244,6 +254,7 @@ def test_what_people_say_counts_and_stands_on_the_board(field):
         status, stale = ask(client.order, 'add_finding', {**there, **named})
         assert (status, stale['success']) == (200, False)
         assert 'ask for the preview again' in stale['message']
+        assert 'effect' not in stale
         ask(client.say, 'revoke', {'revocation': {'revokes': taken['content'], 'author': 'Cleo'}})
         until(field, client, lambda board: not board['contradictions'], 'revocation')
         said = {each['hash']: each for each in client.board['said']}

@@ -366,7 +366,7 @@ async function foresee() {
     return;
   }
   if (mine.lines) {
-    showPreview({ given, lines: mine.lines() });
+    showPreview({ given, lines: mine.lines(), paths: mine.paths?.() });
     return;
   }
   const answer = await send({ order: mine.order, arguments: { ...given, preview: true } }, () => isMeant() && say('No answer so far: asking again.'), isMeant);
@@ -405,8 +405,8 @@ const outLine = () => `out, and not called back: ${outNow().join(', ') || 'nobod
 // Give the order of the preview.
 async function give() {
   const mine = act;
-  const { given, effect, lines } = mine.preview;
-  if (mine.lines && JSON.stringify(mine.lines()) !== JSON.stringify(lines)) {
+  const { given, effect, lines, paths } = mine.preview;
+  if (mine.lines && JSON.stringify([mine.lines(), mine.paths?.()]) !== JSON.stringify([lines, paths])) {
     anew();
     foresee();
     if (mine.preview) say('This has changed since: look again. Nothing was ordered.');
@@ -414,7 +414,7 @@ async function give() {
   }
   const asked = mine.confirm?.(mine.preview);
   const typed = page('act-confirm').querySelector('input').value;
-  const confirm = asked === undefined ? {} : { confirm: typeof asked === 'number' ? Number(typed) : typed };
+  const confirm = asked === undefined ? { confirm: paths } : { confirm: typeof asked === 'number' ? Number(typed) : typed };
   page('act-go').disabled = true;
   say('');
   const evidence = effect ? { epoch: effect.epoch, events: effect.events } : {};
@@ -475,6 +475,8 @@ function proposePlans(name) {
       if (!proposals().length) throw new Error('Nothing waits for approval any more.');
       return {};
     },
+    // The paths that are meant: others may wait by then.
+    paths: () => Object.fromEntries(proposals().map(({ agent, cells }) => [agent, cells])),
     lines: () => proposals().map((each) => `${each.agent}: ${counted(each.cells.length - 1, 'step')}, returns with ${share(each.returns)}`),
     warning: name === 'approve' ? 'All robots of the round leave. They cannot be called back.' : 'Another round is proposed.',
   });
