@@ -34,7 +34,12 @@ from kbnitp_ros.configuration import (
     value_for,
     with_defaults,
 )
-from kbnitp_ros.configuration.agents import make_execution, make_robot_types, true_dynamics
+from kbnitp_ros.configuration.agents import (
+    learnt_numbers,
+    make_execution,
+    make_robot_types,
+    true_dynamics,
+)
 from kbnitp_ros.configuration.checks import check_reach, reach_note
 from kbnitp_ros.configuration.field import read_world
 from kbnitp_ros.configuration.given import read_sections, values_for
@@ -72,6 +77,9 @@ OPERATOR_WAIT = 3.0
 # Maximum seconds from the end of a mission to the progress of its last robot, which the estimator
 # publishes at most twice a second.
 LAST_PROGRESS = 1.0
+
+# The option that is the truth, which an estimator that learns it is not told.
+LETHALITY = 'sensor.lethality'
 
 # Parameters that may differ between nodes: true and believed sensors and hazards, awaited nodes.
 MAY_DIFFER = ('sensor.', 'hazards.', 'targets.', 'await_nodes')
@@ -131,6 +139,9 @@ def chosen_parameters(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     parameters = {
         node: with_defaults(node, values, DEFAULTS['demo']) for node, values in given.items()
     }
+    estimator, told = parameters['estimator'], getattr(options, LETHALITY)
+    if 'lethality' in learnt_numbers(estimator) and estimator[LETHALITY] == told:
+        estimator[LETHALITY] = with_defaults('estimator', {})[LETHALITY]
     for node, values in parameters.items():
         if values.get('silent_loss'):
             values['step_period'] = values['step_period'] or SILENT_STEP

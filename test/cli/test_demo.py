@@ -27,6 +27,8 @@ from kbnitp_ros.cli.demo_mission import (
 )
 from kbnitp_ros.cli.processes import environment, free_domain, given_domain, Processes
 from kbnitp_ros.cli.replay import main as replay_command
+from kbnitp_ros.configuration.agents import learnt_numbers
+from kbnitp_ros.configuration.checks import ignored_note
 from kbnitp_ros.configuration.table import FIELD_LEARNT, IN_FIELD
 from kbnitp_ros.core import (
     log_loss,
@@ -292,6 +294,21 @@ def test_the_shipped_configuration_is_that_of_the_demo(node):
 def test_lethality_and_hazard_density_are_learnt_by_default(options, method, learn):
     estimator = chosen_parameters(parse(options))['estimator']
     assert (estimator['method'], estimator['learn.numbers']) == (method, learn)
+
+
+@for_each('options, told', [
+    ([], ''),
+    (['--set', 'learn.numbers=[]'], ''),
+    (['--set', 'estimator:sensor.lethality=0.8'], 'sensor.lethality is 0.8, and not used'),
+])  # fmt: skip
+def test_the_true_lethality_is_told_only_where_it_is_not_learnt(options, told):
+    parameters = chosen_parameters(parse(['--lethality', '0.3', *options]))
+    agent, estimator = parameters['agent'], parameters['estimator']
+    assert agent['sensor.lethality'] == 0.3
+    learnt = learnt_numbers(estimator)
+    assert ignored_note(estimator, learnt).startswith(told)
+    assert bool(ignored_note(estimator, learnt)) == bool(told)
+    assert learnt or estimator['sensor.lethality'] == 0.3
 
 
 def test_a_mission_on_a_map_has_the_defaults_of_the_field(on_a_map):
