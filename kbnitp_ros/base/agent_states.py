@@ -51,10 +51,16 @@ class AgentStates:
         state = self._states.get(agent)
         return '' if state is None else state.reason
 
+    def words(self, agent: str) -> str:
+        """Return the reason of an agent after its name; '' if none."""
+        if agent in self.foreign or agent not in self._states:
+            return f'{agent} says: {reason}' if (reason := self.reason(agent)) else ''
+        words = self._states[agent].words
+        return f'{agent} {words}' if words else ''
+
     def reasons(self) -> str:
         """Return what the agents say, in a sentence; empty if none gives a reason."""
-        said = {agent: self.reason(agent) for agent in self._fields}
-        return '; '.join(f'{agent} says: {reason}' for agent, reason in said.items() if reason)
+        return '; '.join(filter(None, map(self.words, self._fields)))
 
     def why_not_lost(self, agent: str, departed: int) -> str:
         """Explain why a robot that departed at a time, in ns, is not lost; '' if it may be."""

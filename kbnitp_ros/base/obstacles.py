@@ -121,9 +121,8 @@ def report(now: PlannerState) -> str:
             f'{agent}/recorded (parameter recorded)'
         )
     if not now.base.is_away(key) and key.agent not in now.silent:
-        said = now.states.reason(key.agent)
-        says = f'; {key.agent} says: {said}' if said else ''
-        return f'the departure of {key}, which its agent reports on {agent}/status{says}'
+        departure = f'the departure of {key}, which its agent reports on {agent}/status'
+        return '; '.join(filter(None, [departure, now.states.words(key.agent)]))
     if now.base.values['silent_loss']:
         deadline = now.base.values['return_deadline']
         return (

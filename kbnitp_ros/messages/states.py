@@ -58,6 +58,12 @@ class AgentState:
     journal: str
     is_at_base: bool
 
+    @property
+    def words(self) -> str:
+        """Return the reason as it follows the name of the agent; empty without one."""
+        verb = 'waits for' if self.readiness is Readiness.WAITING else 'says:'
+        return f'{verb} {self.reason}' if self.reason else ''
+
     def difference(self, own: Grid) -> str:
         """Name the first parameter of the field that differs from `own`; '' if none does."""
         sides: dict[str, tuple[object, object]] = {

@@ -283,11 +283,11 @@ class Dispatch:
                     f'{give_up} is called: {why}'
                 )
         # Short waits are normal.
-        for agent, (reason, since) in self._reasons.items():
-            is_new = reason and (agent, reason) not in self._told
+        for agent, (words, since) in self._reasons.items():
+            is_new = words and (agent, words) not in self._told
             if is_new and time.monotonic() > since + LOG_FIRST:
-                self._told.add((agent, reason))
-                self._node.get_logger().warning(f'{agent} says: {reason}')
+                self._told.add((agent, words))
+                self._node.get_logger().warning(words)
 
         waiting, now = self.waiting, time.monotonic()
         keys = ((agent, each.what) for agent, each in waiting.items())
@@ -352,10 +352,10 @@ class Dispatch:
         except ValueError as error:
             self._node.diagnostics.refuse(f'{agent}/state', error)
             return
-        reason = self.states.reason(agent)
-        self._node.diagnostics.values[f'agent {agent}'] = reason
-        if reason != self._reasons.get(agent, ('', 0.0))[0]:
-            self._reasons[agent] = reason, time.monotonic()
+        self._node.diagnostics.values[f'agent {agent}'] = self.states.reason(agent)
+        words = self.states.words(agent)
+        if words != self._reasons.get(agent, ('', 0.0))[0]:
+            self._reasons[agent] = words, time.monotonic()
         if is_withdrawn and agent in self._state.still_agents:
             self._state.forgive(agent)
         for key in [key for key in self._state.held if key.agent == agent]:

@@ -214,8 +214,11 @@ class Operator:
         orders = {key.agent: key for key in sorted(state.in_flight) if not state.is_refused(key)}
         left = {key for key in orders.values() if state.is_away(key) or state.has_departed(key)}
         if agent not in orders:
-            names = ', '.join(sorted(orders.keys() - {key.agent for key in left})) or 'none'
-            raise ValueError(f'no order of {shown(agent)} is open (agents with one: {names})')
+            why = 'agent is empty: name the agent whose order is taken back'
+            if agent:
+                why = f'no order of {shown(agent)} is open'
+            names = ', '.join(str(key) for key in orders.values() if key not in left) or 'none'
+            raise ValueError(f'{why} (open orders: {names})')
         key = orders[agent]
         if key in left:
             raise ValueError(f'{key} left: its robot can only be given up or annotated')

@@ -328,8 +328,9 @@ def log_notes(history: History) -> Iterator[str]:
         yield f'{key} is held, and counts for nothing: {why}'
     for agent, state in history.states.items():
         field = evidence.grid.at(evidence.robot_type(DeploymentKey(agent, 0)).base)
-        if reason := state.difference(field) or state.reason:
-            yield f'{agent or "The base"} says: {reason}'
+        differs = state.difference(field)
+        if words := f'says: {differs}' if differs else state.words:
+            yield f'{agent or "The base"} {words}'
     for refusal in evidence.refused[:REFUSALS]:
         yield f'Refused: {refusal}'
     if len(evidence.refused) > REFUSALS:

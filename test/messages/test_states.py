@@ -62,6 +62,8 @@ def test_a_reason_is_withdrawn_only_by_a_ready_agent():
     assert not states.take('scout_1', state())
     assert not states.take('scout_1', state(reason='the goal was rejected'))
     assert states.reasons() == 'scout_1 says: the goal was rejected'
+    assert not states.take('scout_1', state(reason='a pose', readiness=Readiness.WAITING))
+    assert states.reasons() == 'scout_1 waits for a pose'
     assert not states.take('scout_1', state(readiness=Readiness.OUT))
     assert not states.take('scout_1', state(reason='the goal was rejected'))
     assert states.take('scout_1', state())

@@ -131,14 +131,17 @@ def test_what_cannot_be_taken_back_is_refused_by_name(field):
     base = StatedBase(field, ['scout_1', 'scout_2'], rolling=True, return_deadline=1000.0)
     for agent in base.paths:
         base.until_sent(1, agent)
-    no_order = "no order of 'scout_9' is open (agents with one: scout_1, scout_2)"
-    assert base.refused('take_back', agent='scout_9') == no_order
-    for name in ('reason', 'author'):
-        told = base.refused('take_back', agent='scout_1', **{name: 'x' * 201})
-        assert told == f'{name} has 201 characters, at most 200 fit'
     first, second = (
         DeploymentKey(agent, from_stamp(base.paths[agent][0].header.stamp)) for agent in base.paths
     )
+    orders = f'(open orders: {first}, {second})'
+    told = base.refused('take_back', agent='scout_9')
+    assert told == f"no order of 'scout_9' is open {orders}"
+    told = base.refused('take_back')
+    assert told == f'agent is empty: name the agent whose order is taken back {orders}'
+    for name in ('reason', 'author'):
+        told = base.refused('take_back', agent='scout_1', **{name: 'x' * 201})
+        assert told == f'{name} has 201 characters, at most 200 fit'
     base.until_named(base.say(OrderState.DEPARTED, agent='scout_2'), 'scout_2')
     late = f'{second} left: its robot can only be given up or annotated'
     field.until(lambda: f'{second} leaves' in field.said('/planner'), 'departure')
