@@ -201,8 +201,8 @@ class Trip:
             if is_behind and now < self._ended_at + self._values['tf_timeout'] * SECOND:
                 return waiting_for(f'the position of the robot after driving {goal}')
             self._end_leg(place, now)
-        if itinerary.heads_home and self._is_at_base(place):
-            self.is_home = True
+        self.is_home |= itinerary.heads_home and self._is_at_base(place)
+        if self.is_home:
             return 'home'
         if itinerary.is_stay and self._walk.cell == itinerary.destination:
             return self._stay(now)
@@ -239,10 +239,11 @@ class Trip:
             except ValueError as error:
                 self.failure = str(error)
         self._end_goal(is_home=not self.failure and self._is_at_base(place))
+        was_homebound = itinerary.heads_home
         if not self.failure:
             itinerary.succeed()
+            self.is_home = was_homebound
             return
-        was_homebound = itinerary.heads_home
         if self._driver.was_cancelled and not was_homebound:
             # Another client stopped the drive on purpose.
             itinerary.go_home()
@@ -266,11 +267,15 @@ class Trip:
                 'below half the side of a cell'
             )
         if itinerary.heads_home and not self._is_at_base(place):
-            raise ValueError(
+            beside = (
                 f'{name} reports home as reached, but the robot is '
                 f'{distance_home(self._home, place):.2f} m away from it: set xy_goal_tolerance of '
                 'Nav2 at most to the parameter arrival_tolerance'
             )
+            if not itinerary.is_last_try:
+                raise ValueError(beside)
+            # A robot in the cell of its base has returned, and must not count as lost.
+            self._warn(f'{beside}; reporting the return')
         self._enter(self._walk.settle(place.x, place.y), now)
 
     def _stay(self, now: int) -> str:

@@ -106,6 +106,11 @@ class Itinerary:
         return not self.heads_home and self._legs[0][0] == self._legs[0][-1]
 
     @property
+    def is_last_try(self) -> bool:
+        """Return whether another failure without a new cell exhausts the tries."""
+        return self._tried + 1 >= self._attempts
+
+    @property
     def destination(self) -> int:
         """Return the last cell of the next goal."""
         return self._grid.base if self.heads_home else self._legs[0][-1]

@@ -201,7 +201,8 @@ def test_parameters_of_nav2_fit_the_mission_and_are_those_of_the_page(tmp_path):
     page = ROOT.joinpath('docs', 'field.md').read_text()
     rows = re.findall(r'^\| `(\w+)\.(\w+)` \| ([\d.]+) \|', page, re.MULTILINE)
     assert len(rows) > 3
-    assert [controller[plugin][name] for plugin, name, _ in rows] == [float(row[2]) for row in rows]
+    for plugin, name, value in rows:
+        assert controller[plugin][name] == float(value), name
     # The parameters of the mission on the page are those on record.
     (shown,) = re.findall(r'```yaml\n(/\*\*:.*?)```', page, re.DOTALL)
     given = values_for(check_sections(yaml.safe_load(shown), {}), '/mission/planner')

@@ -296,15 +296,16 @@ def test_a_robot_asks_nav2_for_its_speed_and_warns_of_its_goal_tolerance(field):
     assert 'xy_goal_tolerance of Nav2 is 0.45 m: set it to at most 0.4 m' in said
 
 
-def test_a_robot_that_nav2_leaves_beside_its_home_is_not_home(field):
+def test_a_robot_that_nav2_leaves_beside_its_home_reports_and_does_not_leave_again(field):
     fleet, reports = Fleet.simulated(field)
     # Nav2 ends goals farther away.
     fleet.start(arrival_tolerance=0.1)
-    fleet.send(1, [0, 1, 0])
-    said = 'reports home as reached, but the robot is 0.1'
-    field.until(lambda: said in field.said('/scout_1/robot'), said)
-    field.until(lambda: 'driving home' in fleet.state(), 'another try')
-    assert not reports
+    report = fleet.wait_for_report(reports, fleet.send(1, [0, 1, 0]))
+    assert moves([0, *(cell for cell, _ in report.readings)]) == [0, 1, 0]
+    tries = field.said('/scout_1/robot').count('reports home as reached, but the robot is 0.1')
+    assert tries == 3
+    fleet.send(2, [0, 1, 0])
+    field.until(lambda: 'waiting for the robot to be at its base' in fleet.state(), 'wait')
 
 
 DRIVERS = ['follow_waypoints', 'navigate_through_poses', 'follow_path']
