@@ -31,7 +31,7 @@ NAMES = {
 # Attributes with a text for people, beside fields of messages: of standings, of nodes on
 # /diagnostics, and of the planner's state. None says that there is no text.
 TEXTS = FOR_PEOPLE | {
-    'why', 'missing_listeners', 'unrecorded_action', 'why_over', 'why_unfollowed',
+    'why', 'words', 'missing_listeners', 'unrecorded_action', 'why_over', 'why_unfollowed',
 }  # fmt: skip
 DIAGNOSTICS = 'diagnostics.state'
 SEARCHES = {
@@ -41,7 +41,7 @@ SEARCHES = {
 
 # Functions that make a text of a text, log it once, or compare it with the record.
 WRITERS = {
-    'base/agent_states.py': {'reasons', 'why_not_lost'},
+    'base/agent_states.py': {'why_not_lost', 'words'},
     'base/preflight.py': {'pose_check', 'robot_checks'},
     'log/replay.py': {'standing_difference'},
     'log/replayed.py': {'__str__'},
