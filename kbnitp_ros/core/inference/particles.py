@@ -453,8 +453,8 @@ class Filters:
             if number and not is_finding and group.change is not None:
                 live[:] = group.change(live)
             rows = self._row[event.cells]
-            changed = rows[self._may_change[self._class[rows]]]
-            if changed.size and group.rates[0].size:
+            if group.rates[0].size:
+                changed = rows[self._may_change[self._class[rows]]]
                 own, ticks = live[..., group.changing], now - updated[changed]
                 own[changed] = targets_after(own[changed], ticks, *group.rates)
                 updated[changed] = now
