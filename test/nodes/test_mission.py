@@ -56,11 +56,17 @@ def stamps(messages):
     return [from_stamp(message.header.stamp) for message in messages]
 
 
+def is_huge(parameters):
+    return parameters.get('grid.width', 0) >= HUGE['grid.width']
+
+
 def wait_for_end(field, parameters, heard):
     paths, reports, beliefs = heard
     robots = parameters['robots']
     field.until(
-        lambda: min(len(paths), len(reports), len(beliefs) - 1) >= robots, 'end', patience=180
+        lambda: beliefs and min(len(paths), len(reports), beliefs[-1].deployments) >= robots,
+        'end',
+        patience=180,
     )
 
 
@@ -68,9 +74,12 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
     """Check that a mission's messages equal the core's with the same parameters."""
     expected = core_mission(parameters)
     assert len(paths) == len(reports) == len(expected)
-    assert [message.deployments for message in beliefs] == list(range(len(expected) + 1))
-    grid = read_belief_maps(beliefs[0]).grid
-    for path, report, belief, deployment in zip(paths, reports, beliefs[1:], expected):
+    told = {message.deployments: message for message in beliefs}
+    assert [*told] == [message.deployments for message in beliefs] == sorted(told)
+    # The next belief may replace one of megabytes before it has arrived.
+    assert is_huge(parameters) or [*told] == list(range(len(expected) + 1))
+    grid = read_belief_maps(beliefs[-1]).grid
+    for number, (path, report, deployment) in enumerate(zip(paths, reports, expected), 1):
         key, cells = read_path(grid, 'scout_1', path)
         assert cells.tolist() == deployment.plan.path.tolist()
         reported, outcome = read_report(report)
@@ -87,10 +96,12 @@ def assert_is_core_mission(parameters, paths, reports, beliefs):
             lost_at=where,
             field_id=report.field_id,
         )
-        assert read_belief_maps(belief).newest == key
+        if number not in told:
+            continue
+        assert read_belief_maps(told[number]).newest == key
         for name in (*MAPS, 'joint'):
-            ours, core = getattr(belief, name), getattr(deployment.belief, name)
-            assert np.asarray(ours).tobytes() == core.tobytes(), (belief.deployments, name)
+            ours, core = getattr(told[number], name), getattr(deployment.belief, name)
+            assert np.asarray(ours).tobytes() == core.tobytes(), (number, name)
 
 
 @pytest.mark.parametrize(
@@ -124,12 +135,12 @@ def test_every_belief_is_that_of_core_also_in_the_log(field, parameters):
     assert len(recorded['/m/scout_1/report']) == len(reports)
     told = stamps(beliefs)
     on_record = stamps(recorded['/m/belief'])
-    if parameters.get('grid.width', 0) < HUGE['grid.width']:
+    if not is_huge(parameters):
         assert on_record == told
     # Views show the last belief within a tenth of a second.
     for topic in ('/m/belief', '/m/progress', *(f'/m/belief/{name}' for name in MAPS)):
         on_record = stamps(recorded[topic])
-        assert set(on_record) <= set(told)
+        assert is_huge(parameters) or set(on_record) <= set(told)
         assert on_record[-1] == told[-1]
     assert '/m/scout_1/readings' in recorded
     assert '/diagnostics' in recorded
