@@ -215,8 +215,8 @@ class Board:
     ) -> dict[str, Any]:
         sign, said = self.signs[agent], self.signs[agent].state
         state = self.state
-        counted = [key for key in state.orders if key not in state.void] if state else []
-        sent = [key for key in counted if key.agent == agent]
+        orders = state.kept_orders if state else []
+        sent = [key for key in orders if key.agent == agent]
         last = sent[-1] if sent else None
         out = [key for key in sent if state and key in state.in_flight]
         since = due = None
@@ -235,7 +235,7 @@ class Board:
             'battery': round(sign.health.battery, 2) if sign.health else None,
             'age': age(steady, sign.heard),
             'deployment': stamp(last.stamp) if last else None,
-            'number': counted.index(last) + 1 if last else 0,
+            'number': orders.index(last) + 1 if last else 0,
             'out': bool(out),
             'taken_back': bool(state and {*out} & state.operator.taken_back.keys()),
             'out_since': seconds(since),

@@ -350,6 +350,11 @@ class BaseState(MissionRecord):
         return sorted(self.paths, key=deployment_order)
 
     @property
+    def kept_orders(self) -> list[DeploymentKey]:
+        """Return `orders` without those that were refused."""
+        return [key for key in self.orders if key not in self.void]
+
+    @property
     def robots_left(self) -> int:
         """Return the number of robots sent, without refused orders."""
         return len(self.paths) + len(self._pathless) - len(self.void)
@@ -424,11 +429,13 @@ class BaseState(MissionRecord):
         """Return the agents whose last robot is out, or lost as the operator said."""
         last = (sent[-1] for sent in self._by_agent.values())
         back = (Verdict.RETURN, Verdict.UNMOVED)
-        verdicts = {key: self.standings.get(key, OPEN).verdict for key in last}
         return {
             key.agent
-            for key, verdict in verdicts.items()
-            if key in self.in_flight or (key in self.operator.given_up and verdict not in back)
+            for key in last
+            if key in self.in_flight
+            or (
+                key in self.operator.given_up and self.standings.get(key, OPEN).verdict not in back
+            )
         }
 
     @property

@@ -288,7 +288,7 @@ def read_newest_round(
 ) -> tuple[Snapshot, list[DeploymentKey]] | None:
     """Return the belief that the newest round was planned on, and the round's deployments."""
     # Beliefs do not count refused orders.
-    keys = [key for key in record.orders if key not in record.void]
+    keys = record.kept_orders
     planned_on = None
     for _, logged in log.read('belief'):
         held = logged.said.deployments

@@ -245,17 +245,18 @@ class PlannerNode(FieldNode):
         if self._has_subscribers:
             return None
         gone = self._state.gone_agents
-        paths = {name: each for name, each in self._dispatch.paths.items() if name not in gone}
-        missing = self.missing_listeners(paths.values())
-        # Subscribers alone do not prove that an agent has a node: with changing hazards, nodes of
-        # simulated agents subscribe to the paths of all agents.
-        absent = [each for each in self._peers.absent if each not in gone]
-        if missing is None and absent and 'agent' in self.values['await_nodes']:
-            missing = f'a node of agent {some(absent)} (parameter await_nodes)'
+        paths = [each for name, each in self._dispatch.paths.items() if name not in gone]
+        missing = self.missing_listeners(paths)
         if missing is None and 'agent' in self.values['await_nodes']:
+            # Subscribers alone do not prove that an agent has a node: with changing hazards, nodes
+            # of simulated agents subscribe to the paths of all agents.
+            absent = [each for each in self._peers.absent if each not in gone]
             # Otherwise the first robots would leave without the agents whose states come later.
             states, others = self._dispatch.states.unstated, {*self._peers.outdated, *gone}
-            if unstated := [each for each in states if each not in others]:
+            unstated = [each for each in states if each not in others]
+            if absent:
+                missing = f'a node of agent {some(absent)} (parameter await_nodes)'
+            elif unstated:
                 missing = f'the field of agent {some(unstated)} (parameter await_nodes)'
         self._has_subscribers = missing is None
         return missing

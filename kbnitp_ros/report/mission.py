@@ -188,7 +188,7 @@ def recorded_mission(log: MissionLog, history: History) -> MissionSummary:
     grid = evidence.grid
     if not evidence.paths and evidence.refused:
         raise LogError(f'{path}: nothing to report; refused: {evidence.refused[0]}')
-    keys = [key for key in evidence.orders if key not in evidence.void]
+    keys = evidence.kept_orders
     moments, notes = recorded_moments(log, history, keys)
     in_flight = sum(not evidence.is_at_base(key) for key in evidence.without_report)
     metadata = history.bookmark.metadata

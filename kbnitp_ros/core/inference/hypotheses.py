@@ -17,7 +17,14 @@ from kbnitp_ros.core.field.sensor import RobotType, SensorModel, times_log
 from kbnitp_ros.core.field.unknowns import Unknowns
 from kbnitp_ros.core.inference import sampling_kernels as gibbs
 from kbnitp_ros.core.inference.filter import RATES, safe_log
-from kbnitp_ros.core.inference.prior_maps import expit, make_joint, MAPS, offsets, prior_maps
+from kbnitp_ros.core.inference.prior_maps import (
+    classes_of_cells,
+    expit,
+    make_joint,
+    MAPS,
+    offsets,
+    prior_maps,
+)
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,8 +63,7 @@ class Hypotheses:
             self.undecided[name], self.offset[name] = undecided, offset
         self.prior_is_known = not set(MAPS) & self.bins.keys()
         # Numbers that are equal for cells with equal priors, shape (cells,).
-        joints = belief.joint.reshape(belief.cells, 4)
-        self.alike = np.unique(joints, axis=0, return_inverse=True)[1].ravel()
+        self.alike = classes_of_cells(belief)[1]
         self.clustering = clustering
         if clustering is not None:
             self._cluster(clustering)

@@ -39,6 +39,7 @@ from kbnitp_ros.core.inference.filter import (
     take_finding,
 )
 from kbnitp_ros.core.inference.prior_maps import (
+    classes_of_cells,
     expit,
     make_joint,
     MAPS,
@@ -145,8 +146,8 @@ class Filters:
         count: int | None = None,
         targets: Dynamics = STATIC,
     ) -> None:
-        self._prior, self._known, self._seed = belief, model, seed
-        self._dynamics, self._on_loss, self._targets = dynamics, on_loss, targets
+        self._seed, self._on_loss = seed, on_loss
+        self._dynamics, self._targets = dynamics, targets
         priors = {**unknowns.priors, **dynamics.unknown_rates, **targets.target_rates}
         self.names, self._priors = tuple(priors), tuple(priors.values())
         self._zero = np.array([prior.zero for prior in self._priors])
@@ -253,18 +254,17 @@ class Filters:
     def _live_joint(self) -> Floats:
         """Return the weighted mean of each row's joints of live hazards at the last deployment."""
         joints, weights = self._joints[:, :2], self.weights
-        groups = self._groups_of_particles(self.numbers)
         may_change = np.flatnonzero(self._may_change[self._class])
         joint: Floats = joints @ weights if self._count > 1 else joints[..., 0].copy()
         if may_change.size and self._evidence:
             still, ticks = weights.copy(), self._last - self._updated[may_change]
-            for group in groups:
-                still[group.particles][group.changing] = 0.0
-            joint[may_change] = (joints @ still)[may_change]
-            for group in groups:
+            changed = np.zeros_like(joint[may_change])
+            for group in self._groups_of_particles(self.numbers):
                 own = joints[..., group.particles][..., group.changing][may_change]
                 shares = weights[group.particles][group.changing]
-                joint[may_change] += targets_after(own, ticks, *group.rates) @ shares
+                changed += targets_after(own, ticks, *group.rates) @ shares
+                still[group.particles][group.changing] = 0.0
+            joint[may_change] = (joints @ still)[may_change] + changed
         if self._count > 1:
             joint /= joint.sum(axis=(1, 2), keepdims=True)
         return joint
@@ -344,12 +344,7 @@ class Filters:
         cells = np.arange(belief.cells)
         if are_apart:
             return cells, cells, np.ones_like(cells)
-        joints = belief.joint.reshape(belief.cells, 4)
-        _, *found = np.unique(
-            joints, axis=0, return_index=True, return_inverse=True, return_counts=True
-        )
-        first, of_cell, sizes = found
-        return first, of_cell.ravel(), sizes
+        return classes_of_cells(belief)
 
     def _set_prior(self, belief: Belief, model: SensorModel) -> None:
         """Set the prior and the known numbers."""

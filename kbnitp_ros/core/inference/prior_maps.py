@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from kbnitp_ros.core.field.belief import Belief
+from kbnitp_ros.core.field.check import Places
 from kbnitp_ros.core.field.sensor import SensorModel
 from kbnitp_ros.core.inference.filter import NUMBERS, ratio
 import numpy as np
@@ -41,6 +42,15 @@ def prior_maps(
         if name in unknown and not maps[name][1].any():
             raise ValueError(f'{name} is unknown but has no effect: the prior decides every cell')
     return maps
+
+
+def classes_of_cells(belief: Belief) -> tuple[Places, Places, Places]:
+    """Return the first cell of each class of equal priors, the class of each cell, and sizes."""
+    joints = belief.joint.reshape(belief.cells, 4)
+    _, first, of_cell, sizes = np.unique(
+        joints, axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    return first, of_cell.ravel(), sizes
 
 
 def make_joint(
