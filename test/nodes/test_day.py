@@ -132,23 +132,25 @@ class Day:
     def send(self, *agents):
         """Approve what is proposed until a robot of each agent is out; return keys and paths."""
         before = {agent: len(self.sent(agent)) for agent in agents}
+        shown = self.proposals
+
+        def left():
+            return [each for each in agents if len(self.sent(each)) == before[each]]
 
         def proposed():
-            return [each for each in left if shown[each] and shown[each][-1].poses]
+            return [each for each in left() if shown[each] and shown[each][-1].poses]
 
-        def is_sent_or_replaced():
-            newest = shown[agent][-1]
-            is_sent = len(self.sent(agent)) > before[agent]
-            return is_sent or (newest.poses and newest is not approved)
+        def is_decided():
+            return agent not in left() or shown[agent][-1] is not decided
 
-        shown = self.proposals
-        while left := [each for each in agents if len(self.sent(each)) == before[each]]:
-            self.field.until(proposed, f'proposal for {left}')
-            (agent,) = proposed()
-            approved = shown[agent][-1]
-            # A newer belief may replace what is proposed, also once it is approved.
-            if self.call('approve', data=True).success:
-                self.field.until(is_sent_or_replaced, f'robot of {agent}')
+        while left():
+            self.field.until(lambda: proposed() or not left(), f'proposal for {left()}')
+            for agent in proposed()[:1]:
+                decided = shown[agent][-1]
+                # A newer belief may replace what is proposed, also once it is approved, and then
+                # perhaps by a path of another agent.
+                if self.call('approve', data=True).success:
+                    self.field.until(is_decided, f'robot of {agent}')
         return [self.sent(agent)[-1] for agent in agents]
 
     def until_away(self, agent):

@@ -7,6 +7,7 @@ the pictures of the tutorial as well.
 """
 
 from collections import Counter
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 import signal
@@ -115,7 +116,7 @@ class Person:
     def proposed(self):
         return self.page.page.evaluate('proposals().map((each) => each.deployment)')
 
-    def send(self, *agents):
+    def send(self, *agents, once_shown=lambda: None):
         """Approve what the page proposes until each agent has a robot; return keys and paths."""
         day = self.day
         before = {each: len(day.sent(each)) for each in agents}
@@ -129,6 +130,7 @@ class Person:
                 self.page.press('#needs button', 'approve')
                 self.page.until(f'!{GO}.disabled || {SAID}')
                 if not self.page.page.evaluate(SAID):
+                    once_shown()
                     self.answer('Approve')
                 self.page.page.keyboard.press('Escape')
                 day.field.until(lambda: self.proposed() != shown, 'other proposals')
@@ -316,10 +318,10 @@ def see_that_orders_outlive_the_planner(day, ann):
     page.until('board.parameters.loss_cost === 0.25')
     # Nobody waits for the node of scout_2, whose robot is lost, and nothing for scout_3.
     page.until('`${proposals().map(({ agent }) => agent)}` === "scout_1"')
-    # The robot's node has stopped, so that it cannot leave.
+    # The robot's node has stopped, so that it cannot leave; stopped for long, it would count as
+    # gone.
     robot = field.processes.started[f'{MISSION}/scout_1/robot']
-    robot.send_signal(signal.SIGSTOP)
-    ann.send('scout_1')
+    ann.send('scout_1', once_shown=partial(robot.send_signal, signal.SIGSTOP))
     page.until_says('#robots', 'scout_1 has an order')
     page.press('#robots button', 'take back')
     page.fill('note', 'rain')

@@ -36,6 +36,8 @@ let lostWords = '';
 let waiting = null;
 let act = null;
 let sound = null;
+// What is held down, by a finger or a mouse.
+let heldDown = null;
 // Previews of this page: others see them on the board.
 const own = new Set();
 const put = new Map();
@@ -64,10 +66,10 @@ function orderButton(text, key, run, attributes = {}) {
   return made;
 }
 
-// Make a part anew if its facts have changed; the focus stays.
+// Make a part anew if its facts have changed; the focus stays. A part in which a button is held down waits for the click.
 function renewPart(id, facts, parts) {
   const text = JSON.stringify(facts);
-  if (put.get(id) === text) return;
+  if (put.get(id) === text || page(id).contains(heldDown)) return;
   put.set(id, text);
   const key = page(id).contains(document.activeElement) ? document.activeElement.dataset.key : undefined;
   page(id).replaceChildren(...parts());
@@ -142,9 +144,12 @@ function robotRow(robot) {
   }
   const more = [
     robot.reason, robot.at_base === false && !out && 'away from its base', robot.battery !== null && `battery ${Math.round(100 * robot.battery)} %`,
-    robot.age ? `last heard ${span(robot.age)} ago` : robot.age === null && robot.state !== null && 'not heard', robot.number && `no. ${robot.number}`,
+    robot.age === null && robot.state !== null && 'not heard', robot.number && `no. ${robot.number}`,
   ].filter(Boolean);
   if (more.length) said.append(` · ${more.join(' · ')}`);
+  const aged = element('span', [], { className: 'age' });
+  aged.dataset.agent = name;
+  said.append(aged);
   const buttons = deployment ? [
     ...(out && robot.out_since === null && !robot.taken_back ? [orderButton('take back', `take back ${name}`, () => proposeTakeBack(name))] : []),
     ...(out ? [orderButton('lost', `lost ${name}`, () => proposeLoss(name))] : []),
@@ -241,7 +246,13 @@ function drawBoard() {
   renewPart('needs', [needs, hold], () => needs.flatMap(needRow));
   const rank = (robot) => (robot.overdue ? 0 : robot.out ? 1 : 2);
   drawPreflight(board.preflight);
-  renewPart('robots', board.robots, () => [...board.robots].sort((one, other) => rank(one) - rank(other)).map(robotRow));
+  const robots = [...board.robots].sort((one, other) => rank(one) - rank(other));
+  // Ages change each second, and make no button anew.
+  renewPart('robots', robots.map((robot) => ({ ...robot, age: robot.age === null })), () => robots.map(robotRow));
+  page('robots').querySelectorAll('.age').forEach((each) => {
+    const { age: heard } = robots.find((robot) => robot.name === each.dataset.agent);
+    each.textContent = heard ? ` · last heard ${span(heard)} ago` : '';
+  });
   renewPart('statements', [board.said, board.contradictions], () => (board.said.length ? [...board.said].reverse().map(saidRow) : [element('li', 'nothing so far')]));
   renewPart('parameters', board.parameters, () => Object.entries(board.parameters).map(parameterRow));
   const next = JSON.stringify(proposals());
@@ -700,6 +711,12 @@ page('unmark').addEventListener('click', () => {
 });
 page('end').addEventListener('click', proposeEnd);
 page('mute').addEventListener('click', () => page('mute').setAttribute('aria-pressed', page('mute').getAttribute('aria-pressed') === 'false'));
+document.addEventListener('pointerdown', ({ target }) => { heldDown = target; });
+// The click follows at once.
+['pointerup', 'pointercancel'].forEach((name) => document.addEventListener(name, () => {
+  heldDown = null;
+  if (board) setTimeout(drawBoard);
+}));
 ['pointerdown', 'keydown'].forEach((name) => document.addEventListener(name, () => { sound ??= board && new AudioContext(); }));
 page('act-fields').addEventListener('input', anew);
 page('act-cancel').addEventListener('click', () => page('act').close());
