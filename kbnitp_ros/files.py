@@ -41,9 +41,10 @@ def as_file(name: str, given: Any) -> Path:
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return 'did you mean' with the known names most similar to a name; empty if none is."""
-    # Compare without the group first, since lethality differs much from sensor.lethality.
-    meant = [each for each in sorted(known) if each.rpartition('.')[2] == name]
-    meant = meant or get_close_matches(name, sorted(known), n=1, cutoff=0.6)
+    # Compare without the group as well, since lethality differs much from sensor.lethality.
+    ends = {each: each.rpartition('.')[2] for each in sorted(known)}
+    close = get_close_matches(name, sorted({*ends, *ends.values()}), n=1, cutoff=0.6)
+    meant = [each for each, end in ends.items() if close and close[0] in (each, end)]
     return f'did you mean {" or ".join(meant)}? ' if meant else ''
 
 

@@ -54,7 +54,9 @@ def read_study(path: Path, changes: Mapping[str, Any] | None = None) -> Study:
     try:
         return parse_study(read_yaml(path), changes)
     except ValueError as error:
-        raise ValueError(f'scenario {path}: {error}') from error
+        given = ', '.join(f'{name}={value}' for name, value in (changes or {}).items())
+        given = given and f' with {given}'
+        raise ValueError(f'scenario {path}{given}: {error}') from error
 
 
 def parse_study(given: Any, changes: Mapping[str, Any] | None = None) -> Study:
