@@ -442,6 +442,10 @@ class Control:
         try:
             return answer.result(ANSWER)
         except futures.TimeoutError:
+            if getattr(given.request, 'preview', False):
+                # It changes nothing, so that it is called anew if it is asked for again.
+                with self._lock:
+                    self._answers.pop(given.nonce, None)
             why = (
                 f'no answer after {ANSWER:g} s, and the order may have been obeyed: look at the '
                 'board, or ask again with the same nonce'

@@ -181,8 +181,9 @@ class Remarks:
             if not self._node.values['recorded']:
                 self._finish()
 
-        trial = ledger.copy()
-        self._node.compute(partial(self._tried, ledger, trial, remark), reply)
+        # The estimator judges on meanwhile, in another thread.
+        before, trial = ledger.copy(), ledger.copy()
+        self._node.compute(partial(self._tried, before, trial, remark), reply)
         return answer
 
     def _refused(self, service: str, response: Any, error: Exception) -> Any:

@@ -16,6 +16,7 @@ with the next goal:
 
     reject, abort, silent (it is driven, and no word is said), lie (reached, it says at once),
     inactive (all goals are rejected, as by a node that is not active),
+    stuck (it is driven out of the first cell, and stands),
     die (the action servers go, and their goal), live (they are back, and active)
 
 With jump all that is told of where the robot is is `JUMP` m too far along x, until live; with
@@ -262,7 +263,7 @@ class Robot:
                 self._end('succeed')
             elif goal.wrong == 'abort' and time.monotonic() > goal.begun + 0.25:
                 self._end('abort', FollowPath.Result.NO_VALID_CONTROL)
-            else:
+            elif goal.wrong != 'stuck' or max(x, y) < 1:
                 linear, turn = self._steer(goal, x, y, yaw)
         self._world.step(np.array([[linear], [turn]]))
 

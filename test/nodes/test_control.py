@@ -3,6 +3,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import count, pairwise
 import json
 import random
@@ -313,7 +314,8 @@ def test_two_clients_act_at_once_and_a_repeated_nonce_does_nothing(field):
         until(field, other, lambda board: not board['mission']['hold'], 'same board')
 
 
-def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field):
+def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field, monkeypatch):
+    monkeypatch.setattr(controls, 'ANSWER', 2.0)
     base = Base(field)
     ask = Asked(field)
     base.until_sent(1)
@@ -325,8 +327,13 @@ def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field):
         before = client.board['mission']
         for node in NODES:
             field.kill(f'/{node}')
+        foreseen = {'finding': {'cells': [8], 'walked': 0.5}, 'preview': True}
+        foresee = partial(client.order, 'add_finding', foreseen, 'nonce-asked-again')
+        assert ask(foresee)[0] == 504
         until(field, client, lambda board: (board['mission']['age'] or 0) >= 3, 'silence')
         base.start(resume=str(base.log))
+        # A preview that has no answer is called again.
+        field.until(lambda: ask(foresee)[0] == 200, 'preview', patience=120.0)
         until(field, client, lambda b: b['mission']['epoch'] != before['epoch'], 'new estimator')
         until(field, client, lambda board: board['mission']['age'] == 0, 'sign')
         assert client.board['mission']['sent'] == 2

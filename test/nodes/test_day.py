@@ -117,9 +117,13 @@ class Day:
         return answer
 
     def say(self, service, **request):
-        """Say something after its preview, as it is once nothing new came between."""
-        effect = self.ask(service, preview=True, **request).effect
-        return self.ask(service, epoch=effect.epoch, events=effect.events, **request)
+        """Say something after its preview, again if evidence came between."""
+        while True:
+            effect = self.ask(service, preview=True, **request).effect
+            answer = self.call(service, epoch=effect.epoch, events=effect.events, **request)
+            if answer.success:
+                return answer
+            assert 'ask for the preview again' in answer.message
 
     def annotate(self, key, kind, **values):
         said = Annotation(agent=key.agent, deployment=to_stamp(key.stamp), kind=kind, **values)
@@ -154,14 +158,20 @@ class Day:
         return [self.sent(agent)[-1] for agent in agents]
 
     def until_away(self, agent):
-        """Wait until a robot has left the cell of its base."""
-        since = len(self.fleet.truth()[agent])
-        self.field.until(lambda: {*self.fleet.walked(agent, since)} - {0}, f'{agent} out')
+        """Wait until a robot that gets stuck has left the cell of its base, and says so."""
+
+        def is_away():
+            said = self.states[agent]
+            is_out = said and said[-1].state == AgentState.OUT
+            return is_out and max(self.fleet.truth()[agent][-1]) > 1
+
+        self.field.until(is_away, f'{agent} out')
 
     def lose(self, agent):
         """Let a robot be heard of no more, and give it up."""
         self.field.kill(f'{MISSION}/{agent}/robot')
-        self.ask('give_up', agent=agent)
+        # The planner may not know so far that it has left.
+        self.field.until(lambda: self.call('give_up', agent=agent).success, f'loss of {agent}')
 
     def replace(self, agent):
         """Put another robot in the place of a lost one."""
@@ -196,6 +206,7 @@ def test_a_day_in_the_field(field):
     day.start_base()
     see_that_preflight_becomes_green(day)
     # A robot whose battery is flat stops in the field, and another one takes its place.
+    day.fleet.inject('stuck!', 'scout_1')
     (first, _), *_ = day.send(*AGENTS)
     day.until_away('scout_1')
     day.lose('scout_1')
@@ -211,6 +222,7 @@ def test_a_day_in_the_field(field):
     walked = Finding(cells=lane[1:].tolist(), walked=0.9, author='Ann')
     foreseen = day.say('add_finding', finding=walked).effect
     assert foreseen.p_free[1] > foreseen.p_free[0]
+    day.fleet.inject('stuck!', 'scout_2')
     (wrecked, path), (other, _) = day.send('scout_2', 'scout_3')
     day.until_away('scout_2')
     day.lose('scout_2')
@@ -238,6 +250,7 @@ def test_a_day_in_the_field(field):
     # The wrong robot leaves while the others are charged: its deployment counts for nothing.
     day.charge.update(scout_1=0.18, scout_3=0.18)
     day.replace('scout_2')
+    field.until(lambda: {*day.told[-1].waiting} >= {'scout_1', 'scout_3'}, 'flat batteries')
     ((wrong, _),) = day.send('scout_2')
     day.until_judged(wrong)
     day.annotate(wrong, Annotation.WITHDRAW, author='Ann', note='wrong payload')
@@ -265,7 +278,7 @@ def see_that_preflight_becomes_green(day):
     def see(*mended, more=()):
         red.difference_update(mended)
         red.update(more)
-        assert day.red() == sorted(red)
+        field.until(lambda: day.red() == sorted(red), f'{sorted(red)} alone')
 
     see()
     # Robots of another simulator are whole.

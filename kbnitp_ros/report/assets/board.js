@@ -7,6 +7,8 @@ const SILENT = 12_000;
 const AGAIN = 1000;
 const MAX_WAIT = 40_000;
 
+const NO_ANSWER = 'No answer so far: asking again.';
+
 // Confidence above which a finding of no hazard asks for the number of its cells.
 const CLEARED = 0.9;
 
@@ -380,7 +382,7 @@ async function foresee() {
     showPreview({ given, lines: mine.lines(), paths: mine.paths?.() });
     return;
   }
-  const answer = await send({ order: mine.order, arguments: { ...given, preview: true } }, () => isMeant() && say('No answer so far: asking again.'), isMeant);
+  const answer = await send({ order: mine.order, arguments: { ...given, preview: true } }, () => isMeant() && say(NO_ANSWER), isMeant);
   if (!isMeant()) return;
   if (answer?.success) showPreview({ given, lines: effectLines(answer), effect: answer.effect, cells: answer.cells });
   else if (answer) say(answer.message ?? answer.error);
@@ -429,7 +431,7 @@ async function give() {
   page('act-go').disabled = true;
   say('');
   const evidence = effect ? { epoch: effect.epoch, events: effect.events } : {};
-  const answer = await send({ order: mine.order, arguments: { ...given, ...evidence }, ...confirm }, () => say('No answer so far: asking again.'), () => act === mine);
+  const answer = await send({ order: mine.order, arguments: { ...given, ...evidence }, ...confirm }, () => say(NO_ANSWER), () => act === mine);
   page('act-go').disabled = false;
   if (!answer || act !== mine) return;
   if (answer.success) {
@@ -711,7 +713,7 @@ page('unmark').addEventListener('click', () => {
 });
 page('end').addEventListener('click', proposeEnd);
 page('mute').addEventListener('click', () => page('mute').setAttribute('aria-pressed', page('mute').getAttribute('aria-pressed') === 'false'));
-document.addEventListener('pointerdown', ({ target }) => { heldDown = target; });
+document.addEventListener('pointerdown', ({ target, button }) => { heldDown = button === 0 ? target : null; });
 // The click follows at once.
 ['pointerup', 'pointercancel'].forEach((name) => document.addEventListener(name, () => {
   heldDown = null;
