@@ -260,6 +260,7 @@ def statement_facts(said: Statement) -> dict[str, Any]:
         'author': said.author,
         'note': said.note,
         'hash': str(said.content) if said.content else None,
+        'words': said.words,
         'cells': said.cells,
         **values,
         'holds': said.holds,

@@ -29,6 +29,8 @@ class Statement:
     content: int
     # Cells that it speaks of; of an annotation, those of its steps.
     cells: tuple[int, ...]
+    # What is said in words, without cells and times.
+    words: str
     # Its own values, by the names of the fields of its message.
     values: Mapping[str, Any]
     holds: bool
@@ -57,6 +59,7 @@ def _revocation(state: BaseState, remark: Remark) -> Statement:
         remark.note,
         remark.content,
         (),
+        remark.words,
         {'revokes': remark.said},
         remark.content in state.remarks,
     )
@@ -95,6 +98,7 @@ def _statement(state: BaseState, remark: Remark, revoked_by: Statement | None) -
         remark.note,
         remark.content,
         cells,
+        remark.words,
         values,
         holds,
         revoked_by,
@@ -123,13 +127,15 @@ def _no_go(actions: Iterable[OperatorAction]) -> Iterator[Statement]:
 
 
 def _area(action: OperatorAction, holds: bool, revoked_by: Statement | None = None) -> Statement:
+    is_closed = action.action is Action.NO_GO
     return Statement(
-        'no_go' if action.action is Action.NO_GO else 'lift',
+        'no_go' if is_closed else 'lift',
         action.stamp,
         action.author,
         action.reason,
         0,
         action.cells,
+        'no-go' if is_closed else 'open again',
         {},
         holds,
         revoked_by,

@@ -9,6 +9,7 @@ from enum import IntEnum
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Annotation, AnnotationKind, DeploymentKey, Finding, Ledger
+from kbnitp_ros.files import counted
 from kbnitp_ros.messages.headers import (
     check_reason,
     content_hash,
@@ -61,19 +62,41 @@ class Remark:
         if isinstance(self.said, int):
             return f'{who} took back remark {self.said}'
         if isinstance(self.said, Finding):
-            told = ', '.join(
-                f'{"a" if is_there else "no"} {what}'
-                for what, is_there in (('hazard', self.said.hazard), ('target', self.said.target))
+            since = in_seconds(self.said.since or 0)
+            size = counted(self.said.cells.size, 'cell')
+            return f'{who} said of {size} since {since}: {self.words}'
+        key, _ = self.said
+        return f'{who} said of {key}: {self.words}'
+
+    @property
+    def words(self) -> str:
+        """Return what is said in words, without cells and times."""
+        if isinstance(self.said, int):
+            return 'takes a statement back'
+        if isinstance(self.said, Finding):
+            said = self.said
+            words = [f'walked ({said.walked:g})'] if said.walked else []
+            words += [
+                f'{"a" if is_there else "no"} {what} ({said.confidence:g})'
+                for what, is_there in (('hazard', said.hazard), ('target', said.target))
                 if is_there is not None
-            )
-            walked = 'walked' * bool(self.said.walked)
-            state, size = 'changed' if self.said.changed else 'so', self.said.cells.size
-            since = f'{state} since {in_seconds(self.said.since or 0)}'
-            words = ', '.join(filter(None, [told, walked, since]))
-            return f'{who} said of {size} cell{"s" * (size > 1)}: {words}'
-        key, annotation = self.said
-        steps = f' {list(annotation.steps)}' if annotation.steps else ''
-        return f'{who} said of {key}: {annotation.kind.name}{steps}'
+            ]
+            return ', '.join(words + ['changed'] * said.changed)
+        _, annotation = self.said
+        steps = f'step{"s" * (len(annotation.steps) > 1)} {", ".join(map(str, annotation.steps))}'
+        match annotation.kind:
+            case AnnotationKind.LOCATED:
+                by = {None: '', True: ', by a hazard', False: ', not by a hazard'}
+                where = f'in {steps}' if annotation.steps else 'anywhere'
+                return f'lost {where}{by[annotation.by_hazard]}'
+            case AnnotationKind.NO_HAZARD:
+                return f'no hazard, survived {counted(annotation.steps[0], "step")}'
+            case AnnotationKind.RECOVERED:
+                return 'carried home' + f', entered {steps}' * bool(annotation.steps)
+            case AnnotationKind.WITHDRAW:
+                return 'says nothing'
+            case _:
+                return f'lost {annotation.kind.name.lower()} the change'
 
     def record(self, ledger: Ledger) -> None:
         """Record the remark; raise ValueError if it cannot count."""

@@ -95,19 +95,17 @@ MARKS = {'finding': 'finding', 'annotation': 'wreck', 'no_go': 'closed'}
 def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
     """Return the statements as rows of the page, with the cells that it marks."""
     numbers = {each.key: number for number, each in enumerate(mission.deployments, 1)}
-    words = {each.content: describe_statement(each) for each in mission.said}
+    words = {each.content: each.words for each in mission.said}
     rows = []
     for said in mission.said:
         key = DeploymentKey(said.values.get('agent', ''), said.values.get('deployment', 0))
         taken_back = words.get(said.values['revokes'], '') if said.kind == 'revocation' else ''
-        is_marked = said.holds and (
-            said.kind != 'annotation' or describe_statement(said) == 'located'
-        )
+        is_marked = said.holds and said.values.get('says', 'LOCATED') == 'LOCATED'
         rows.append(
             {
                 'time': in_utc(said.stamp)[11:19],
                 'author': said.author,
-                'words': f'took back: {taken_back}' if taken_back else describe_statement(said),
+                'words': f'takes back: {taken_back}' if taken_back else said.words,
                 'number': numbers.get(key),
                 'cells': list(said.cells),
                 'count': len(said.cells),
@@ -118,19 +116,6 @@ def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def describe_statement(said: Statement) -> str:
-    """Return what was said, in a few words."""
-    if said.kind != 'finding':
-        return str(said.values.get('says', said.kind)).lower().replace('_', ' ')
-    told = [
-        f'{"" if said.values[name] else "no "}{name}'
-        for name in ('hazard', 'target')
-        if said.values[name] is not None
-    ]
-    walked = [f'walked {said.values["walked"]:g}'] if said.values['walked'] else []
-    return ', '.join([*told, *walked, *(['changed'] if said.values['changed'] else [])])
 
 
 def holds_in_words(said: Statement) -> str:
@@ -146,7 +131,7 @@ def contradiction_notes(mission: MissionSummary) -> Iterator[str]:
     for pair, cells in contradictions(mission.said).items():
         said = ' and '.join(
             f'{by_content[each].author or "a person"} ({in_utc(by_content[each].stamp)[11:19]}: '
-            f'{describe_statement(by_content[each])})'
+            f'{by_content[each].words})'
             for each in pair
         )
         size = counted(len(cells), 'cell')

@@ -334,7 +334,7 @@ def test_what_people_say_on_the_page_is_previewed_and_counts(field, browser):
             '#act-said', 'The evidence has changed since the preview. Nothing was ordered'
         )
         one.go('Say it was walked')
-        other.until_says('#statements', 'walked (.800) of 4 cells')
+        other.until_says('#statements', 'walked (0.8), 4 cells')
         other.until_says('#statements', ', expected hazards ')
         # Only with the number of cells.
         one.press('#say-cleared')

@@ -131,9 +131,9 @@ def test_what_people_say_counts_and_lasts(field, killed):
     assert len(ledger.remarks) == 4
     told = [line for line in lines(report_of_log) if 'said of' in line or 'took back' in line]
     assert [line.split(', at')[0] for line in told] == [
-        f'Ann said of {lost}: NO_HAZARD [2]',
-        f'a person said of 1 cell: walked, so since {since}',
-        f'a person said of {withdrawn}: WITHDRAW',
+        f'Ann said of {lost}: no hazard, survived 2 steps',
+        f'a person said of 1 cell since {since}: walked (0.9)',
+        f'a person said of {withdrawn}: says nothing',
         f'a person took back remark {revocation.revokes}',
     ]
     assert (last.hazard[path[1:-1]] != before.hazard[path[1:-1]]).any()

@@ -409,7 +409,7 @@ def test_what_people_said_is_marked_and_listed(opened, tmp_path):
         cells = {cell for each in in_force if each.kind == kind for cell in each.cells}
         assert {*marked(page, mark, mission.grid)} == cells
     assert len(page.locator('#said tbody tr').all()) == len(mission.said) == 6
-    assert 'walked 0.9' in page.locator('#said').inner_text()
+    assert 'walked (0.9)' in page.locator('#said').inner_text()
     page.get_by_label('said', exact=True).uncheck()
     assert marked(page, 'closed', mission.grid) is None
 

@@ -195,16 +195,16 @@ def test_the_page_lists_statements_and_names_those_that_contradict(tmp_path):
     mission = written(tmp_path, whole)[0]
     rows = said_rows(mission)
     assert [(each['words'], each['holds'], each['mark'], each['cells']) for each in rows] == [
-        ('located', 'yes', 'wreck', [12]),
-        ('no hazard', 'yes', 'finding', [3, 4, 7]),
-        ('hazard, walked 0.5', 'yes', 'finding', [4]),
-        ('target', 'taken back by Cleo', None, [5]),
-        ('took back: target', 'yes', None, []),
-        ('no go', 'yes', 'closed', [0, 1]),
+        ('lost in step 2, by a hazard', 'yes', 'wreck', [12]),
+        ('no hazard (0.95)', 'yes', 'finding', [3, 4, 7]),
+        ('walked (0.5), a hazard (0.99)', 'yes', 'finding', [4]),
+        ('a target (0.99)', 'taken back by Cleo', None, [5]),
+        ('takes back: a target (0.99)', 'yes', None, []),
+        ('no-go', 'yes', 'closed', [0, 1]),
     ]
     assert [each['number'] for each in rows] == [1, *[None] * 5]
     assert found != taken
     (note,) = contradiction_notes(mission)
     assert note.startswith('Two findings contradict each other in 1 cell: ')
-    assert ': no hazard) and ' in note
-    assert note.endswith(': hazard, walked 0.5). Both count.')
+    assert ': no hazard (0.95)) and ' in note
+    assert note.endswith(': walked (0.5), a hazard (0.99)). Both count.')

@@ -150,6 +150,7 @@ def test_changes_are_read_from_texts(texts, changes):
 
 @for_each('changes, complaint', [
     ({'max_visit': 3}, 'max_visit is unknown: did you mean planning.max_visits'),
+    ({'widht': 3}, 'widht is unknown: did you mean grid.width or planning.width'),
     ({'kappa': 0.5}, 'kappa may be world.kappa or prior.kappa: give one'),
     ({'zzzzz': 0.5}, 'zzzzz is unknown: see docs/files.md'),
     ({'max_visits': 0}, 'planning.max_visits is 0.*from 1'),
@@ -158,6 +159,8 @@ def test_changes_are_read_from_texts(texts, changes):
 def test_a_name_that_nobody_reads_is_refused_with_the_nearest(changes, complaint):
     with pytest.raises((TypeError, ValueError), match=complaint):
         parse_study(small_study.CONTENT, changes)
+    with pytest.raises(ValueError, match='paper.yaml with zzzzz=3: zzzzz is unknown'):
+        read_study(SHIPPED / 'paper.yaml', {'zzzzz': 3})
     content = {**small_study.CONTENT, 'prior': [{}, {}]}
     with pytest.raises(ValueError, match=r'prior is \[{}, {}\]: set prior.kappa in each of'):
         parse_study(content, {'prior.kappa': 0.5})

@@ -7,6 +7,7 @@ const SILENT = 12_000;
 const AGAIN = 1000;
 const MAX_WAIT = 40_000;
 
+// What the dialog says while an order is repeated.
 const NO_ANSWER = 'No answer so far: asking again.';
 
 // Confidence above which a finding of no hazard asks for the number of its cells.
@@ -162,29 +163,15 @@ function robotRow(robot) {
   return element('li', [said, element('p', buttons.flatMap((each) => [each, ' ']))], { className: robot.overdue ? 'overdue' : '' });
 }
 
-// A statement of a deployment in words, by its kind.
-const ANNOTATED = {
-  LOCATED: ({ steps, by_hazard }) => `lost ${steps.length ? `in ${stepsInWords(steps)}` : 'anywhere'}${by_hazard === null ? '' : by_hazard ? ', by a hazard' : ', not by a hazard'}`,
-  NO_HAZARD: ({ steps }) => `no hazard, survived ${counted(steps[0] ?? 0, 'step')}`,
-  RECOVERED: ({ steps }) => `carried home, entered ${stepsInWords(steps)}`,
-  WITHDRAW: () => 'says nothing', BEFORE: () => 'lost before the change', AFTER: () => 'lost after the change',
-};
-const stepsInWords = (steps) => `step${steps.length === 1 ? '' : 's'} ${steps.join(', ')}`;
 const deploymentNamed = (given) => deploymentsKnown(given).find((each) => each.agent === given.agent && sameDeployment(each.deployment, given.deployment)).name;
 
 // A statement in words.
 function statement(said) {
-  const cells = said.cells.length ? ` of ${counted(said.cells.length, 'cell')}` : '';
-  if (said.kind === 'no_go') return `no-go${cells}`;
-  if (said.kind === 'lift') return `open again${cells}`;
-  if (said.kind === 'revocation') return 'takes a statement back';
-  if (said.kind === 'annotation') return `${deploymentNamed(said)}: ${ANNOTATED[said.says](said)}`;
-  const parts = [
-    said.walked && `walked (${share(said.walked)})`, said.hazard !== null && (said.hazard ? 'a hazard' : 'no hazard'),
-    said.target !== null && (said.target ? 'a target' : 'no target'),
-  ].filter(Boolean);
-  const confidence = said.hazard === null && said.target === null ? '' : `, confidence ${share(said.confidence)}`;
-  return `${parts.join(', ')}${said.changed ? `, changed at ${clockTime(said.since)}` : ''}${cells}${confidence}`;
+  const isOfRobot = said.kind === 'annotation';
+  const of = isOfRobot ? `${deploymentNamed(said)}: ` : '';
+  const at = said.changed ? ` at ${clockTime(said.since)}` : '';
+  const cells = !isOfRobot && said.cells.length ? `, ${counted(said.cells.length, 'cell')}` : '';
+  return `${of}${said.words}${at}${cells}`;
 }
 
 // What a statement changed, if this board sent it.
