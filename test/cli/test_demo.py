@@ -497,7 +497,8 @@ def test_bad_options_are_refused_before_anything_starts(tmp_path, capsys, option
     assert not (tmp_path / 'out').exists()
 
 
-PERIOD, WAIT = 0.3, 0.7
+# A busy machine tells later: the wait is several periods.
+PERIOD, WAIT = 0.3, 1.5
 status = partial(Status, author='/planner')
 DONE = status(state=MissionState.DONE, obstacle=Obstacle.ALL_DEPLOYED)
 
@@ -546,13 +547,13 @@ def test_a_demo_runs_until_the_mission_is_over_or_waits_for_an_operator(monkeypa
             if said := next(left, None):
                 mission.publish(mission_status_message(said))
 
+        begun = time.monotonic()
         tell()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         node.create_timer(PERIOD, tell)
         spinning = Thread(target=executor.spin)
         spinning.start()
-        begun = time.monotonic()
         watch(*observer, 1, Processes(domain))
         assert until - 0.25 < time.monotonic() - begun < until + 5.0
         executor.shutdown()
@@ -569,10 +570,10 @@ def test_a_demo_waits_for_an_operator_who_has_a_board(monkeypatch):
             assert time.monotonic() < deadline, 'no board'
             time.sleep(0.05)
         begun = time.monotonic()
-        resumed = Timer(6 * WAIT, lambda: mission.publish(mission_status_message(DONE)))
+        resumed = Timer(3 * WAIT, lambda: mission.publish(mission_status_message(DONE)))
         resumed.start()
         watch(*observer, 1, Processes(domain))
-        assert time.monotonic() - begun >= 6 * WAIT
+        assert time.monotonic() - begun >= 3 * WAIT
         resumed.join()
         board.destroy_node()
 

@@ -39,9 +39,10 @@ class Client:
         self.url, self.look, self.act = re.fullmatch(
             r'(http://[^/]+)/#token=(.{22})&act=(.{22})', address
         ).groups()
-        # All boards that the stream sent, and the time of each.
+        # All boards that the stream sent, the time of each, and that of its begin.
         self.boards = []
         self.times = []
+        self.begun = 0.0
 
     def request(self, path, token, body=None, **headers):
         headers = {'X-Kbnitp-Token': token, 'Origin': self.url, **headers}
@@ -92,6 +93,7 @@ class Client:
                         self.boards.append(json.loads(line[6:]))
                         self.times.append(time.monotonic())
 
+        self.begun = time.monotonic()
         Thread(target=read, daemon=True).start()
 
     @property
@@ -158,16 +160,17 @@ def test_each_order_of_the_planner_has_its_effect(field):
         field.until(
             lambda: base.proposals['scout_1'][-1].poses and base.proposed() != first, 'new'
         )
-        # The paths that were shown wait no more.
-        status, refused = ask(client.order, 'approve', confirm={'scout_1': first})
-        assert status == 409
-        assert 'the paths that wait for approval by now' in refused['error']
+        # The board may hear of it later than the test.
         until(
             field,
             client,
             lambda board: [each['cells'] for each in board['needs']] == [base.proposed()],
             'new proposal',
         )
+        # The paths that were shown wait no more.
+        status, refused = ask(client.order, 'approve', confirm={'scout_1': first})
+        assert status == 409
+        assert 'the paths that wait for approval by now' in refused['error']
         ask(client.do, 'approve', confirm={'scout_1': base.proposed()})
         base.until_sent(1)
         until(field, client, lambda board: board['mission']['sent'] == 1, 'robot sent')
@@ -293,9 +296,9 @@ def test_two_clients_act_at_once_and_a_repeated_nonce_does_nothing(field):
         services = {f'/{each.service}' for each in ORDERS.values()}
         asked = {'/planner/get_parameters', '/estimator/get_parameters'}
         assert allowed['request'] == services | asked | {'/planner/set_parameters'}
-        found = in_graph(field.node, full_name)
-        assert not not_allowed(found, allowed)
-        assert not not_used(found, allowed)
+        # The test may discover the node later than the node discovers the base.
+        field.until(lambda: not not_used(in_graph(field.node, full_name), allowed), 'endpoints')
+        assert not not_allowed(in_graph(field.node, full_name), allowed)
         until(field, one, lambda board: board['open'] == {'act': 1, 'look': 1}, 'two streams')
         # Twice the same order: the nonce counts for all clients.
         calls = [
@@ -307,6 +310,8 @@ def test_two_clients_act_at_once_and_a_repeated_nonce_does_nothing(field):
         answers = [call.result() for call in calls]
         assert len({json.dumps(each) for each in answers[:4]}) == 1
         assert len({json.dumps(each) for each in answers[4:]}) == 1
+        # The clients may have their answers before the test has the action.
+        field.until(lambda: base.actions, 'pause')
         assert sum(each.action == OperatorAction.PAUSE for each in base.actions) == 1
         ask(one.do, 'resume')
         assert ask(other.order, 'pause', nonce='same-nonce') == answers[0]
@@ -315,7 +320,6 @@ def test_two_clients_act_at_once_and_a_repeated_nonce_does_nothing(field):
 
 
 def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field, monkeypatch):
-    monkeypatch.setattr(controls, 'ANSWER', 2.0)
     base = Base(field)
     ask = Asked(field)
     base.until_sent(1)
@@ -327,6 +331,8 @@ def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field, monkeypa
         before = client.board['mission']
         for node in NODES:
             field.kill(f'/{node}')
+        # Not before: a busy base needs longer.
+        monkeypatch.setattr(controls, 'ANSWER', 2.0)
         foreseen = {'finding': {'cells': [8], 'walked': 0.5}, 'preview': True}
         foresee = partial(client.order, 'add_finding', foreseen, 'nonce-asked-again')
         assert ask(foresee)[0] == 504
@@ -341,10 +347,10 @@ def test_a_base_that_is_restarted_is_followed_by_the_open_stream(field, monkeypa
         assert said['holds']
         # DDS lists the killed nodes for some time.
         field.until(lambda: ask(client.order, 'pause')[1].get('success'), 'order', patience=120.0)
-        # At most four a second, and no two alike.
-        times, boards = client.times, client.boards
-        assert all(late - early > 0.1 for early, late in pairwise(times))
-        assert all(one != other for one, other in pairwise(boards))
+        # At most four a second were sent, however late each was read, and no two alike.
+        passed = [time - client.begun for time in client.times]
+        assert all(number <= 1 + 4 * each for number, each in enumerate(passed))
+        assert all(one != other for one, other in pairwise(client.boards))
 
 
 def test_the_table_of_orders_is_all_that_may_be_ordered():

@@ -428,9 +428,7 @@ def test_of_two_robots_on_one_path_the_one_with_more_readings_counts(field):
     base.until_state('waiting for the report of scout_1 at ')
     base.come_back()
     base.until_held(2)
-    field.processes.stop(60)
-    report = replay(base.log)
-    assert report.reproduced
+    report = base.replayed(has_refused=True)
     assert len(report.evidence.standings) == 2
     # A restarted recorder received it again.
     (refused,) = set(report.evidence.refused)

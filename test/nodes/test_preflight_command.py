@@ -2,6 +2,7 @@
 """The command preflight hears the base and its robots, and is green once all is mended."""
 
 from importlib.metadata import version
+from itertools import groupby
 import os
 import re
 import subprocess
@@ -65,10 +66,14 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
         options = [word for name in skipped for word in ('--skip', name)]
         code, told = preflight(field, 5.0, *options)
         lines = [line for line in told.splitlines() if line.startswith('RED')]
-        assert code == bool(lines), told
+        assert code == bool(lines) or 'no planner is heard' in told, told
         return [line.partition(':')[0].split(maxsplit=1)[1] for line in lines]
 
-    assert red() == ['scout_1 heard']
+    def until_red(*names, skipped=()):
+        # A command on a busy machine may not hear all in its time.
+        field.until(lambda: red(*skipped) == [*names], f'{names} alone')
+
+    until_red('scout_1 heard')
     field.node.create_timer(0.2, repeat)
     field.stand('scout_1', Grid(6, 5), is_at_base=False)
     reasons = ['version', 'field', 'at its base', 'journal', 'clock', 'battery']
@@ -81,15 +86,15 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
         'battery': lambda: says.update(battery=0.9),
     }
     while reasons:
-        assert red() == [f'scout_1 {reason}' for reason in reasons]
+        until_red(*(f'scout_1 {reason}' for reason in reasons))
         if reasons == ['clock', 'battery']:
-            assert red('clock') == ['scout_1 battery']
+            until_red('scout_1 battery', skipped=['clock'])
             code, told = preflight(field, 60.0, '--skip', 'battery')
             assert code == 0
             assert 'SKIP  scout_1 battery: 18 %: 30 % needed' in told
             assert 'SKIP  scout_1 clock: -5.' in told
             assert field.set_parameter('/planner', 'preflight_skip', ['pose']).successful
-            assert red() == ['scout_1 clock', 'scout_1 battery']
+            until_red('scout_1 clock', 'scout_1 battery')
         mend[reasons.pop(0)]()
     code, told = preflight(field, 60.0)
     assert code == 0, told
@@ -102,7 +107,9 @@ def test_a_robot_is_red_for_seven_reasons_mended_one_by_one(field):
     # What is skipped is on record, and lasts.
     changes = [each.parameters for each in base.actions if each.action == Action.SET]
     skipped = ('[clock]', '[battery, clock]', '[pose]')
-    assert changes == [[f'{{preflight_skip: {names}}}'] for names in skipped]
+    assert [each for each, _ in groupby(changes)] == [
+        [f'{{preflight_skip: {names}}}'] for names in skipped
+    ]
     base.crash()
     words = "parameter preflight_skip is ['pose'], as the operator had set"
     field.until(lambda: words in field.said('/planner'), words)

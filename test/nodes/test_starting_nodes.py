@@ -304,7 +304,8 @@ def test_each_deployment_is_a_line_of_the_planner_and_one_of_the_estimator(field
     assert 0 < lost < 5
 
 
-SILENT = {'silent_loss': True, 'step_period': 0.001, 'return_deadline': 2.0}
+# The base stays for one more deadline, in which its loss must be judged and the robot return.
+SILENT = {'silent_loss': True, 'step_period': 0.001, 'return_deadline': 8.0}
 
 
 def test_a_base_stays_for_robots_that_were_given_up(field):
