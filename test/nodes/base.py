@@ -88,8 +88,10 @@ class Base:
         client = self.clients['end_mission']
         assert client.service_is_ready()
         self.lost_calls.append(client.call_async(Trigger.Request()))
-        for messages in self.proposals.values():
-            messages.clear()
+        # The old subscriptions may hold unread proposals of the killed planner.
+        self.proposals = {
+            each: self.field.listen(Path, f'/{each}/proposal') for each in self.proposals
+        }
         self.start(resume=str(self.log))
 
     def call(self, service, **request):

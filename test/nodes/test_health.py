@@ -2,8 +2,8 @@
 """Robots say how they are; a flat battery, or a switch, keeps one at its base and no other."""
 
 from dataclasses import replace
+from itertools import pairwise
 from math import isnan, nan
-import time
 
 from base import GRID
 from fleet import Fleet
@@ -58,8 +58,6 @@ def test_a_robot_with_a_flat_battery_stays_while_the_other_leaves(field):
     base.health = {'scout_1': {'battery': 0.9}, 'scout_2': {'battery': 0.18}}
     base.until_sent(1)
     base.until_waiting(scout_2=MissionStatus.BATTERY)
-    words = 'scout_2 waits: battery 18 % of 30 % (parameter min_battery)'
-    field.until(lambda: words in field.said('/planner'), words)
     base.come_back()
     base.until_sent(2)
     assert not base.sent('scout_2')
@@ -68,17 +66,20 @@ def test_a_robot_with_a_flat_battery_stays_while_the_other_leaves(field):
     base.come_back()
     base.until_held(2)
     base.until_state('scout_1 waits: battery 90 % of 95 %')
-    assert base.told[-1].obstacle == MissionStatus.NO_FREE_AGENT
+    field.until(lambda: base.told[-1].obstacle == MissionStatus.NO_FREE_AGENT, 'obstacle')
     assert base.told[-1].ends_by == MissionStatus.ROBOT
     base.until_waiting(scout_1=MissionStatus.BATTERY, scout_2=MissionStatus.BATTERY)
     # It is charged.
     base.health['scout_2']['battery'] = 0.95
     base.until_sent(1, 'scout_2')
     base.until_waiting(scout_1=MissionStatus.BATTERY)
-    # What is not said any more is not known.
+    # A wait is logged once, with the charge known by then: at the start that may be none.
     assert field.set_parameter('/planner', 'min_battery', 0.99).successful
-    base.health.clear()
     base.come_back('scout_2')
+    words = 'scout_2 waits: battery 95 % of 99 % (parameter min_battery)'
+    field.until(lambda: words in field.said('/planner'), words)
+    # What is not said any more is not known.
+    base.health.clear()
     base.until_state('scout_1 waits: battery not known, 99 % needed')
 
 
@@ -94,12 +95,17 @@ def test_an_operator_lowers_the_charge_that_is_needed(field):
 def test_a_robot_leaves_once_its_agent_is_ready(field):
     base = Team(field, robots=2, ready_topic='dock/open')
     base.until_waiting(scout_1=MissionStatus.READY, scout_2=MissionStatus.READY)
-    field.talk(Bool, '/scout_2/dock/open', qos.LATCHED).publish(Bool(data=True))
+    dock = field.talk(Bool, '/scout_2/dock/open', qos.LATCHED)
+    dock.publish(Bool(data=True))
     field.talk(Bool, '/scout_1/dock/open', qos.LATCHED).publish(Bool(data=False))
     base.until_sent(1, 'scout_2')
-    words = 'scout_1 waits: scout_1/dock/open says false (parameter ready_topic)'
+    # A wait is logged once, with what is known by then: the first one may be logged before that.
+    dock.publish(Bool(data=False))
+    base.come_back('scout_2')
+    words = 'scout_2 waits: scout_2/dock/open says false (parameter ready_topic)'
     field.until(lambda: words in field.said('/planner'), words)
-    assert not base.sent()
+    base.until_waiting(scout_1=MissionStatus.READY, scout_2=MissionStatus.READY)
+    assert [len(base.sent(agent)) for agent in base.paths] == [0, 1]
 
 
 def test_robots_of_one_base_leave_one_after_another(field):
@@ -230,23 +236,22 @@ def test_health_is_recorded_when_something_has_changed(field):
     base = Team(field, ('scout_1',), robots=1, min_battery=0.5)
     base.health = {'scout_1': {'battery': 0.2, 'x': 0.5, 'y': 0.5, 'pose_age': 0.1}}
     base.until_waiting(scout_1=MissionStatus.BATTERY)
-    begun = time.monotonic()
 
     def recorded():
-        return [
-            round(each.message.battery, 2)
-            for each in read_log(base.log, {HEALTH}, topics={'/scout_1/health'})
-        ]
+        logged = read_log(base.log, {HEALTH}, topics={'/scout_1/health'})
+        return [(round(each.message.battery, 2), each.log_time) for each in logged]
 
-    field.until(lambda: recorded() == [0.2], 'first health')
+    field.until(lambda: [battery for battery, _ in recorded()] == [0.2], 'first health')
     # Neither a move nor what is too soon is recorded.
     base.health['scout_1'] |= {'x': 3.5, 'pose_age': 0.3}
     base.health['scout_1']['battery'] = 0.7
     base.until_sent(1)
     base.health['scout_1']['battery'] = 0.6
-    field.until(lambda: len(recorded()) > 1, 'second health')
-    assert time.monotonic() > begun + 8.0
-    assert recorded() == [0.2, 0.6]
+    field.until(lambda: recorded()[-1][0] == 0.6, 'last health')
+    batteries, times = zip(*recorded())
+    # On a slow machine the robot leaves so late that its charge then is recorded as well.
+    assert batteries in ((0.2, 0.6), (0.2, 0.7, 0.6))
+    assert all(later > earlier + 8 * 10**9 for earlier, later in pairwise(times))
     base.come_back()
     base.until_state('done: 1 of 1')
     assert base.replayed().evidence.ended == 1

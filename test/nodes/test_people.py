@@ -41,14 +41,19 @@ class Person:
         client, calls = self.clients[service], []
         self.field.until(client.service_is_ready, service)
 
+        def answers():
+            # A call that is repeated is refused while the first one is still being judged.
+            done = [call.result() for _, call in calls if call.done()]
+            return [each for each in done if 'another remark is being judged' not in each.message]
+
         def is_answered():
             if not calls or time.monotonic() > calls[-1][0] + 5.0:
                 made = client.call_async(SERVICES[service].Request(**request))
                 calls.append((time.monotonic(), made))
-            return any(call.done() for _, call in calls)
+            return bool(answers())
 
         self.field.until(is_answered, f'answer of {service}')
-        return next(call.result() for _, call in calls if call.done())
+        return answers()[0]
 
     def say(self, service, **request):
         """Say something after its preview; return the answer and the effect foreseen."""

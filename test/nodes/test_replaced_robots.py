@@ -32,15 +32,23 @@ class LostRobot:
         self.reports = field.listen(DeploymentReport, f'{MISSION}/scout_1/report')
         self.paths = field.listen(Path, f'{MISSION}/scout_1/path')
         self.beliefs = field.listen(BeliefMaps, f'{MISSION}/belief')
-        self.fleet.simulate()
+        # Unless it is stuck, it may be home again before it is killed, or before all have heard of
+        # its departure.
+        self.fleet.simulate('stuck!')
         self.start_robot()
         self.start_base(file=str(self.log))
-        field.until(lambda: {*self.fleet.walked()} - {0}, 'robot in the field')
+        field.until(self.is_away, 'robot in the field')
+        self.until_told('leaves for')
         field.kill(f'{MISSION}/scout_1/robot')
-        # The robot may be faster than the discovery of this subscriber.
         field.until(lambda: self.paths, 'path')
         self.key = self.fleet.key(0)._replace(stamp=from_stamp(self.paths[0].header.stamp))
         self.journal = self.fleet.journal('scout_1')
+
+    def is_away(self):
+        truth, said = self.fleet.truth()['scout_1'], self.states
+        has_said = self.statuses and self.statuses[-1].state == AgentStatus.DEPARTED
+        is_out = has_said and said and said[-1].state == AgentState.OUT
+        return is_out and max(truth[-1]) > 1
 
     def start_base(self, **own):
         for name in NODES:
