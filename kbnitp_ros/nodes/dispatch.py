@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from math import inf
+import re
 import time
 
 from kbnitp_msgs.msg import AgentHealth, AgentState, AgentStatus, DeploymentReport, Recorded
@@ -53,6 +54,9 @@ FIRST_PAUSE, MAX_PAUSE = 1.0, 60.0
 # Seconds until the path of an order on record must have arrived.
 READ_AGAIN = 1.0
 
+# What may change in a reason that is not told again.
+NUMBER = re.compile('[0-9.]+')
+
 # Seconds that the nodes of a base may take to process a return.
 PROCESSING = 5.0
 
@@ -90,7 +94,7 @@ class Dispatch:
         self._homes = {agent: parking_place(self._values, agent, node.grid) for agent in agents}
         self._readiness = Readiness(self._values)
         # Start of each agent's wait for a condition, seconds; infinite once it was logged.
-        self._waits: dict[tuple[str, Need], float] = {}
+        self._waits: dict[tuple[str, str], float] = {}
         # Reason of each agent, with the time since which it gives it, and the reasons logged.
         self._reasons: dict[str, tuple[str, float]] = {}
         self._told: set[tuple[str, str]] = set()
@@ -290,11 +294,12 @@ class Dispatch:
                 self._node.get_logger().warning(words)
 
         waiting, now = self.waiting, time.monotonic()
-        keys = ((agent, each.what) for agent, each in waiting.items())
+        # A wait is logged again when its reason changes, but for the numbers in it.
+        keys = ((agent, NUMBER.sub('', each.why)) for agent, each in waiting.items())
         self._waits = {key: self._waits.get(key, now) for key in keys}
-        for (agent, what), since in self._waits.items():
+        for (agent, reason), since in self._waits.items():
             if now > since + LOG_FIRST:
-                self._waits[agent, what] = inf
+                self._waits[agent, reason] = inf
                 self._node.get_logger().warning(f'{agent} waits: {waiting[agent].why}')
 
     def _log_departure(self, key: DeploymentKey) -> None:

@@ -130,7 +130,7 @@ def test_a_robot_takes_the_place_of_a_lost_one(field, is_resumed):
 
 
 def test_a_robot_without_a_journal_is_held_until_the_operator_gives_up_the_lost_one(field):
-    mission = LostRobot(field, return_deadline=6.0)
+    mission = LostRobot(field, return_deadline=12.0)
     mission.journal.unlink()
     mission.place(0.5, 0.5)
     mission.start_robot()
@@ -145,7 +145,7 @@ def test_a_robot_without_a_journal_is_held_until_the_operator_gives_up_the_lost_
 
 
 def test_a_robot_whose_journal_is_gone_in_the_field_is_never_lost(field):
-    mission = LostRobot(field, return_deadline=6.0)
+    mission = LostRobot(field, return_deadline=12.0)
     mission.journal.unlink()
     mission.place(2.5, 0.5)
     mission.start_robot()
@@ -167,7 +167,7 @@ def test_a_robot_whose_journal_is_gone_in_the_field_is_never_lost(field):
 
 
 def test_a_robot_with_a_damaged_journal_comes_home_and_vouches_for_no_step(field):
-    mission = LostRobot(field, return_deadline=6.0)
+    mission = LostRobot(field, return_deadline=100.0)
     content = mission.journal.read_bytes()
     mission.journal.write_bytes(content.replace(b'"orders"', b'"0rders"'))
     mission.place(2.5, 0.5)
