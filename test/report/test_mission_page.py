@@ -430,6 +430,13 @@ def test_pixels_have_the_colours_of_their_cells(opened, shown):
         assert np.abs(drawn - expected).max() <= 3
 
 
+TWICE_UP = """() => {
+    const canvas = document.querySelector('#map canvas');
+    const press = () => canvas.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowUp' }));
+    [press, press].forEach((each) => each());
+}"""
+
+
 def test_the_map_is_magnified_moved_and_walked_by_keys(opened):
     page = opened()
     chosen = '+document.getElementById("map").layout.frame'
@@ -457,6 +464,11 @@ def test_the_map_is_magnified_moved_and_walked_by_keys(opened):
     # One row below where it was, and no moment was left.
     page.wait_for_function(
         f'document.getElementById("map").layout.frame === {cell + 1 - GRID.width}'
+    )
+    # Two keys before anything is drawn.
+    page.evaluate(TWICE_UP)
+    page.wait_for_function(
+        f'document.getElementById("map").layout.frame === {cell + 1 + GRID.width}'
     )
     assert page.evaluate('now === last')
     page.locator('#map canvas').press('0')

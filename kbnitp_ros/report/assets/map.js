@@ -455,8 +455,10 @@ class FieldMap {
     const from = frame ?? grid.bases[0];
     const [column, row] = [(from % grid.width) + across, Math.floor(from / grid.width) + up];
     if (column < 0 || column >= grid.width || row < 0 || row >= grid.height) return;
-    this.onCell(row * grid.width + column);
-    this.see(row * grid.width + column);
+    // The next key may come before this one is drawn.
+    this.box.layout.frame = row * grid.width + column;
+    this.onCell(this.box.layout.frame);
+    this.see(this.box.layout.frame);
   }
 
   // Move the view to a cell that is outside of it.
