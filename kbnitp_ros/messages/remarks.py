@@ -9,7 +9,6 @@ from enum import IntEnum
 from typing import Any, TYPE_CHECKING
 
 from kbnitp_ros.core import Annotation, AnnotationKind, DeploymentKey, Finding, Ledger
-from kbnitp_ros.files import counted
 from kbnitp_ros.messages.headers import (
     check_reason,
     content_hash,
@@ -63,8 +62,8 @@ class Remark:
             return f'{who} took back remark {self.said}'
         if isinstance(self.said, Finding):
             since = in_seconds(self.said.since or 0)
-            size = counted(self.said.cells.size, 'cell')
-            return f'{who} said of {size} since {since}: {self.words}'
+            size = self.said.cells.size
+            return f'{who} said of {size} cell{"s" * (size > 1)} since {since}: {self.words}'
         key, _ = self.said
         return f'{who} said of {key}: {self.words}'
 
@@ -83,16 +82,17 @@ class Remark:
             ]
             return ', '.join(words + ['changed'] * said.changed)
         _, annotation = self.said
-        steps = f'step{"s" * (len(annotation.steps) > 1)} {", ".join(map(str, annotation.steps))}'
+        numbers = annotation.steps
+        steps = f'step{"s" * (len(numbers) > 1)} {", ".join(map(str, numbers))}'
         match annotation.kind:
             case AnnotationKind.LOCATED:
                 by = {None: '', True: ', by a hazard', False: ', not by a hazard'}
-                where = f'in {steps}' if annotation.steps else 'anywhere'
+                where = f'in {steps}' if numbers else 'anywhere'
                 return f'lost {where}{by[annotation.by_hazard]}'
             case AnnotationKind.NO_HAZARD:
-                return f'no hazard, survived {counted(annotation.steps[0], "step")}'
+                return f'no hazard, survived {numbers[0]} step{"s" * (numbers[0] != 1)}'
             case AnnotationKind.RECOVERED:
-                return 'carried home' + f', entered {steps}' * bool(annotation.steps)
+                return 'carried home' + f', entered {steps}' * bool(numbers)
             case AnnotationKind.WITHDRAW:
                 return 'says nothing'
             case _:
