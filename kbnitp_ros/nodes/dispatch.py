@@ -93,7 +93,7 @@ class Dispatch:
         self._fields = fields
         self._homes = {agent: parking_place(self._values, agent, node.grid) for agent in agents}
         self._readiness = Readiness(self._values)
-        # Start of each agent's wait for a condition, seconds; infinite once it was logged.
+        # Start of each agent's wait for a reason, seconds; infinite once it was logged.
         self._waits: dict[tuple[str, str], float] = {}
         # Reason of each agent, with the time since which it gives it, and the reasons logged.
         self._reasons: dict[str, tuple[str, float]] = {}

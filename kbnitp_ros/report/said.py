@@ -88,8 +88,8 @@ def properties(mission: MissionSummary, said: Statement) -> dict[str, Any]:
     }
 
 
-# What the page marks on its map, by the kind of a statement.
-MARKS = {'finding': 'finding', 'annotation': 'wreck', 'no_go': 'closed'}
+# What the page marks on its map, by the kind of a statement, and of what is said of a robot.
+MARKS = {'finding': 'finding', 'LOCATED': 'wreck', 'no_go': 'closed'}
 
 
 def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
@@ -100,7 +100,6 @@ def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
     for said in mission.said:
         key = DeploymentKey(said.values.get('agent', ''), said.values.get('deployment', 0))
         taken_back = words.get(said.values['revokes'], '') if said.kind == 'revocation' else ''
-        is_marked = said.holds and said.values.get('says', 'LOCATED') == 'LOCATED'
         rows.append(
             {
                 'time': in_utc(said.stamp)[11:19],
@@ -111,7 +110,7 @@ def said_rows(mission: MissionSummary) -> list[dict[str, Any]]:
                 'count': len(said.cells),
                 'holds': holds_in_words(said),
                 'note': said.note,
-                'mark': MARKS.get(said.kind) if is_marked else None,
+                'mark': MARKS.get(said.values.get('says', said.kind)) if said.holds else None,
                 **({'cell': said.cells[0]} if said.cells else {}),
             }
         )

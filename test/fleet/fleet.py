@@ -140,6 +140,10 @@ class Fleet:
         ]
         return moves(cells)
 
+    def is_away(self, name='scout_1'):
+        """Return whether a robot truly is outside of the first cell."""
+        return max(self.truth()[name][-1]) > 1
+
     def see_that_it_is_true(self, report, since=0, name='scout_1'):
         """Compare a report with the simulated motion and the true targets."""
         self.see_that_all_is_true([report], since, name)

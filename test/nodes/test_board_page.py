@@ -25,9 +25,9 @@ COUNTED = """
 # The button that gives an order.
 GO = 'document.getElementById("act-go")'
 
-# The dialog, and whether it has shown anew what changed since it was opened.
+# The dialog, and what it says.
 DIALOG = 'document.getElementById("act")'
-CHANGED = 'document.getElementById("act-said").textContent.includes("has changed since: look")'
+SAID = 'document.getElementById("act-said").textContent'
 
 # A click on the middle of a cell of the map.
 AT = """each => {
@@ -128,13 +128,16 @@ class Tab:
         self.until(f'title => {GO}.textContent === title && !{GO}.disabled', title)
         self.page.locator('#act-go').click()
 
+    def answer(self, title):
+        """Press the button that gives the order; return what the dialog says if it stays."""
+        self.order(title)
+        self.until(f'!{DIALOG}.open || !["", NO_ANSWER].includes({SAID})')
+        return self.page.evaluate(f'{DIALOG}.open ? {SAID} : ""')
+
     def go(self, title):
         """Give the order of the dialog, again if what it shows changed meanwhile."""
-        self.order(title)
-        self.until(f'!{DIALOG}.open || {CHANGED}')
-        if self.page.evaluate(f'{DIALOG}.open'):
-            self.order(title)
-            self.until(f'!{DIALOG}.open')
+        while said := self.answer(title):
+            assert 'changed since' in said, said
 
     def annotate(self, button, says, effect='', **values):
         """Say something of the first deployment of scout_1; `effect`: words of its preview."""
@@ -429,7 +432,7 @@ def test_a_phone_with_keys_alone_outlives_lost_answers_and_restarts(field, brows
         keys.press('Enter')
         one.tab_to('[name=author]')
         keys.press('Escape')
-        one.until('!document.getElementById("act").open')
+        one.until(f'!{DIALOG}.open')
         assert one.page.evaluate('document.activeElement.id') == 'no-go'
         keys.press('Enter')
         assert one.page.evaluate('document.documentElement.scrollWidth') == 390

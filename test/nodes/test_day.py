@@ -133,13 +133,14 @@ class Day:
         """Return the keys and paths of an agent's robots, in order."""
         return sorted(dict(read_path(GRID, agent, path) for path in self.paths[agent]).items())
 
+    def unsent(self, agents):
+        """Return a function of the agents among these without another path so far."""
+        before = {agent: len(self.sent(agent)) for agent in agents}
+        return lambda: {each for each in agents if len(self.sent(each)) == before[each]}
+
     def send(self, *agents):
         """Approve what is proposed until a robot of each agent is out; return keys and paths."""
-        before = {agent: len(self.sent(agent)) for agent in agents}
-        shown = self.proposals
-
-        def left():
-            return [each for each in agents if len(self.sent(each)) == before[each]]
+        left, shown = self.unsent(agents), self.proposals
 
         def proposed():
             return [each for each in left() if shown[each] and shown[each][-1].poses]
@@ -163,7 +164,7 @@ class Day:
         def is_away():
             said = self.states[agent]
             is_out = said and said[-1].state == AgentState.OUT
-            return is_out and max(self.fleet.truth()[agent][-1]) > 1
+            return is_out and self.fleet.is_away(agent)
 
         self.field.until(is_away, f'{agent} out')
 

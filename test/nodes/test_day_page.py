@@ -25,10 +25,9 @@ from kbnitp_ros.messages.operator_actions import Action
 from kbnitp_ros.messages.progress import read_decision
 from PIL import Image
 import pytest
-from test_board_page import GO, tab
+from test_board_page import GO, SAID, tab
 from test_day import AGENTS, Day, MISSION, PARKING
 
-SAID = 'document.getElementById("act-said").textContent'
 PHONE = {'viewport': {'width': 390, 'height': 800}, 'has_touch': True, 'is_mobile': True}
 DESK = {'viewport': {'width': 1100, 'height': 760}}
 
@@ -107,19 +106,6 @@ class Person:
             taken = Image.open(BytesIO(page.screenshot())).convert('RGB').quantize(128)
             taken.save(self.pictures / f'day_{name}.png', optimize=True)
 
-    def answer(self, title):
-        """Press the button that gives the order; return what the dialog says if it stays."""
-        self.page.order(title)
-        self.page.until(
-            f'!document.getElementById("act").open || !["", NO_ANSWER].includes({SAID})'
-        )
-        return self.page.page.evaluate(SAID)
-
-    def give(self, title):
-        """Give the order of the dialog, again if the evidence has changed since its preview."""
-        while said := self.answer(title):
-            assert 'changed since' in said, said
-
     def proposed(self):
         """Return the stamps of the paths that wait for approval, by agent."""
         return self.page.page.evaluate(
@@ -128,11 +114,7 @@ class Person:
 
     def send(self, *agents, once_shown=lambda: None):
         """Approve what the page proposes until each agent has a robot; return keys and paths."""
-        day = self.day
-        before = {each: len(day.sent(each)) for each in agents}
-
-        def left():
-            return {each for each in agents if len(day.sent(each)) == before[each]}
+        day, left = self.day, self.day.unsent(agents)
 
         def proposed():
             return self.proposed().keys() & left()
@@ -145,7 +127,7 @@ class Person:
                 self.page.until(f'!{GO}.disabled || {SAID}')
                 if not self.page.page.evaluate(SAID):
                     once_shown()
-                    if not self.answer('Approve'):
+                    if not self.page.answer('Approve'):
                         self.until_over(shown, lambda wanted=wanted: wanted - left())
                 self.page.page.keyboard.press('Escape')
         return [day.sent(each)[-1] for each in agents]
@@ -162,7 +144,7 @@ class Person:
     def lose(self, agent):
         """Say that the robot of an agent that is out is lost."""
         self.page.page.locator(f'[data-key="lost {agent}"]').click()
-        self.give(f'Give {agent} up')
+        self.page.go(f'Give {agent} up')
 
     def mark(self, *cells):
         self.page.press('#unmark')
@@ -249,7 +231,7 @@ def see_that_what_she_knows_counts(day, ann, first):
     for name, value in {**flat, 'author': 'Ann'}.items():
         page.fill(name, value)
     page.foresee()
-    ann.give('Say of a robot')
+    ann.page.go('Say of a robot')
     page.until_says('#statements', f'{day.numbered(first)}: no hazard, survived 1 step')
     day.charge['scout_1'] = 0.18
     day.replace('scout_1')
@@ -261,7 +243,7 @@ def see_that_what_she_knows_counts(day, ann, first):
     before, after = page.page.evaluate('act.preview.effect.p_free')
     assert before < after
     ann.take('walked')
-    ann.give('Say it was walked')
+    ann.page.go('Say it was walked')
     field.until(lambda: day.findings, 'finding')
     assert sorted(day.findings[0].cells) == sorted(lane)
     day.fleet.inject('stuck!', 'scout_2')
@@ -280,7 +262,7 @@ def see_that_what_she_knows_counts(day, ann, first):
     page.foresee()
     page.until_says('#act-effect', 'hazards expected')
     ann.take('wreck')
-    ann.give('Say of a robot')
+    ann.page.go('Say of a robot')
     field.until(lambda: len(day.annotations) == 2, 'wreck')
     # A drag with the mouse closes the wreck and the cells beside it.
     page.press('#unmark')
@@ -293,7 +275,7 @@ def see_that_what_she_knows_counts(day, ann, first):
     closed = page.page.evaluate('[...markedCells].sort((one, other) => one - other)')
     assert wreck in closed
     page.press('#no-go')
-    ann.give('No-go')
+    ann.page.go('No-go')
     assert [*day.until_did(Action.NO_GO).cells] == closed
     page.until('maps.get("map").box.data.some(({ name, x }) => name === "closed" && x.length)')
     page.press('#unmark')
@@ -312,12 +294,12 @@ def see_that_a_phone_says_what_it_stands_before(day, ben):
     phone.until(f'!{GO}.disabled')
     assert phone.page.evaluate('document.documentElement.scrollWidth') == 390
     ben.take('phone')
-    ben.give('Say there is a hazard')
+    ben.page.go('Say there is a hazard')
     day.field.until(lambda: len(day.findings) == 2, 'hazard')
     phone.press('#say-cleared')
     phone.until_says('#act-confirm', 'type the number of cells, 1,')
     phone.page.locator('#act-confirm input').fill('1')
-    ben.give('Say a hazard was cleared')
+    ben.page.go('Say a hazard was cleared')
     day.field.until(lambda: len(day.findings) == 3, 'clearance')
     return cell
 
@@ -329,12 +311,12 @@ def see_that_orders_outlive_the_planner(day, ann):
     day.until_did(Action.PAUSE)
     page.until_says('#needs', 'departures are on hold')
     page.press('#hold button')
-    ann.give('Resume')
+    ann.page.go('Resume')
     day.until_did(Action.RESUME)
     page.press('summary', 'Parameters and the end')
     page.page.locator('#set-loss_cost').fill('0.25')
     page.page.get_by_label('set loss_cost').click()
-    ann.give('Set loss_cost')
+    ann.page.go('Set loss_cost')
     assert [*day.until_did(Action.SET).parameters] == ['{loss_cost: 0.25}']
     page.until_says('#needs', 'approve scout_3')
     field.kill(f'{MISSION}/planner')
@@ -353,7 +335,7 @@ def see_that_orders_outlive_the_planner(day, ann):
     page.press('#robots button', 'take back')
     page.fill('note', 'rain')
     page.foresee()
-    ann.give('Take the order of scout_1 back')
+    ann.page.go('Take the order of scout_1 back')
     day.until_did(Action.TAKE_BACK)
     robot.send_signal(signal.SIGCONT)
     said = day.statuses['scout_1']
@@ -371,19 +353,19 @@ def see_that_the_goal_is_reached_lost_and_reached(day, ann):
         page.press('#say-walked')
         page.until(f'!{GO}.disabled')
         foreseen = page.page.evaluate('act.preview.effect.p_free')
-        ann.give('Say it was walked')
+        ann.page.go('Say it was walked')
         return foreseen
 
     before, after = walk()
     page.page.locator('[id="set-stop.confidence"]').fill(f'{(before + after) / 2:.4f}')
     page.page.get_by_label('set stop.confidence', exact=True).click()
-    ann.give('Set stop.confidence')
+    ann.page.go('Set stop.confidence')
     day.until_did(Action.REACHED)
     page.until_says('#goal', ', reached')
     page.until_says('#state', 'DONE')
     walked = page.page.locator('#statements li', has_text='walked').first
     walked.get_by_text('revoke').click()
-    ann.give('Revoke')
+    ann.page.go('Revoke')
     day.until_did(Action.GOAL_LOST)
     page.until_says('#needs', 'the goal was reached, and no longer holds')
     ann.take('lost')

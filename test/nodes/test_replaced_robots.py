@@ -45,10 +45,9 @@ class LostRobot:
         self.journal = self.fleet.journal('scout_1')
 
     def is_away(self):
-        truth, said = self.fleet.truth()['scout_1'], self.states
         has_said = self.statuses and self.statuses[-1].state == AgentStatus.DEPARTED
-        is_out = has_said and said and said[-1].state == AgentState.OUT
-        return is_out and max(truth[-1]) > 1
+        is_out = has_said and self.states and self.states[-1].state == AgentState.OUT
+        return is_out and self.fleet.is_away()
 
     def start_base(self, **own):
         for name in NODES:

@@ -182,17 +182,13 @@ def test_a_rule_of_readings_that_no_detections_fulfil_is_refused(field):
 ROUNDS = 20 if FULL else 1
 
 
-def until_away(fleet):
-    """Wait until a robot has left its base: by its diagnostics of each second, it may be back."""
-    fleet.field.until(lambda: max(fleet.truth()['scout_1'][-1]) > 1, 'robot under way')
-
-
 def fail(fleet, how, when):
     """Inject a failure into a robot before its departure, or some seconds after it."""
     if how in ('reject', 'abort', 'silent', 'lie'):
         fleet.inject(how)
         return
-    until_away(fleet)
+    # By diagnostics of each second, it may be back.
+    fleet.field.until(fleet.is_away, 'robot under way')
     fleet.wait(when)
     fleet.inject('die')
     fleet.field.until(lambda: 'waiting for the action server' in fleet.state(), 'wait')
@@ -531,7 +527,7 @@ def test_a_robot_without_power_anywhere_reports_its_walk_once(request):
     for number, after in enumerate(CUTS, 1):
         since = len(fleet.truth()['scout_1'])
         key = fleet.send(number, ORDERS)
-        until_away(fleet)
+        field.until(fleet.is_away, 'robot under way')
         fleet.wait(after)
         is_home = any(each.deployment.sec == number for each in reports)
         cut_power(fleet, rng)

@@ -86,10 +86,10 @@ class FieldMap {
     this.render();
   }
 
-  // Frame a cell.
+  // Frame a cell; the next key may come before it is drawn.
   choose(cell) {
     this.box.layout.frame = cell;
-    this.render();
+    this.renderSoon();
   }
 
   // Where the field lies on a canvas of this size: `scale` in pixels a metre, and the pixel of its corner.
@@ -368,6 +368,11 @@ class FieldMap {
   // Move the view so that what was at one pixel is at another.
   shift(before, share) {
     this.middle = this.middle.map((each, axis) => each + share[axis] - before[axis]);
+    this.renderSoon();
+  }
+
+  // Render with the next frame of the browser, once.
+  renderSoon() {
     if (this.isDue) return;
     this.isDue = true;
     requestAnimationFrame(() => {
@@ -455,10 +460,8 @@ class FieldMap {
     const from = frame ?? grid.bases[0];
     const [column, row] = [(from % grid.width) + across, Math.floor(from / grid.width) + up];
     if (column < 0 || column >= grid.width || row < 0 || row >= grid.height) return;
-    // The next key may come before this one is drawn.
-    this.box.layout.frame = row * grid.width + column;
-    this.onCell(this.box.layout.frame);
-    this.see(this.box.layout.frame);
+    this.onCell(row * grid.width + column);
+    this.see(row * grid.width + column);
   }
 
   // Move the view to a cell that is outside of it.

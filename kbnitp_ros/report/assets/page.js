@@ -348,12 +348,12 @@ function look(each, typed = false) {
   isTyped = typed;
   isNamed = true;
   markChosen(cell);
+  maps.forEach((map) => map.choose(cell));
   if (isDue) return;
   isDue = true;
   requestAnimationFrame(() => {
     isDue = false;
     drawCell();
-    maps.forEach((each) => each.choose(cell));
   });
 }
 
